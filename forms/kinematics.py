@@ -1,0 +1,55 @@
+"""Strains, jumps and frames. Everything a law sees is three-dimensional: 2D displacements mean plane strain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+
+Expr = Any  # a UFL expression; ufl's own types are not annotated
+
+
+def lift(a: Expr) -> Expr:
+    """A (2,) vector or (2, 2) tensor with zeros added to (3,) or (3, 3); three-dimensional ones unchanged."""
+    if a.ufl_shape[0] == 3:
+        return a
+    if len(a.ufl_shape) == 1:
+        return ufl.as_vector([a[0], a[1], 0])
+    return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
+
+
+def strain(u: Expr) -> Expr:
+    """Small strain sym(grad u), (3, 3); Eq. (2)."""
+    return lift(ufl.sym(ufl.grad(u)))
+
+
+def jump_strain(w: Expr, n: Expr) -> Expr:
+    """Symmetrised product of a jump w and the director n, (w (x) n + n (x) w)/2, (3, 3); divided by eps, a strain."""
+    return ufl.sym(ufl.outer(lift(w), lift(n)))
+
+
+def layer_frame(n: Expr) -> Expr:
+    """Rotation (3, 3) whose columns are the layer's axes: second axis n; in 2D the first is the tangent (n_2, -n_1).
+
+    In 3D it is the smallest rotation that takes e_2 to n; for n = -e_2, where there is no smallest one, it is the half
+    turn about the third axis.
+    """
+    if n.ufl_shape[0] == 2:
+        return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])
+    opposite = ufl.lt(n[1], -1 + 1e-12)
+    s = 1 / ufl.conditional(opposite, 1, 1 + n[1])
+    turn = ufl.as_tensor(
+        [
+            [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]],
+            [-n[0], n[1], -n[2]],
+            [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]],
+        ]
+    )
+    half_turn = ufl.as_tensor([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
+    return ufl.as_tensor([[ufl.conditional(opposite, half_turn[i, j], turn[i, j]) for j in range(3)] for i in range(3)])
+
+
+def normal_and_tangential(v: Expr, n: Expr) -> tuple[Expr, Expr]:
+    """v_N = v.n (scalar) and v_T = v - v_N n (vector)."""
+    v_n = ufl.dot(v, n)
+    return v_n, v - v_n * n

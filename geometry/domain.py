@@ -1,0 +1,121 @@
+"""Domain: a joint distributed over MPI ranks, with its names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import dolfinx
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from geometry.compat import create_mesh, create_tags
+from geometry.joint import BASE, LAYER, GeometryError, Joint, S, unknown
+from geometry.topology import IntArray
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A distributed mesh and the names of its parts.
+
+    A named set of outer facets NAME can be narrowed to the part on one region, "NAME/REGION", and to the side faces of
+    the layer that continue it, "NAME/LAYER" (nothing while S is a surface).
+
+    Attributes:
+        joint: what was distributed.
+        mesh: the DOLFINx mesh (ghosts across shared facets).
+        cell_tags: region numbers, counted from 1 in the order of `joint.regions`.
+        facet_tags: one value per combination of names.
+        facet_values: name -> the values of `facet_tags` it stands for.
+        original_cells: for each local cell (ghosts included) its number in `joint.cells`.
+    """
+
+    joint: Joint
+    mesh: dolfinx.mesh.Mesh
+    cell_tags: dolfinx.mesh.MeshTags
+    facet_tags: dolfinx.mesh.MeshTags
+    facet_values: Mapping[str, tuple[int, ...]]
+    original_cells: IntArray
+
+    @classmethod
+    def of(cls, joint: Joint, comm: MPI.Comm | None = None) -> Domain:
+        """Distribute a joint. Collective."""
+        comm = comm or MPI.COMM_WORLD
+        mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type)
+        cell_tags = create_tags(mesh, joint.dim, joint.cells, (joint.region + 1).astype(np.int32))
+        facets, combination, values = _name_combinations(joint)
+        facet_tags = create_tags(mesh, joint.dim - 1, facets, combination)
+        original = np.asarray(mesh.topology.original_cell_index, np.int64)
+        return cls(joint, mesh, cell_tags, facet_tags, values, original)
+
+    def cell_values(self, *regions: str) -> tuple[int, ...]:
+        """Values of `cell_tags` of regions."""
+        for name in regions:
+            if name not in self.joint.regions:
+                raise GeometryError(unknown("region", name, self.joint.regions))
+        return tuple(self.joint.regions.index(name) + 1 for name in regions)
+
+    @property
+    def layer_regions(self) -> tuple[str, ...]:
+        """Regions of the meshed layer, from the lower to the upper face; () while S is a surface."""
+        return self.joint.band.regions if self.joint.band else ()
+
+    def values(self, name: str, *, layer_sides: bool = False) -> tuple[int, ...]:
+        """Values of `facet_tags` for a name.
+
+        Args:
+            name: NAME, "NAME/REGION" or "NAME/LAYER".
+            layer_sides: whether NAME includes the side faces of the layer that continue it.
+
+        Raises:
+            GeometryError: unknown name.
+        """
+        if name not in self.facet_values:
+            raise GeometryError(unknown("facet tag", name, self.facet_values))
+        values = self.facet_values[name]
+        return values + self.facet_values.get(f"{name}/{LAYER}", ()) if layer_sides else values
+
+    def facets(self, name: str, *, layer_sides: bool = False) -> npt.NDArray[np.int32]:
+        """Local facets (ghosts included) of a name; arguments and errors as in `values`."""
+        found = np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))
+        return self.facet_tags.indices[found]
+
+    def vertices(self, original: int) -> npt.NDArray[np.int32]:
+        """Local vertices that stand for a vertex of the joint before it was inflated: one, or every copy of it on S."""
+        joint, topology = self.joint, self.mesh.topology
+        where = (joint.band.reference if joint.band else joint.points)[original]
+        reference = joint.band.reference if joint.band else joint.points
+        copies = np.flatnonzero(np.all(reference == where, axis=1))
+        topology.create_connectivity(0, joint.dim)
+        local = np.arange(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, dtype=np.int32)
+        nodes = dolfinx.mesh.entities_to_geometry(self.mesh, 0, local).ravel()
+        return local[np.isin(np.asarray(self.mesh.geometry.input_global_indices)[nodes], copies)]
+
+
+def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
+    """(name, rows of joint.table) of the facet sets, their parts by region and the layer's continuation of them."""
+    on_s = np.unique(joint.facets[S]) if S in joint.facets else np.empty(0, np.int64)
+    for name, facets in joint.facets.items():
+        rows = joint.table.index(facets)
+        yield name, rows
+        if "/" in name or name in (S, BASE) or (joint.table.cells[rows, 1] >= 0).any():
+            continue
+        cells = joint.table.cells[rows, 0]
+        for number, region in enumerate(joint.regions):
+            if region.split("/")[0] != LAYER:
+                yield f"{name}/{region}", rows[joint.region[cells] == number]
+        if joint.band is None and np.isin(facets, on_s).any():
+            yield f"{name}/{LAYER}", rows[:0]
+
+
+def _name_combinations(joint: Joint) -> tuple[IntArray, npt.NDArray[np.int32], dict[str, tuple[int, ...]]]:
+    """Facets with a name (vertices), the number of the combination of names of each, and name -> combinations."""
+    names, rows = zip(*_named_sets(joint), strict=True)
+    tagged = np.unique(np.concatenate(rows))
+    member = np.zeros((len(tagged), len(names)), bool)
+    for column, row in enumerate(rows):
+        member[np.searchsorted(tagged, row), column] = True
+    kinds, combination = np.unique(member, axis=0, return_inverse=True)
+    values = {name: tuple((np.flatnonzero(kinds[:, k]) + 1).tolist()) for k, name in enumerate(names)}
+    return joint.table.vertices[tagged], (combination.ravel() + 1).astype(np.int32), values

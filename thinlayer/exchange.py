@@ -1,0 +1,71 @@
+"""Questions between ranks, and values that travel between two distributions of the same cells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+Array = npt.NDArray[Any]
+
+
+def ask(comm: MPI.Comm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
+    """Send question k to rank[k] and return the answers in the same order. Collective.
+
+    Args:
+        comm: communicator.
+        rank: (n,) rank that knows the answer.
+        questions: (n, ...) rows to send.
+        answer: called once on each rank with all rows received and the rank each came from; one answer per row.
+    """
+    order = [np.flatnonzero(rank == r) for r in range(comm.size)]
+    received = comm.alltoall([questions[rows] for rows in order])
+    source = np.repeat(np.arange(comm.size), [len(rows) for rows in received])
+    answers = answer(np.concatenate(received), source)
+    edges = np.cumsum([len(rows) for rows in received])[:-1]
+    returned = comm.alltoall(np.split(answers, edges))
+    back = np.concatenate(returned)
+    out = np.empty_like(back)
+    out[np.concatenate(order)] = back
+    return out
+
+
+def carry(comm: MPI.Comm, cells: Array, values: Array, wanted: Array) -> Array:
+    """Values of cells known by their original numbers, for whoever wants them. Collective.
+
+    Args:
+        comm: communicator.
+        cells: (n,) original numbers of the cells whose values this rank holds.
+        values: (n, k) their values.
+        wanted: (m,) original numbers of the cells whose values this rank wants.
+
+    Returns:
+        (m, k) values. Cells nobody holds get NaN.
+    """
+    highest = comm.allreduce(int(max(cells.max(initial=-1), wanted.max(initial=-1))), MPI.MAX) + 1
+
+    def meeting_rank(c: Array) -> Array:
+        return c * comm.size // max(highest, 1)
+
+    known: dict[str, Array] = {}
+
+    def keep(rows: Array, _: Array) -> Array:
+        numbers = rows[:, 0].astype(np.int64)
+        order = np.argsort(numbers)
+        known["cells"], known["values"] = numbers[order], rows[order, 1:]
+        return np.zeros(len(rows))
+
+    ask(comm, meeting_rank(cells), np.column_stack([cells.astype(float), values]), keep)
+
+    def tell(rows: Array, _: Array) -> Array:
+        out = np.full((len(rows), known["values"].shape[1]), np.nan)
+        if len(known["cells"]):
+            at = np.minimum(np.searchsorted(known["cells"], rows), len(known["cells"]) - 1)
+            found = known["cells"][at] == rows
+            out[found] = known["values"][at[found]]
+        return out
+
+    return ask(comm, meeting_rank(wanted), wanted, tell)

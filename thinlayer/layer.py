@@ -1,0 +1,55 @@
+"""ThinLayer: a law and a thickness; the only place that turns parameters per thickness into real ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+
+from forms.elastic import Stack
+from forms.law import Law, LawError
+
+
+@dataclass(frozen=True)
+class ThinLayer:
+    """A soft layer between two bodies, or between a body and a rigid base.
+
+    Attributes:
+        law: the layer's law, its parameters per thickness (`law.per_thickness(eps)` converts real ones). Sublayers in
+            series: `Stack((fraction, law), ...)` from the lower to the upper face.
+        eps: thickness, a length > 0.
+
+    Raises:
+        LawError: eps out of range.
+    """
+
+    law: Law
+    eps: float
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.law, Law):
+            raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
+        if not (isinstance(self.eps, (int, float, np.floating)) and math.isfinite(self.eps) and self.eps > 0):
+            raise LawError(f"the layer's thickness eps is {self.eps}; allowed: > 0")
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Thickness fractions of the sublayers, from the lower to the upper face; () for a single layer."""
+        return self.law.fractions if isinstance(self.law, Stack) else ()
+
+    def real_law(self, mesh: Mesh, plane: str) -> Law:
+        """The law with real parameters, value * eps**power, as Constants of a mesh."""
+        return constants(in_plane(self.law, plane), mesh, float(self.eps))
+
+
+def in_plane(law: Law, plane: str) -> Law:
+    """The law for plane "strain" (as it is) or plane "stress"."""
+    return law.plane_stress() if plane == "stress" else law
+
+
+def constants(law: Law, mesh: Mesh, eps: float = 1.0) -> Law:
+    """A law whose parameters are Constants, so that forms are compiled once for all their values."""
+    return law.mapped(lambda value, power: fem.Constant(mesh, np.asarray(value, float) * eps**power))

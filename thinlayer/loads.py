@@ -1,0 +1,181 @@
+"""Supports, tractions and body forces: what a user writes, checked, as DOLFINx conditions and UFL."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+
+from forms.kinematics import Expr
+from geometry.domain import Domain
+from geometry.joint import unknown
+from thinlayer.compat import interpolation_points
+
+AXES = "xyz"
+Place = str | tuple[float, ...]
+Value = float | Callable[[Expr, Expr], Expr]
+Support = float | Mapping[str, Value]
+Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
+
+
+class ModelError(ValueError):
+    """A model that cannot be built: says what, where and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """What loads may depend on: the place in the joint before inflating (kept) and the time.
+
+    Attributes:
+        mesh: the mesh.
+        x: (d,) UFL coordinates.
+        t: UFL constant, the time.
+    """
+
+    mesh: Mesh
+    x: Expr
+    t: fem.Constant
+
+    @classmethod
+    def of(cls, domain: Domain) -> Coordinates:
+        """Coordinates on a domain. In kept geometry the bodies' rigid shifts are taken back."""
+        mesh, band = domain.mesh, domain.joint.band
+        x, t = ufl.SpatialCoordinate(mesh), fem.Constant(mesh, 0.0)
+        if band is None or band.bodies == "extended":
+            return cls(mesh, x, t)
+        shift = fem.Function(fem.functionspace(mesh, ("DG", 0, (domain.joint.dim,))))
+        moved = domain.joint.points - band.reference
+        cells = domain.joint.cells[domain.original_cells]
+        shift.x.array[:] = moved[cells].mean(axis=1).ravel()
+        return cls(mesh, x - shift, t)
+
+
+def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
+    """A traction or body force as a UFL vector (d,); raises ModelError if it is not a vector of d finite components."""
+    if not callable(load):
+        values = np.asarray(load, float)
+        if values.shape != (dim,) or not np.isfinite(values).all():
+            raise ModelError(f"{what} is {load!r}; it needs {dim} finite components")
+        return fem.Constant(at.mesh, values)
+    components = _call(load, at, what)
+    if not hasattr(components, "__len__") or len(components) != dim:
+        raise ModelError(f"{what} gives {components!r}; it needs {dim} components")
+    return ufl.as_vector([ufl.as_ufl(c) for c in components])
+
+
+def _call(function: Callable[[Expr, Expr], Any], at: Coordinates, what: str) -> Any:
+    try:
+        return function(at.x, at.t)
+    except Exception as error:
+        raise ModelError(
+            f"{what} could not be evaluated as a function (x, t) of UFL coordinates: {error}; use ufl.sin, ufl.conditional, ..."
+        ) from error
+
+
+class Supports:
+    """Prescribed displacements, for any space on the domain.
+
+    Args:
+        domain: the domain.
+        given: place -> prescribed components. A place is a facet name (its continuation over the layer's side included;
+            NAME/REGION and NAME/LAYER narrow it) or the coordinates of a mesh vertex before inflating (on S: both
+            sides). Components are {"x": value, ...}, or one number for all of them; a value is a number or a function
+            (x, t) of UFL coordinates.
+        at: coordinates for these functions.
+        clamped: facet names where nothing moves.
+
+    Raises:
+        GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
+    """
+
+    def __init__(self, domain: Domain, given: Mapping[Place, Support], at: Coordinates, clamped: Sequence[str] = ()) -> None:
+        self.domain, self.at = domain, at
+        self.axes = AXES[: domain.joint.dim]
+        self.entries: list[tuple[Place, dict[str, Value]]] = []
+        for place, support in given.items():
+            if isinstance(place, str):
+                domain.values(place)
+            else:
+                domain.joint.nearest_point(place)
+            self.entries.append((place, self._components(place, support)))
+        self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
+
+    def _components(self, place: Place, support: Support) -> dict[str, Value]:
+        components = dict(support) if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
+        for axis, value in components.items():
+            if axis not in self.axes:
+                raise ModelError(f"support on {place!r}: {unknown('component', axis, self.axes)}")
+            if not callable(value) and not (np.isscalar(value) and np.isfinite(value)):  # type: ignore[arg-type]
+                raise ModelError(f"support on {place!r}: component {axis} is {value!r}; allowed: a finite number or a function (x, t)")
+        return components
+
+    def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> npt.NDArray[np.int32]:
+        """Local degrees of freedom (unrolled, ghosts included) of one component on one place. Collective."""
+        component = V.sub(self.axes.index(axis))
+        if isinstance(place, str):
+            facets = self.domain.facets(place, layer_sides=True)
+            return fem.locate_dofs_topological(component, self.domain.joint.dim - 1, facets)
+        base = self.domain.joint.band.base if self.domain.joint.band else self.domain.joint
+        return vertex_dofs(V, self.domain.vertices(base.nearest_point(place)), self.axes.index(axis))
+
+    def held(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """All supported degrees of freedom of a space (local, unrolled, ghosts included). Collective."""
+        found = [self.dofs(V, place, axis) for place, components in self.entries for axis in components]
+        return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
+
+    def conditions(self, V: fem.FunctionSpace) -> Conditions:
+        """Boundary conditions for a space. Collective."""
+        return Conditions(self, V)
+
+
+class Conditions:
+    """Dirichlet conditions of a space and the values they take at a time."""
+
+    def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
+        self.bcs: list[fem.DirichletBC] = []
+        self._varying: list[tuple[fem.Function, fem.Expression]] = []
+        for place, components in supports.entries:
+            value = self._value(supports, V, place, components)
+            for axis in components:
+                dofs = supports.dofs(V, place, axis)
+                self.bcs.append(fem.dirichletbc(value, [dofs, dofs], V.sub(supports.axes.index(axis))))
+        self.update()
+
+    def _value(self, supports: Supports, V: fem.FunctionSpace, place: Place, components: dict[str, Value]) -> fem.Function:
+        value = fem.Function(V)
+        entries = [components.get(axis, 0.0) for axis in supports.axes]
+        if any(callable(entry) for entry in entries):
+            scalars = [_call(e, supports.at, f"support on {place!r}") if callable(e) else e for e in entries]
+            expression = ufl.as_vector([ufl.as_ufl(s) for s in scalars])
+            self._varying.append((value, fem.Expression(expression, interpolation_points(V))))
+        elif any(entries):
+            numbers = np.array(entries, float)
+            value.interpolate(lambda x: np.repeat(numbers[:, None], x.shape[1], axis=1))
+        return value
+
+    def update(self) -> None:
+        """Evaluate the prescribed values at the present time."""
+        for value, expression in self._varying:
+            value.interpolate(expression)
+            value.x.scatter_forward()
+
+
+def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component: int) -> npt.NDArray[np.int32]:
+    """Local degrees of freedom (unrolled) of one component at local vertices, in every cell that has the vertex."""
+    topology, dofmap = V.mesh.topology, V.dofmap
+    topology.create_connectivity(0, topology.dim)
+    to_cells, to_vertices = topology.connectivity(0, topology.dim), topology.connectivity(topology.dim, 0)
+    found = []
+    for vertex in vertices:
+        for cell in to_cells.links(vertex):
+            corner = int(np.flatnonzero(to_vertices.links(cell) == vertex)[0])
+            block = dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_dofs(0, corner)]
+            found.append(block * dofmap.bs + component)
+    return np.unique(np.concatenate([np.empty(0, np.int32), *found])).astype(np.int32)
+

@@ -1,0 +1,290 @@
+"""Model: one structure, its layer meshed ("full") or replaced by its interface law on S ("interface")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms import work as forms
+from forms.elastic import Stack
+from forms.kinematics import Expr
+from forms.law import Law
+from geometry.domain import Domain
+from geometry.joint import BASE, LAYER, Joint, S, unknown
+from geometry.topology import is_tensor
+from thinlayer.broken import broken_space, cell_colours, interface_measure
+from thinlayer.layer import ThinLayer, constants, in_plane
+from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports, vector
+
+ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
+PLANES = ("strain", "stress")
+
+
+class Model:
+    """A structure with a thin layer, discretised.
+
+    Built by `Model.full`, `Model.interface` and `Model.bonded` from the same data, so that all are the same structure.
+
+    Attributes:
+        joint: the joint before inflating.
+        domain: the distributed mesh.
+        layer: the layer; None where the bodies are bonded.
+        kind: "full", "interface" or "bonded".
+        V: displacement space; broken across S in the interface model.
+        sides: the two sides of S (interface model only).
+        bodies, layer_points: where the laws act.
+        supports: prescribed displacements.
+        t: the time, a Constant; `solve` sets it.
+    """
+
+    def __init__(
+        self,
+        joint: Joint,
+        kind: str,
+        *,
+        layer: ThinLayer | None = None,
+        body: Law | Mapping[str, Law],
+        supports: Mapping[Place, Support],
+        tractions: Mapping[str, Load] | None = None,
+        body_force: Load | Mapping[str, Load] | None = None,
+        plane: str = "strain",
+        element: str | None = None,
+        bodies: str = "kept",
+        sublayers: int = 4,
+        comm: MPI.Comm | None = None,
+    ) -> None:
+        if plane not in PLANES:
+            raise ModelError(unknown("plane", plane, PLANES))
+        if kind != "bonded" and not isinstance(layer, ThinLayer):
+            raise ModelError(f"layer is {layer!r}; give layer=ThinLayer(law, eps)")
+        self.joint, self.layer, self.kind, self.plane = joint, layer, kind, plane
+        element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
+        if element not in ELEMENTS[is_tensor(joint.cell_type)]:
+            allowed = ", ".join(ELEMENTS[is_tensor(joint.cell_type)])
+            raise ModelError(f"element {element!r} does not exist on {joint.cell_type} cells; allowed: {allowed}")
+        if plane == "stress" and joint.dim == 3:
+            raise ModelError("plane='stress' needs a two-dimensional joint")
+        self.element = element
+        laws = self._body_laws(body)
+        self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
+        self.comm = self.domain.mesh.comm
+        mesh = self.domain.mesh
+        self.V = self.space(2 if element[1] == "2" else 1, family="S" if element[0] == "S" else None)
+        self.coordinates = Coordinates.of(self.domain)
+        self.supports = Supports(self.domain, supports, self.coordinates, clamped=self._clamped())
+        self.conditions = self.supports.conditions(self.V)
+        self._dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
+        self._ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
+        self.bodies = [
+            forms.body(constants(in_plane(law, plane), mesh), self._dx(self.domain.cell_values(name)))
+            for name, law in laws.items()
+        ]
+        self.sides = self._sides() if kind == "interface" else None
+        self.layer_points = self._layer_points()
+        self._tractions = self._check_tractions(tractions or {})
+        self._body_forces = self._check_body_forces(body_force)
+        self._check_rigid_motion()
+
+    @classmethod
+    def full(cls, joint: Joint, **data: Any) -> Model:
+        """The model whose layer is meshed.
+
+        Args:
+            joint: the joint; S is inflated by the layer's thickness.
+            layer: ThinLayer.
+            body: law of the bodies (moduli: stress), or region name -> law.
+            supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer.
+            tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that
+                returns d components. On the bodies only; name "NAME/LAYER" to load the side of the layer.
+            body_force: (d,) force per volume in the bodies, likewise, or region name -> force.
+            plane: "strain" or "stress" (linear elastic laws only).
+            element: "P1", "P2" (default on triangles), "Q1", "Q2" (default on quadrilaterals) or "S2".
+            bodies: "kept" or "extended", see `geometry.inflate`; the interface model ignores it.
+            sublayers: number of cells through the layer's thickness; the interface model ignores it.
+            comm: MPI communicator (default: the world).
+
+        Raises:
+            ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
+        """
+        return cls(joint, "full", **data)
+
+    @classmethod
+    def interface(cls, joint: Joint, **data: Any) -> Model:
+        """The model whose layer is replaced by its interface law on S; arguments and errors as in `full`."""
+        return cls(joint, "interface", **data)
+
+    @classmethod
+    def bonded(cls, joint: Joint, **data: Any) -> Model:
+        """The model without a layer: bodies perfectly bonded on S (on a rigid base S does not move).
+
+        Arguments and errors as in `full`; the layer is ignored.
+        """
+        return cls(joint, "bonded", **data)
+
+    def _inflated(self, bodies: str, sublayers: int) -> Joint:
+        if self.kind != "full" or self.layer is None:
+            return self.joint
+        return self.joint.inflate(self.layer.eps, layers=sublayers, strata=self.layer.fractions, bodies=bodies)
+
+    # ---------------------------------------------------------------- spaces
+    @cached_property
+    def _colours(self) -> npt.NDArray[np.int32]:
+        """Colours in which displacements are continuous: each body in the interface model, else everything."""
+        lower, upper = self.joint.lower, self.joint.upper
+        return self._colour([lower, upper] if self.kind == "interface" else [lower + self.domain.layer_regions + upper])
+
+    @cached_property
+    def _broken_colours(self) -> npt.NDArray[np.int32]:
+        """Colours of the lower body, the layer and the upper body: broken at both faces."""
+        return self._colour([self.joint.lower, self.domain.layer_regions, self.joint.upper])
+
+    def _colour(self, groups: list[tuple[str, ...]]) -> npt.NDArray[np.int32]:
+        tags = [self.domain.cell_values(*names) for names in groups]
+        return cell_colours(self.domain.mesh, self.domain.cell_tags, tags)
+
+    def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
+        """A vector space on the model's mesh with the jumps of its displacements. Collective.
+
+        Args:
+            degree: polynomial degree.
+            family: basix family (default: Lagrange).
+            broken_at_faces: whether functions also jump between the meshed layer and the bodies.
+        """
+        mesh = self.domain.mesh
+        element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(self.joint.dim,))
+        return broken_space(mesh, element, self._broken_colours if broken_at_faces else self._colours)
+
+    # ---------------------------------------------------------------- where laws act
+    def _clamped(self) -> tuple[str, ...]:
+        """Facets that a rigid base holds."""
+        faces = {"full": (BASE,), "bonded": (S,)}
+        return faces.get(self.kind, ()) if self.joint.rigid_base else ()
+
+    def _body_laws(self, body: Law | Mapping[str, Law]) -> dict[str, Law]:
+        regions = self.joint.lower + self.joint.upper
+        laws = dict(body) if isinstance(body, Mapping) else dict.fromkeys(regions, body)
+        for name in laws:
+            if name not in regions:
+                raise ModelError(unknown("body", name, regions))
+        for name in regions:
+            if not isinstance(laws.get(name), Law):
+                raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
+        return laws
+
+    def _sides(self) -> forms.Interface:
+        mesh, facets = self.domain.mesh, self.domain.facets(S)
+        if self.joint.rigid_base:
+            return forms.Interface.on_rigid_base(mesh, self._ds(self.domain.values(S)))
+        measure, _ = interface_measure(mesh, facets, self._colours)
+        return forms.Interface.between_bodies(mesh, measure)
+
+    def _layer_points(self) -> list[forms.Points]:
+        if self.kind == "bonded" or self.layer is None:
+            return []
+        mesh, law = self.domain.mesh, self.layer.real_law(self.domain.mesh, self.plane)
+        if self.sides:
+            return [forms.surface(law, self.sides, fem.Constant(mesh, float(self.layer.eps)))]
+        laws = law.laws if isinstance(law, Stack) else (law,)
+        n = fem.Constant(mesh, self.joint.interface_normals.mean(axis=0))
+        values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
+        return [forms.band(one, self._dx(tags), n) for one, tags in zip(laws, values, strict=True)]
+
+    @property
+    def points(self) -> list[forms.Points]:
+        """All points where a law acts."""
+        return self.bodies + self.layer_points
+
+    @property
+    def linear(self) -> bool:
+        """Whether every law is linear."""
+        return all(p.law.linear for p in self.points)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether every law has a symmetric tangent."""
+        return all(p.law.symmetric for p in self.points)
+
+    # ---------------------------------------------------------------- loads
+    def _check_tractions(self, tractions: Mapping[str, Load]) -> list[tuple[tuple[int, ...], Expr]]:
+        checked = []
+        for name, load in tractions.items():
+            values = self.domain.values(name)
+            if name.split("/")[0] == S:
+                raise ModelError("a traction on S is what the model computes; load another facet set")
+            traction = vector(load, self.coordinates, self.joint.dim, f"traction on {name!r}")
+            if values:
+                checked.append((values, traction))
+            elif not name.endswith(f"/{LAYER}"):
+                raise ModelError(f"traction on {name!r}: this facet set is empty")
+        return checked
+
+    def _check_body_forces(self, body_force: Load | Mapping[str, Load] | None) -> list[tuple[tuple[int, ...], Expr]]:
+        regions = self.joint.lower + self.joint.upper
+        if body_force is None:
+            return []
+        forces = dict(body_force) if isinstance(body_force, Mapping) else dict.fromkeys(regions, body_force)
+        for name in forces:
+            if name not in regions:
+                raise ModelError(unknown("body", name, regions))
+        return [
+            (self.domain.cell_values(name), vector(force, self.coordinates, self.joint.dim, f"body force in {name!r}"))
+            for name, force in forces.items()
+        ]
+
+    def external_work(self, v: Expr) -> Expr:
+        """Virtual work of the loads, a UFL form linear in v."""
+        zero = fem.Constant(self.domain.mesh, np.zeros(self.joint.dim))
+        form = ufl.inner(zero, v) * self._dx
+        for values, force in self._body_forces:
+            form += ufl.inner(force, v) * self._dx(values)
+        for values, traction in self._tractions:
+            form += ufl.inner(traction, v) * self._ds(values)
+        return form
+
+    # ---------------------------------------------------------------- rigid motions
+    @cached_property
+    def rigid_motions(self) -> list[fem.Function]:
+        """Rigid motions of the whole structure: translations, then rotations about its centre (scaled to its size)."""
+        d = self.joint.dim
+        points = self.domain.joint.points
+        centre, size = points.mean(axis=0), np.ptp(points, axis=0).max()
+        motions: list[Any] = [lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)]) for i in range(d)]
+
+        def rotation(x: np.ndarray, i: int, j: int) -> np.ndarray:
+            out = np.zeros((d, x.shape[1]))
+            out[i], out[j] = -(x[j] - centre[j]) / size, (x[i] - centre[i]) / size
+            return out
+
+        motions += [lambda x, i=i, j=j: rotation(x, i, j) for i in range(d) for j in range(i + 1, d)]
+        out = []
+        for motion in motions:
+            f = fem.Function(self.V)
+            f.interpolate(motion)
+            f.x.scatter_forward()
+            out.append(f)
+        return out
+
+    def _check_rigid_motion(self) -> None:
+        if self.joint.rigid_base:
+            return
+        owned = self.V.dofmap.index_map.size_local * self.V.dofmap.index_map_bs
+        held = self.supports.held(self.V)
+        rows = np.array([f.x.array[held[held < owned]] for f in self.rigid_motions])
+        gram = self.comm.allreduce(rows @ rows.T)
+        values, vectors = np.linalg.eigh(gram)
+        if values[0] <= 1e-10 * max(values[-1], 1.0):
+            parts = [*(f"translation {a}" for a in self.supports.axes), *(["rotation"] if self.joint.dim == 2 else ["rotation xy", "rotation xz", "rotation yz"])]
+            free = parts[int(np.argmax(np.abs(vectors[:, 0])))]
+            raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")
+
+    def __repr__(self) -> str:
+        dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs
+        return f"Model.{self.kind}({self.element}, {dofs} unknowns)"

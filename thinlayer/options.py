@@ -1,0 +1,52 @@
+"""PETSc options: our defaults, the user's word over them, and an error for options nothing has read."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+
+from petsc4py import PETSc
+
+PREFIX = "thinlayer_"
+OptionValue = str | int | float | bool | None
+
+
+class OptionError(ValueError):
+    """A PETSc option that no solver reads."""
+
+
+@contextmanager
+def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
+    """Put options under our prefix into PETSc's database, where the user has not set them, for the time of a block."""
+    database = PETSc.Options()
+    ours = {PREFIX + name: value for name, value in options.items() if not database.hasName(PREFIX + name)}
+    for name, value in ours.items():
+        database.setValue(name, value)
+    try:
+        yield
+    finally:
+        for name in ours:
+            database.delValue(name)
+
+
+def unread() -> list[str]:
+    """Names under our prefix that are set and no solver has read, without the prefix."""
+    library = ctypes.CDLL(PETSc.__file__)
+    library.PetscOptionsUsed.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int)]
+    names = []
+    for name in PETSc.Options().getAll():
+        used = ctypes.c_int(0)
+        if name.startswith(PREFIX):
+            library.PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
+            if not used.value:
+                names.append(name.removeprefix(PREFIX))
+    return names
+
+
+def require_all_read(solver: str, ours: Collection[str]) -> None:
+    """Raise OptionError if the user has set options that the solver, just used, has not read; `ours` may stay unread."""
+    names = [name for name in unread() if name not in ours]
+    if names:
+        listed = ", ".join(f"-{PREFIX}{name}" for name in names)
+        raise OptionError(f"PETSc options not read by the {solver} solver: {listed}; -{PREFIX}help lists what it reads")

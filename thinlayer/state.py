@@ -1,0 +1,77 @@
+"""State: the displacements of a model at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from dolfinx import fem
+
+from forms.work import energy
+from thinlayer.exchange import carry
+
+if TYPE_CHECKING:
+    from thinlayer.model import Model
+    from thinlayer.solvers import Report
+
+
+@dataclass(frozen=True)
+class State:
+    """Equilibrium of a model at a time.
+
+    Attributes:
+        model: the model.
+        u: displacement, in model.V.
+        t: time.
+        report: how it was found.
+    """
+
+    model: Model
+    u: fem.Function
+    t: float
+    report: Report
+
+    def integral(self, form: Any) -> float:
+        """Value of a UFL form without arguments, summed over the ranks. Collective."""
+        return float(self.model.comm.allreduce(fem.assemble_scalar(fem.form(form))))
+
+    def energies(self) -> dict[str, float]:
+        """Stored energy of the bodies and of the layer, and the work of the loads (per unit thickness in 2D). Collective.
+
+        For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron).
+        """
+        model = self.model
+        return {
+            "bodies": self.integral(energy(model.bodies, self.u)),
+            "layer": self.integral(energy(model.layer_points, self.u)),
+            "loads": self.integral(model.external_work(self.u)),
+        }
+
+
+def cell_values(f: fem.Function, cells: np.ndarray) -> np.ndarray:
+    """Degrees of freedom of local cells, (n, dofs per cell)."""
+    dofmap = f.function_space.dofmap
+    blocks = dofmap.list[cells]
+    return f.x.array.reshape(-1, dofmap.bs)[blocks].reshape(len(cells), -1)
+
+
+def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
+    """A function of one model's bodies on the same cells of the other model's mesh, degree of freedom by degree of freedom.
+
+    Both models come from the same joint: body cells have the same original numbers and the same local order of their
+    degrees of freedom, wherever they are and whichever rank has them. Collective.
+    """
+    n_body = len(source.joint.cells)
+    mesh = source.domain.mesh
+    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local)
+    original = source.domain.original_cells[owned]
+    sent = owned[original < n_body]
+    there = target.domain.original_cells
+    wanted = np.flatnonzero(there < n_body)
+    values = carry(source.comm, source.domain.original_cells[sent], cell_values(f, sent), there[wanted])
+    out = fem.Function(V)
+    bs = V.dofmap.bs
+    out.x.array.reshape(-1, bs)[V.dofmap.list[wanted].ravel()] = values.reshape(-1, bs)
+    out.x.scatter_forward()
+    return out

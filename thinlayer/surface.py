@@ -1,0 +1,154 @@
+"""What happens on S: traction, jump and the displacements of both faces, for either model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import dolfinx.fem.petsc
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from forms.kinematics import Expr
+from forms.work import Interface, work
+from thinlayer.model import Model
+from thinlayer.state import State, transfer
+
+MASS_TOLERANCE = 1e-14
+
+
+def reaction(state: State) -> fem.Function:
+    """Nodal forces that the bodies pass to S, tested with degree-1 functions broken at its faces. Collective.
+
+    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i): what the layer (or the other body) exerts.
+    """
+    model = state.model
+    W = model.space(1, broken_at_faces=True)
+    v = ufl.TestFunction(W)
+    r = fem.Function(W)
+    b = dolfinx.fem.petsc.assemble_vector(fem.form(work(model.bodies, state.u, v) - model.external_work(v)))
+    b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+    with b.localForm() as local:
+        r.x.array[:] = local.array
+    b.destroy()
+    r.x.scatter_forward()
+    return r
+
+
+@dataclass(frozen=True)
+class Surface:
+    """S as the interface model sees it; fields of a full model on the same joint can be brought here.
+
+    Attributes:
+        model: an interface model.
+    """
+
+    model: Model
+
+    @property
+    def sides(self) -> Interface:
+        """The two sides of S."""
+        assert self.model.sides is not None, "Surface needs an interface model"
+        return self.model.sides
+
+    @cached_property
+    def trace_space(self) -> fem.FunctionSpace:
+        """Degree-1 vector functions, broken across S."""
+        return self.model.space(1)
+
+    def displacement(self, state: State) -> fem.Function:
+        """Displacement of a state (of either model) in the interface model's space. Collective."""
+        if state.model is self.model:
+            return state.u
+        return transfer(state.u, state.model, self.model.V, self.model)
+
+    def jump(self, state: State) -> Expr:
+        """[u] = u(upper face) - u(lower face), a UFL expression on S. Collective."""
+        return self.sides.jump(self.displacement(state))
+
+    def traction(self, state: State) -> Expr:
+        """Traction t = stress n on S, (d,), a UFL expression of degree 1 on S. Collective.
+
+        Mean over both faces of the bodies' reactions; components that a side support holds are left out (zero), because
+        the reaction there is the support's too.
+        """
+        r = transfer(reaction(state), state.model, self.trace_space, self.model)
+        t = self._divide_by_mass(r, self._held)
+        if self.model.joint.rigid_base:
+            return -self.sides.upper(t)
+        return (self.sides.lower(t) - self.sides.upper(t)) / 2
+
+    def nodal(self, f: Expr) -> fem.Function:
+        """L2 projection on S of a vector expression on S to degree 1, as a function on the upper side's nodes. Collective."""
+        v = ufl.TestFunction(self.trace_space)
+        b = dolfinx.fem.petsc.assemble_vector(fem.form(ufl.inner(f, self.sides.upper(v)) * self.sides.measure))
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        r = fem.Function(self.trace_space)
+        with b.localForm() as local:
+            r.x.array[:] = local.array
+        b.destroy()
+        r.x.scatter_forward()
+        return self._divide_by_mass(r, np.empty(0, np.int32))
+
+    def norm(self, f: Expr, where: Expr = 1) -> float:
+        """L2 norm over S of a vector expression, weighted with `where`. Collective."""
+        form = fem.form(where * ufl.inner(f, f) * self.sides.measure)
+        return float(np.sqrt(self.model.comm.allreduce(fem.assemble_scalar(form))))
+
+    @cached_property
+    def _held(self) -> np.ndarray:
+        """Supported trace degrees of freedom, on either side: one side's support counts for both."""
+        V = self.trace_space
+        mark = fem.Function(V)
+        mark.x.array[self.model.supports.held(V)] = 1.0
+        mark.x.scatter_forward()
+        if self.model.joint.rigid_base:
+            return np.flatnonzero(mark.x.array > 0)
+        v, corners = ufl.TestFunction(V), {"quadrature_rule": "vertex", "quadrature_degree": 1}
+        measure = self.sides.measure(metadata=corners)
+        both = ufl.inner(mark("+"), v("-")) * measure + ufl.inner(mark("-"), v("+")) * measure
+        seen = fem.assemble_vector(fem.form(both))
+        seen.scatter_reverse(dolfinx.la.InsertMode.add)
+        seen.scatter_forward()
+        return np.flatnonzero((mark.x.array > 0) | (seen.array > 0))
+
+    @cached_property
+    def _mass(self) -> tuple[PETSc.Mat, np.ndarray]:
+        """Mass matrix of both sides of S, and the local degrees of freedom on S."""
+        V, sides = self.trace_space, self.sides
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        form = ufl.inner(sides.upper(u), sides.upper(v)) * sides.measure
+        if not self.model.joint.rigid_base:
+            form += ufl.inner(sides.lower(u), sides.lower(v)) * sides.measure
+        A = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
+        A.assemble()
+        diagonal = A.getDiagonal()
+        return A, diagonal.array > 0
+
+    def _divide_by_mass(self, r: fem.Function, left_out: np.ndarray) -> fem.Function:
+        """Solve M t = r on the nodes of S with the components `left_out` zero."""
+        V = self.trace_space
+        mass, on_s = self._mass
+        owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        keep = on_s.copy()
+        keep[left_out[left_out < owned]] = False
+        first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
+        rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)
+        A = mass.createSubMatrix(rows, rows)
+        t = fem.Function(V)
+        ksp = PETSc.KSP().create(self.model.comm)
+        ksp.setOperators(A)
+        ksp.setType("cg")
+        ksp.getPC().setType("jacobi")
+        ksp.setTolerances(rtol=MASS_TOLERANCE, atol=1e-300, max_it=1000)
+        b = A.createVecLeft()
+        x = A.createVecRight()
+        b.array[:] = r.x.array[:owned][keep]
+        ksp.solve(b, x)
+        t.x.array[:owned][keep] = x.array
+        t.x.scatter_forward()
+        for thing in (A, b, x, rows, ksp):
+            thing.destroy()
+        return t
