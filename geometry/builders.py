@@ -17,7 +17,7 @@ T = TypeVar("T")
 ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
 CELLS = ("triangle", "quadrilateral")
 GROWTH = 0.3  # cell size gained per unit of distance from a refined place
-RANGE = 1e-3  # smallest cell size allowed, in units of the shape's own size
+RANGE = 1e-5  # smallest cell size allowed, in units of the shape's own size
 
 
 def block(

@@ -14,7 +14,7 @@ from dolfinx.mesh import Mesh
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
-from geometry.joint import unknown
+from geometry.joint import LAYER, S, unknown
 from thinlayer.compat import interpolation_points
 
 AXES = "xyz"
@@ -100,7 +100,10 @@ class Supports:
         self.entries: list[tuple[Place, dict[str, Value]]] = []
         for place, support in given.items():
             if isinstance(place, str):
-                domain.values(place)
+                if place.split("/")[0] == S:
+                    raise ModelError("a support on S would replace the layer; support another facet set")
+                if not domain.values(place) and not place.endswith(f"/{LAYER}"):
+                    raise ModelError(f"support on {place!r}: this facet set is empty")
             else:
                 domain.joint.nearest_point(place)
             self.entries.append((place, self._components(place, support)))

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import dolfinx.fem.petsc
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -92,10 +93,43 @@ class Surface:
         r.x.scatter_forward()
         return self._divide_by_mass(r, np.empty(0, np.int32))
 
+    def frame(self, f: Expr) -> Expr:
+        """A vector expression on S in the frame of S: (tangential, normal) in 2D; tangent (n_2, -n_1)."""
+        n = self.sides.n
+        if len(n) != 2:
+            raise NotImplementedError("the frame of S is defined in two dimensions")
+        return ufl.as_vector([f[0] * n[1] - f[1] * n[0], ufl.dot(f, n)])
+
+    def profile(self, f: Expr) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Places (n, d) and values (n, d) of a vector expression, projected to degree 1, at the vertices of S. Collective.
+
+        Sorted by the coordinates, the same on every rank.
+        """
+        V = self.trace_space
+        d, owned = self.model.joint.dim, V.dofmap.index_map.size_local
+        at = np.flatnonzero(self._upper_nodes[:owned])
+        rows = np.hstack([V.tabulate_dof_coordinates()[at, :d], self.nodal(f).x.array.reshape(-1, d)[at]])
+        rows = np.concatenate(self.model.comm.allgather(rows))
+        rows = rows[np.lexsort(rows[:, d - 1 :: -1].T)]
+        return rows[:, :d], rows[:, d:]
+
+    @cached_property
+    def _upper_nodes(self) -> npt.NDArray[np.bool_]:
+        """Which local nodes of the trace space lie on the upper side of S."""
+        v = ufl.TestFunction(self.trace_space)
+        ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
+        weight = fem.assemble_vector(fem.form(ufl.inner(ones, self.sides.upper(v)) * self.sides.measure))
+        weight.scatter_reverse(dolfinx.la.InsertMode.add)
+        weight.scatter_forward()
+        return weight.array.reshape(-1, self.model.joint.dim)[:, 0] > 0
+
+    def integral(self, f: Expr) -> float:
+        """Integral over S of a scalar expression. Collective."""
+        return float(self.model.comm.allreduce(fem.assemble_scalar(fem.form(f * self.sides.measure))))
+
     def norm(self, f: Expr, where: Expr = 1) -> float:
         """L2 norm over S of a vector expression, weighted with `where`. Collective."""
-        form = fem.form(where * ufl.inner(f, f) * self.sides.measure)
-        return float(np.sqrt(self.model.comm.allreduce(fem.assemble_scalar(form))))
+        return float(np.sqrt(self.integral(where * ufl.inner(f, f))))
 
     @cached_property
     def _held(self) -> np.ndarray:

@@ -1,0 +1,126 @@
+"""Figures 5 and 6: a bar on a layer of two elastic sublayers; tangential traction over displacement along S."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from forms import Law, LinearElastic, Stack
+from geometry import block
+from thinlayer import Model, State, Surface, Table, ThinLayer, observed_orders, plotting, solve
+from thinlayer.progress import track
+from thinlayer.record import Record
+
+EPS = 0.1  # mm
+BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa
+GLUE = Stack(  # MPa; the lower half is softer
+    (0.5, LinearElastic.shear(mu=7.5e3, nu=0.3)),
+    (0.5, LinearElastic.shear(mu=10e3, nu=0.3)),
+).per_thickness(EPS)
+K_T = 1 / (0.5 * EPS / 7.5e3 + 0.5 * EPS / 10e3)  # N/mm^3: compliances add
+WIDTH = HEIGHT = 40.0  # mm
+INNER = (6.0, 30.0)  # mm: away from the ends of the layer, whose influence decays over a few mm
+PLACE = 10.0  # mm, where the deviation is followed as eps -> 0
+
+
+def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: bool = False) -> None:
+    """Solve the bar of Fig. 5 at eps = 0.1 mm, then follow the deviation from K_T as eps -> 0.
+
+    Args:
+        record: where to write.
+        eps: thicknesses (mm) for the second part.
+        quick: coarser mesh.
+    """
+    sizes = dict(h=4.0, h_S=0.5, h_ends=0.1) if quick else dict(h=2.0, h_S=0.2, h_ends=0.02)
+    bar = Bar(record, sizes)
+    record.parameters = {"eps_mm": EPS, "K_T": K_T, "sizes_mm": sizes, "bar": str(BAR), "layer_per_mm": str(GLUE)}
+    x, ratio_interface = bar.stiffness(bar.limit)
+    full = bar.full(GLUE, EPS)
+    _, ratio_band = bar.stiffness(full)
+    rows = zip(x, ratio_band, ratio_interface, strict=True)
+    record.write("table.csv", Table({"x_mm": a, "ratio_band": b, "ratio_interface": c} for a, b, c in rows))
+    draw(record)
+    _draw_deformed(record, {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit})
+
+    deviation = _deviation(record, bar, sorted(eps, reverse=True))
+    inner = (x >= INNER[0]) & (x <= INNER[1])
+    record.say(f"K_T = {K_T:.4f} N/mm^3 (harmonic mean); the arithmetic mean would be {(7.5e3 + 10e3) / 2 / EPS:.0f}")
+    record.say(f"deviation of t_T/u_T from K_T at x = {PLACE:g} mm:\n{deviation}")
+    worst = np.abs(ratio_band[inner] / K_T - 1).max()
+    record.check(f"largest |t_T/u_T / K_T - 1| of the meshed layer, x in {INNER} mm", worst, high=1e-3)
+    record.check("largest |t_T/u_T / K_T - 1| of the interface law", np.abs(ratio_interface[inner] / K_T - 1).max(), high=1e-6)
+    if len(eps) > 1:
+        last = deviation["order_moduli_held"][-1]
+        record.check(f"last observed order of the deviation at {PLACE:g} mm, moduli held", last, low=0.9, high=1.1)
+
+
+class Bar:
+    """The bar of Fig. 5 on any layer, and what its layer does along S."""
+
+    def __init__(self, record: Record, sizes: dict[str, float]) -> None:
+        self.record, self.joint = record, block(WIDTH, HEIGHT, **sizes)
+        self.setup = {"body": BAR, "supports": {"RIGHT": {"x": 0.0}}, "tractions": {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)}}
+        model = Model.interface(self.joint, layer=ThinLayer(GLUE, EPS), **self.setup)
+        self.limit, self.surface = record.solved(solve(model)), Surface(model)
+
+    def full(self, law: Law, eps: float) -> State:
+        """The bar on a meshed layer."""
+        return self.record.solved(solve(Model.full(self.joint, layer=ThinLayer(law, eps), **self.setup)))
+
+    def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """x and t_T/u_T at the vertices of S, both projected to degree 1; without the supported end, where it is 0/0."""
+        surface = self.surface
+        x, u = surface.profile(surface.frame(surface.jump(state)))
+        _, t = surface.profile(surface.frame(surface.traction(state)))
+        free = np.abs(u[:, 0]) > 1e-9 * np.abs(u[:, 0]).max()
+        return x[free, 0], t[free, 0] / u[free, 0]
+
+    def deviation(self, law: Law, eps: float, k_t: float) -> float:
+        """Relative deviation of t_T/u_T from k_t at PLACE."""
+        x, ratio = self.stiffness(self.full(law, eps))
+        return float(np.interp(PLACE, x, ratio) / k_t - 1)
+
+
+def _deviation(record: Record, bar: Bar, eps: Sequence[float]) -> Table:
+    """Deviations as eps -> 0: with moduli over thickness held (K_T fixed), and with the glue's own moduli (K_T ~ 1/eps)."""
+    rows = []
+    for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
+        own = GLUE.mapped(lambda value, power, e=e: value * (EPS / e) ** power)
+        rows.append({
+            "eps_mm": e,
+            "deviation_ratios_held": bar.deviation(GLUE, e, K_T),
+            "deviation_moduli_held": bar.deviation(own, e, K_T * EPS / e),
+        })  # fmt: skip
+    table = Table(path=record.path("deviation.csv") if record.root else None)
+    orders = {way: observed_orders(eps, [row[f"deviation_{way}"] for row in rows]) for way in ("ratios_held", "moduli_held")}
+    for k, row in enumerate(rows):
+        table.append(row | {f"order_{way}": values[k] for way, values in orders.items()})
+    return table
+
+
+def _draw_deformed(record: Record, states: dict[str, State]) -> None:
+    title = "bar on a stratified layer"
+    plotting.deformed(states, save=record.path("deformed.png"), unit="mm", title=title)
+    window = (-0.15, 0.65, -0.15, 0.45)
+    plotting.deformed(states, save=record.path("layer_end.png"), unit="mm", title=f"{title}: its free end", scale=100, zoom=window)
+
+
+def draw(record: Record) -> None:
+    """Draw figure 6 from table.csv."""
+    path = record.path("table.csv")
+    if not record.root:
+        return
+    table = Table.load(path)
+    x = table["x_mm"]
+    lines = {
+        "meshed layer": (x, table["ratio_band"] / 1e3),
+        "interface law": (x, table["ratio_interface"] / 1e3),
+        "K_T, harmonic mean": (x, 0 * x + K_T / 1e3),
+        "arithmetic mean": (x, 0 * x + (7.5 + 10) / 2 / EPS),
+    }
+    plotting.curves(
+        lines, xlabel="x (mm)", ylabel="t_T / u_T (10^3 N/mm^3)", title="Figure 6: tangential stiffness along S",
+        styles={"interface law": "--", "K_T, harmonic mean": ":", "arithmetic mean": ":"}, ylim=(82, 90),
+        save=record.path("ratio.png"),
+    )  # fmt: skip

@@ -1,0 +1,94 @@
+"""Limits of the elastic law: stiffer and stiffer it bonds, without tangential stiffness it slides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import ufl
+
+from forms import Anisotropic
+from studies.problems import fourier
+from thinlayer import Model, State, Surface, Table, ThinLayer, plotting, solve
+from thinlayer.progress import track
+from thinlayer.record import Record
+
+KAPPA = (1e4, 1e5, 1e6)
+SLIDING = (1.0, 1e-2, 1e-4, 1e-6)
+K_N = 100.0
+BONDED_JUMP, BONDED_TRACTION = 0.5913, 28.589  # |[u]| kappa and |t - t_bonded| kappa as kappa -> infinity
+SLIDING_JUMP, SLIDING_TRACTION = -5.45899860e-3, 0.574377539927  # amplitudes of [u_T] and t_N as K_T -> 0
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """K_N = K_T = kappa -> infinity against bonded bodies, then K_T -> 0 with K_N held, on the Fourier problem.
+
+    Args:
+        record: where to write.
+        quick: coarser mesh.
+    """
+    h = 1 / 16 if quick else 1 / 48
+    joint, setup = fourier(h, cell="quadrilateral")
+    record.parameters = {"h": h, "K_N": K_N}
+
+    def interface(k_n: float, k_t: float) -> tuple[State, Surface]:
+        law = Anisotropic.springs(K_N=k_n, K_T=k_t)
+        state = record.solved(solve(Model.interface(joint, layer=ThinLayer(law, 1.0), **setup)))
+        return state, Surface(state.model)
+
+    bonded = record.solved(solve(Model.bonded(joint, **setup)))
+    stiff = Table(path=record.path("table.csv") if record.root else None)
+    for kappa in track(KAPPA, "limits", "kappa = {:g}"):
+        state, surface = interface(kappa, kappa)
+        difference = surface.norm(surface.traction(state) - surface.traction(bonded))
+        row = {"kappa": kappa, "jump_times_kappa": surface.norm(surface.jump(state)) * kappa}
+        stiff.append(row | {"traction_difference_times_kappa": difference * kappa})
+
+    sliding = Table(path=record.path("sliding.csv") if record.root else None)
+    for k_t in track(SLIDING, "limits", "K_T = {:g}"):
+        state, surface = interface(K_N, k_t)
+        sliding.append({"K_T": k_t, **_amplitudes(surface, state)})
+    record.say(stiff)
+    record.say(sliding)
+    draw(record)
+
+    record.check("|[u]| kappa at the largest kappa", stiff["jump_times_kappa"][-1], **_near(BONDED_JUMP, 2e-4))
+    last = stiff["traction_difference_times_kappa"][-1]
+    record.check("|t - t_bonded| kappa at the largest kappa", last, **_near(BONDED_TRACTION, 2e-4))
+    tolerance = 1e-4 if quick else 1e-5
+    record.check("amplitude of [u_T] at the smallest K_T", sliding["jump_T"][-1], **_near(SLIDING_JUMP, tolerance))
+    record.check("amplitude of t_N at the smallest K_T", sliding["traction_N"][-1], **_near(SLIDING_TRACTION, tolerance))
+
+
+def _amplitudes(surface: Surface, state: State) -> dict[str, float]:
+    """Amplitudes of the half-waves [u_T] ~ sin(pi x) and t_T ~ sin(pi x), t_N ~ cos(pi x)."""
+    x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
+    jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))
+    sine, cosine = 2 * ufl.sin(ufl.pi * x), 2 * ufl.cos(ufl.pi * x)
+    return {
+        "jump_T": surface.integral(jump[0] * sine),
+        "traction_T": surface.integral(traction[0] * sine),
+        "traction_N": surface.integral(traction[1] * cosine),
+    }
+
+
+def _near(value: float, tolerance: float) -> dict[str, float]:
+    ends = (value * (1 - tolerance), value * (1 + tolerance))
+    return {"low": min(ends), "high": max(ends)}
+
+
+def draw(record: Record) -> None:
+    """Draw the approach to the bonded bodies from table.csv."""
+    path = record.path("table.csv")
+    if not record.root:
+        return
+    table = Table.load(path)
+    kappa = table["kappa"]
+    lines = {
+        "|[u]|": (kappa, table["jump_times_kappa"] / kappa),
+        "|t - t_bonded|": (kappa, table["traction_difference_times_kappa"] / kappa),
+        "slope -1": (kappa, 5 / kappa),
+    }
+    plotting.curves(
+        lines, xlabel="K_N = K_T = kappa", ylabel="L2 norm on S", title="a stiff interface law tends to bonded bodies",
+        styles={"|[u]|": "o-", "|t - t_bonded|": "s-", "slope -1": "--"}, logarithmic=True, save=record.path("bonded.png"),
+    )  # fmt: skip

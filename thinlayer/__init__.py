@@ -1,0 +1,36 @@
+"""Thin soft layers, meshed or replaced by their interface law, solved, compared and swept.
+
+Names are imported when they are first used, so that `python3 -m thinlayer list` does not load DOLFINx.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from thinlayer.comparison import compare, observed_orders, sweep
+    from thinlayer.layer import ThinLayer
+    from thinlayer.loads import ModelError
+    from thinlayer.model import Model
+    from thinlayer.options import OptionError
+    from thinlayer.solvers import SolveError, solve
+    from thinlayer.state import State
+    from thinlayer.surface import Surface
+    from thinlayer.table import Table
+
+__version__ = "0.1.0"
+__all__ = [
+    "Model", "ModelError", "OptionError", "SolveError", "State", "Surface", "Table", "ThinLayer",
+    "compare", "observed_orders", "solve", "sweep",
+]  # fmt: skip
+
+_HOME = {
+    "compare": "comparison", "observed_orders": "comparison", "sweep": "comparison", "ThinLayer": "layer",
+    "ModelError": "loads", "Model": "model", "OptionError": "options", "SolveError": "solvers", "solve": "solvers",
+    "State": "state", "Surface": "surface", "Table": "table",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'thinlayer' has no attribute {name!r}")
+    return getattr(import_module(f"thinlayer.{_HOME[name]}"), name)

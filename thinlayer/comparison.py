@@ -1,0 +1,91 @@
+"""Full layer against interface law: differences on S, and sweeps of them as eps -> 0."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+
+from forms.kinematics import Expr
+from forms.law import LawError
+from thinlayer.loads import ModelError
+from thinlayer.progress import track
+from thinlayer.state import State
+from thinlayer.surface import Surface
+from thinlayer.table import Table
+
+Where = Callable[[Expr], Expr]
+
+
+def compare(full: State, interface: State, *, where: Where | None = None) -> dict[str, float]:
+    """How far the interface law is from the meshed layer. Collective.
+
+    Tractions are the bodies' reactions on S, jumps are differences at matched points of both faces (`Surface`).
+
+    Args:
+        full: state of a full model.
+        interface: state of the interface model of the same joint.
+        where: part of S to measure on, a function of the coordinates that returns a UFL condition; default all of S.
+
+    Returns:
+        eps; error_traction and error_jump: L2(S) norms of the differences over those of the interface model's fields;
+        traction and jump: these norms (stress and length, times length^(1/2) in 2D).
+
+    Raises:
+        ModelError: the states are not a full and an interface model of the same joint.
+    """
+    if (full.model.kind, interface.model.kind) != ("full", "interface"):
+        raise ModelError(f"compare needs a full and an interface model, not {full.model.kind} and {interface.model.kind}")
+    if full.model.joint is not interface.model.joint:
+        raise ModelError("compare needs two models of the same joint")
+    assert full.model.layer is not None
+    surface = Surface(interface.model)
+    part = 1 if where is None else ufl.conditional(where(ufl.SpatialCoordinate(interface.model.domain.mesh)), 1.0, 0.0)
+    row = {"eps": float(full.model.layer.eps)}
+    sizes = {}
+    for name, field in (("traction", surface.traction), ("jump", surface.jump)):
+        limit = field(interface)
+        sizes[name] = surface.norm(limit, part)
+        row[f"error_{name}"] = surface.norm(field(full) - limit, part) / sizes[name] if sizes[name] else math.nan
+    return row | sizes
+
+
+def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
+    """Observed order between each row and the one before it, log(e_k-1/e_k)/log(eps_k-1/eps_k); None for the first."""
+    x, e = np.log(np.array(list(eps), float)), np.log(np.array(list(errors), float))
+    return [None, *(np.diff(e) / np.diff(x)).tolist()]
+
+
+def sweep(
+    run: Callable[[float], Mapping[str, Any]],
+    eps: Iterable[float],
+    out: str | Path | None = None,
+) -> Table:
+    """A table of comparisons over decreasing thickness, with observed orders. Collective.
+
+    Args:
+        run: eps -> a row with error_traction and error_jump, such as `compare` returns.
+        eps: thicknesses, > 0 and different.
+        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails.
+
+    Raises:
+        LawError: a thickness out of range or given twice.
+    """
+    values = sorted((float(e) for e in eps), reverse=True)
+    if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
+        raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
+    table = Table(path=out if MPI.COMM_WORLD.rank == 0 else None)
+    for e in track(values, "sweep", "eps = {:g}"):
+        row = dict(run(e))
+        orders = {}
+        for name in ("traction", "jump"):
+            pair = [*table.rows[-1:], row]
+            orders[f"order_{name}"] = observed_orders([r["eps"] for r in pair], [r[f"error_{name}"] for r in pair])[-1]
+        first = {name: row.pop(name) for name in ("eps", "error_traction", "error_jump")}
+        table.append(first | orders | row)
+    return table

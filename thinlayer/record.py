@@ -1,0 +1,138 @@
+"""Record: the folder a study leaves behind, with its tables, its pictures and what it was made from."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from thinlayer.state import State
+from thinlayer.table import Table
+
+PACKAGES = (
+    "fenics-dolfinx", "fenics-basix", "fenics-ufl", "fenics-ffcx", "petsc4py", "mpi4py", "gmsh", "meshio", "pyvista",
+    "vtk", "numpy", "scipy", "matplotlib", "rich",
+)  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on; "not installed" where one lacks."""
+    from petsc4py import PETSc
+
+    import thinlayer
+
+    found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
+    found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+@dataclass
+class Check:
+    """A number that a study promises to lie in a range.
+
+    Attributes:
+        name: what the number is.
+        value: the number found.
+        low, high: the range; None for an open end.
+        passed: whether it lies there.
+    """
+
+    name: str
+    value: float
+    low: float | None
+    high: float | None
+    passed: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        above = self.low is None or self.value >= self.low
+        below = self.high is None or self.value <= self.high
+        self.passed = above and below  # NaN passes neither
+
+    def __str__(self) -> str:
+        ends = [f">= {self.low:.6g}" if self.low is not None else "", f"<= {self.high:.6g}" if self.high is not None else ""]
+        return f"{self.name}: {self.value:.6g} ({' and '.join(e for e in ends if e)})"
+
+
+class Record:
+    """What a run of a study keeps: tables, pictures, checks; `run.json` says what they were made from.
+
+    The folder is made with the first file in it. Only rank 0 writes.
+
+    Attributes:
+        study: name of the study.
+        out: the folder.
+        options: what the user chose.
+        checks: the checks so far.
+    """
+
+    def __init__(self, study: str, out: str | Path, options: Mapping[str, Any]) -> None:
+        self.study, self.out, self.options = study, Path(out), dict(options)
+        self.parameters: dict[str, Any] = {}
+        self.checks: list[Check] = []
+        self.solves: list[dict[str, Any]] = []
+        self._start = time.perf_counter()
+        self.root = MPI.COMM_WORLD.rank == 0
+
+    def path(self, name: str) -> Path:
+        """Path of a file in the folder."""
+        if self.root:
+            self.out.mkdir(parents=True, exist_ok=True)
+        return self.out / name
+
+    def write(self, name: str, table: Table) -> None:
+        """Write a table as csv."""
+        if self.root:
+            copy = Table(path=self.path(name))
+            for row in table.rows:
+                copy.append(row)
+
+    def say(self, text: object) -> None:
+        """Print on rank 0."""
+        if self.root:
+            print(text, flush=True)
+
+    def solved(self, state: State) -> State:
+        """Note how a state was found; returns it."""
+        layer = state.model.layer
+        self.solves.append({"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t, **asdict(state.report)})
+        return state
+
+    def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
+        """Check that a number lies in a range; a failed check makes the run exit with status 1."""
+        self.checks.append(Check(name, float(value), low, high))
+
+    @property
+    def failed(self) -> list[Check]:
+        """Checks that do not hold."""
+        return [check for check in self.checks if not check.passed]
+
+    def close(self, error: str | None = None) -> None:
+        """Write run.json, if the run has written anything."""
+        if not (self.root and self.out.is_dir()):
+            return
+        content = {
+            "study": self.study,
+            "options": self.options,
+            "parameters": self.parameters,
+            "ranks": MPI.COMM_WORLD.size,
+            "versions": versions(),
+            "seconds": round(time.perf_counter() - self._start, 3),
+            "checks": [asdict(check) for check in self.checks],
+            "solves": self.solves,
+            "error": error,
+        }
+        partial = self.out / "run.json.part"
+        partial.write_text(json.dumps(content, indent=1, default=str) + "\n")
+        partial.replace(self.out / "run.json")
