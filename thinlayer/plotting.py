@@ -122,9 +122,13 @@ def deformed(
     largest = max(np.linalg.norm(g.u, axis=1).max() for g in grids.values())
     scale = scale or (0.1 * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0)
     values = {label: _component(grid, component) for label, grid in grids.items()}
-    limits = (min(v.min() for v in values.values()), max(v.max() for v in values.values()))
     places = np.concatenate([g.points + scale * g.u for g in grids.values()])
     x0, x1, y0, y1 = zoom or (*_range(places[:, 0]), *_range(places[:, 1]))
+    x, y = places[:, 0], places[:, 1]
+    seen = np.concatenate(list(values.values()))[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)]
+    if not len(seen):
+        raise ValueError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
+    limits = (float(seen.min()), float(seen.max()))
     height_per_width = (y1 - y0) / (x1 - x0)
     panel_width = 4.6
     figure, axes = plt.subplots(

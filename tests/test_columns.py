@@ -1,0 +1,226 @@
+"""Columns: uniform strain in each body and in the layer, so that both models must agree to solver tolerance.
+
+The load is a uniform traction t on top, the lower side is clamped. With the strains e = sym(a (x) n) that t causes, the
+sides carry the tractions of these stresses, different ones on the bodies and on the side of the layer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, Law, LinearElastic, Stack, limits
+from geometry import block, sandwich
+from geometry.joint import Joint
+from thinlayer import Model, Surface, ThinLayer, solve
+
+TRACTION = np.array([0.3, -0.8])  # tangential, normal
+LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)
+GLUE = LinearElastic(lmbda=15.0, mu=7.0)
+ANGLE = 0.4
+EXACT = 1e-9  # relative: MUMPS on cells as flat as 1e-4
+ELEMENTS = [("triangle", "P1"), ("triangle", "P2"), ("quadrilateral", "Q1"), ("quadrilateral", "Q2"), ("quadrilateral", "S2")]
+
+
+def rotation(angle: float) -> np.ndarray:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def side_stress(law: LinearElastic, t: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """Stress (2, 2) of the strain sym(a (x) n) whose traction on n is t."""
+    a = np.linalg.solve(limits.elastic_stiffness(law.lmbda, law.mu, n), t)
+    e = (np.outer(a, n) + np.outer(n, a)) / 2
+    return law.lmbda * np.trace(e) * np.eye(2) + 2 * law.mu * e
+
+
+def column(
+    joint: Joint, glue: Law, bodies: dict[str, LinearElastic], angle: float, layer_sides: dict[str, np.ndarray] | None
+) -> tuple[dict, np.ndarray, np.ndarray]:
+    """Data of the two models, the traction and n; `layer_sides`: stresses of the layer's regions for its side."""
+    turn = rotation(angle)
+    n, tangent = turn @ [0.0, 1.0], turn @ [1.0, 0.0]
+    t = turn @ TRACTION
+    tractions = {"TOP": tuple(t)}
+    for name, sign in (("LEFT", -1), ("RIGHT", 1)):
+        for body, law in bodies.items():
+            tractions[f"{name}/{body}"] = tuple(sign * side_stress(law, t, n) @ tangent)
+        if layer_sides is not None:
+            tractions[f"{name}/LAYER"] = tuple(sign * layer_sides["LAYER"] @ tangent)
+    supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
+    return {"body": bodies, "supports": supports, "tractions": tractions}, t, n
+
+
+def check(joint: Joint, glue: LinearElastic, bodies: dict[str, LinearElastic], eps: float, angle: float, **options) -> None:
+    turn = rotation(angle)
+    layer_stress = side_stress(glue, turn @ TRACTION, turn @ [0.0, 1.0])
+    setup, t, n = column(joint, glue, bodies, angle, {"LAYER": layer_stress})
+    layer = ThinLayer(glue, eps)
+    interface = solve(Model.interface(joint, layer=layer, **setup, **options))
+    full = solve(Model.full(joint, layer=layer, **setup, **options))
+    surface = Surface(interface.model)
+    jump = ufl.as_vector(np.linalg.solve(limits.elastic_stiffness(glue.lmbda, glue.mu, n), t).tolist())
+    traction = ufl.as_vector(t.tolist())
+    for state in (interface, full):
+        assert surface.norm(surface.jump(state) - jump) < EXACT * surface.norm(jump), state.model
+        assert surface.norm(surface.traction(state) - traction) < EXACT * surface.norm(traction), state.model
+    u, v = surface.displacement(full), surface.displacement(interface)
+    assert np.abs(u.x.array - v.x.array).max() < EXACT * np.abs(v.x.array).max()
+
+
+@pytest.mark.parametrize("eps", [0.3, 1e-2, 1e-4])
+@pytest.mark.parametrize(("cell", "element"), ELEMENTS)
+def test_two_bodies(cell, element, eps):
+    joint = sandwich(1.0, 0.5, 0.7, 0.25, cell=cell).rotated(ANGLE)
+    check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, eps, ANGLE, element=element)
+
+
+@pytest.mark.parametrize("eps", [0.3, 1e-3])
+@pytest.mark.parametrize(("cell", "element"), [("triangle", "P1"), ("quadrilateral", "S2")])
+def test_rigid_base(cell, element, eps):
+    joint = block(1.0, 0.7, 0.25, cell=cell).rotated(ANGLE)
+    check(joint, GLUE, {"BODY": UPPER}, eps, ANGLE, element=element)
+
+
+@pytest.mark.parametrize("angle", [0.0, np.pi / 2, np.pi, 2.5])
+def test_any_direction(angle):
+    """The layer's frame has no preferred direction."""
+    joint = sandwich(1.0, 0.5, 0.7, 0.25).rotated(angle)
+    check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, 0.02, angle)
+
+
+def test_sublayers_do_not_matter_for_uniform_strain():
+    joint = sandwich(1.0, 0.5, 0.7, 0.25)
+    for sublayers in (1, 7):
+        check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, 0.02, 0.0, sublayers=sublayers)
+
+
+def test_swapped_bodies_give_the_same_structure():
+    """Calling the upper body the lower one turns n round and changes nothing else."""
+    joint = sandwich(1.0, 0.5, 0.7, 0.25, cell="quadrilateral").rotated(ANGLE)  # prisms split by vertex numbers differ
+    setup = {"body": {"LOWER": LOWER, "UPPER": UPPER}, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.4, -0.9)}}
+    layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
+    found = []
+    for one in (joint, joint.swapped()):
+        for build in (Model.interface, Model.full):
+            state = solve(build(one, layer=layer, **setup))
+            surface = Surface(Model.interface(one, layer=layer, **setup))
+            found.append((surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["layer"]))
+    assert found[0] == pytest.approx(found[2], rel=1e-9)
+    assert found[1] == pytest.approx(found[3], rel=1e-9)
+
+
+class OneSided(LinearElastic):
+    """Stiffer when it is compressed: a law that knows closing from opening."""
+
+    linear = False
+    powers = {"lmbda": 1, "mu": 1, "extra": 1}  # noqa: RUF012
+
+    def __init__(self, lmbda: float, mu: float, extra: float) -> None:
+        object.__setattr__(self, "extra", extra)
+        super().__init__(lmbda, mu)
+
+    def parameters(self):
+        return {"lmbda": self.lmbda, "mu": self.mu, "extra": self.extra}
+
+    def stress(self, step):
+        closing = ufl.conditional(ufl.lt(ufl.tr(step.e), 0), self.extra, 0.0)
+        return super().stress(step) + closing * ufl.tr(step.e) * ufl.Identity(3)
+
+    def energy(self, step):
+        return ufl.inner(self.stress(step), step.e) / 2
+
+
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize(("pull", "stiffness"), [(0.6, 15.0 + 14.0), (-0.6, 15.0 + 14.0 + 9.0)])
+def test_sign(pull, stiffness, swap):
+    """Opening is [u].n > 0 with n from the lower to the upper body, in both models, whichever body is called lower."""
+    joint = sandwich(1.0, 0.5, 0.7, 0.5)
+    joint = joint.swapped() if swap else joint
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    setup = {"body": UPPER, "supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, pull)}}
+    layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
+    limit = solve(Model.interface(joint, layer=layer, **setup))
+    surface = Surface(limit.model)
+    n = surface.sides.n
+    for state in (limit, solve(Model.full(joint, layer=layer, **setup))):
+        opening = surface.integral(ufl.dot(surface.jump(state), n))
+        assert opening == pytest.approx(pull / stiffness, rel=1e-9)
+        assert surface.integral(ufl.dot(surface.traction(state), n)) == pytest.approx(pull, rel=1e-9)
+
+
+def test_plane_stress():
+    """K_N = E/(1 - nu^2)/eps and K_T = mu/eps, and not the plane strain one."""
+    E, nu = 30.0, 0.3
+    joint = sandwich(1.0, 0.5, 0.7, 0.5)
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    glue = LinearElastic.young(E, nu)
+    setup = {"body": UPPER, "supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, 0.6)}, "layer": ThinLayer(glue, 0.05)}
+    right, wrong = E / (1 - nu**2), glue.lmbda + 2 * glue.mu
+    limit = solve(Model.interface(joint, plane="stress", **setup))
+    surface = Surface(limit.model)
+    for state in (limit, solve(Model.full(joint, plane="stress", **setup))):
+        opening = surface.integral(surface.jump(state)[1])
+        assert opening == pytest.approx(0.6 / right, rel=1e-9)
+        assert opening != pytest.approx(0.6 / wrong, rel=1e-2)
+    as_anisotropic = Anisotropic(isotropic_voigt(glue))
+    state = solve(Model.interface(joint, plane="stress", **(setup | {"layer": ThinLayer(as_anisotropic, 0.05)})))
+    surface = Surface(state.model)
+    assert surface.integral(surface.jump(state)[1]) == pytest.approx(0.6 / right, rel=1e-9)
+
+
+def isotropic_voigt(law: LinearElastic) -> np.ndarray:
+    C = np.zeros((6, 6))
+    C[:3, :3] = law.lmbda
+    return C + np.diag([2 * law.mu] * 3 + [law.mu] * 3)
+
+
+def test_stratified_column():
+    """Unequal Poisson ratios: harmonic means of mu and of lmbda + 2 mu; not of lmbda, not arithmetic ones."""
+    lower, upper = LinearElastic.young(30.0, 0.1), LinearElastic.young(12.0, 0.42)
+    a = 0.3
+    glue = Stack((a, lower), (1 - a, upper))
+    K_T = 1 / (a / lower.mu + (1 - a) / upper.mu)
+    K_N = 1 / (a / (lower.lmbda + 2 * lower.mu) + (1 - a) / (upper.lmbda + 2 * upper.mu))
+    joint = sandwich(1.0, 0.5, 0.7, 0.5)
+    normal = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    shear = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+    for sides, t, component, stiffness in ((normal, (0.0, 0.6), 1, K_N), (shear, (0.6, 0.0), 0, K_T)):
+        supports = {"BOTTOM": 0.0, "TOP": {"xy"[1 - component]: 0.0}} | sides
+        if component == 0:  # without normal displacements the sides carry the shear stress
+            setup = {"body": UPPER, "supports": supports, "tractions": {"TOP": t, "RIGHT": (0.0, 0.6), "LEFT": (0.0, -0.6)}}
+        else:
+            setup = {"body": UPPER, "supports": supports, "tractions": {"TOP": t}}
+        limit = solve(Model.interface(joint, layer=ThinLayer(glue, 0.05), **setup))
+        surface = Surface(limit.model)
+        for state in (limit, solve(Model.full(joint, layer=ThinLayer(glue, 0.05), **setup))):
+            assert surface.integral(surface.jump(state)[component]) == pytest.approx(0.6 / stiffness, rel=1e-9), state.model
+    stiffnesses = [limits.elastic_stiffness(law.lmbda, law.mu, [0, 1]) for law in (lower, upper)]
+    assert np.diag(limits.stratified((a, 1 - a), stiffnesses)) == pytest.approx([K_T, K_N])
+    harmonic_lmbda = 1 / (a / lower.lmbda + (1 - a) / upper.lmbda)
+    assert pytest.approx(K_N, rel=1e-2) != harmonic_lmbda + 2 * K_T  # Eq. (52) as printed
+
+
+def test_anisotropic_column():
+    """A full stiffness tensor in the global frame: the acoustic tensor of the layer, in both models."""
+    random = np.random.default_rng(3)
+    root = random.normal(size=(6, 6))
+    C = root @ root.T + 5 * np.eye(6)
+    voigt = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+    tensor = np.empty((3, 3, 3, 3))
+    for p, (i, j) in enumerate(voigt):
+        for q, (k, m) in enumerate(voigt):
+            tensor[i, j, k, m] = tensor[j, i, k, m] = tensor[i, j, m, k] = tensor[j, i, m, k] = C[p, q]
+    joint = block(1.0, 0.7, 0.25).rotated(ANGLE)
+    turn = rotation(ANGLE)
+    n, tangent, t = turn @ [0.0, 1.0], turn @ [1.0, 0.0], turn @ TRACTION
+    K = limits.acoustic_tensor(tensor, np.append(n, 0))[:2, :2]
+    w = np.linalg.solve(K, t)
+    layer_stress = np.einsum("ijkl,k,l->ij", tensor, np.append(w, 0), np.append(n, 0))[:2, :2]
+    setup, _, _ = column(joint, GLUE, {"BODY": UPPER}, ANGLE, {"LAYER": layer_stress})
+    assert tuple(setup["tractions"]["RIGHT/LAYER"]) == pytest.approx(tuple(layer_stress @ tangent))
+    layer = ThinLayer(Anisotropic(C), 0.03)
+    limit = solve(Model.interface(joint, layer=layer, **setup))
+    surface = Surface(limit.model)
+    for state in (limit, solve(Model.full(joint, layer=layer, **setup))):
+        assert surface.norm(surface.jump(state) - ufl.as_vector(w.tolist())) < EXACT * np.linalg.norm(w)

@@ -1,0 +1,114 @@
+"""The Fourier problem against transfer matrices: discretisation orders, and the layer's error as eps -> 0."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+
+from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
+from tests import reference
+from thinlayer import Model, Surface, ThinLayer, compare, observed_orders, solve
+
+# (U, V, S, T) on both sides of S from an independent code
+BELOW = (-4.3703519223243e-4, 2.1589413886969e-3, -0.13658692636385, 0.60452444282214)
+ABOVE = (-3.8517083513286e-3, 6.4769731231408e-3, -0.13658692636385, 0.60452444282214)
+CELLS = {"P2": "triangle", "Q2": "quadrilateral"}
+
+
+def test_reference_states():
+    """The transfer matrices give the independent numbers, and their moduli are the studies'."""
+    _, below, above, top = reference.interface_states()
+    assert below == pytest.approx(BELOW, rel=1e-12)
+    assert above == pytest.approx(ABOVE, rel=1e-12)
+    assert top == pytest.approx([6.0789121939743e-3, 9.6575357750085e-3, 0.5, 1.0], rel=1e-12)
+    assert (FOURIER_BODY.lmbda, FOURIER_BODY.mu) == pytest.approx(reference.BODY)
+    assert (FOURIER_LAYER.lmbda, FOURIER_LAYER.mu) == reference.LAYER
+
+
+def interface_errors(h: float, element: str) -> list[float]:
+    """Relative L2(S) errors of u-, u+ and K [u] of the interface model."""
+    joint, setup = fourier(h, cell=CELLS[element])
+    state = solve(Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), element=element, **setup))
+    surface = Surface(state.model)
+    x = ufl.SpatialCoordinate(state.model.domain.mesh)[0]
+    s, c = ufl.sin(ufl.pi * x), ufl.cos(ufl.pi * x)
+    lmbda, mu = reference.LAYER
+
+    def exact(z):
+        return ufl.as_vector([z[0] * s, z[1] * c])
+
+    w = surface.jump(state)
+    pairs = [
+        (surface.sides.lower(state.u), exact(BELOW[:2])),
+        (surface.sides.upper(state.u), exact(ABOVE[:2])),
+        (ufl.as_vector([mu * w[0], (lmbda + 2 * mu) * w[1]]), exact(BELOW[2:])),
+    ]
+    return [surface.norm(found - wanted) / surface.norm(wanted) for found, wanted in pairs]
+
+
+@pytest.mark.parametrize(("element", "h"), [("P2", 1 / 96), ("Q2", 1 / 64)])
+def test_interface_model(element, h):
+    fine = np.array(interface_errors(h, element))
+    coarse = np.array(interface_errors(2 * h, element))
+    assert (fine <= 1e-6).all()
+    assert np.log2(coarse / fine) == pytest.approx([3.0] * 3, abs=0.15)
+
+
+def test_bodies_of_the_interface_model():
+    """Displacements inside the bodies, not only on S: order 3 in L2."""
+    errors = []
+    for h in (1 / 16, 1 / 32):
+        joint, setup = fourier(h)
+        model = Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), **setup)
+        state = solve(model)
+        exact = fem.Function(model.space(4))  # interpolated in V it would hide the error: u - u_h is smaller there
+        tags = model.domain.cell_tags
+        for side, name in ((-1, "LOWER"), (1, "UPPER")):
+            cells = tags.indices[tags.values == model.domain.cell_values(name)[0]]
+
+            def field(x, side=side):
+                U, V = reference.interface_displacement(x[1], side)
+                return np.array([U * np.sin(np.pi * x[0]), V * np.cos(np.pi * x[0])])
+
+            exact.interpolate(field, cells0=cells)
+        exact.x.scatter_forward()
+        difference, size = state.u - exact, exact
+        errors.append(np.sqrt(state.integral(ufl.inner(difference, difference) * ufl.dx) / state.integral(ufl.inner(size, size) * ufl.dx)))
+    assert errors[1] < 1e-4
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(3.0, abs=0.25)
+
+
+EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
+
+
+@pytest.mark.parametrize("bodies", ["kept", "extended"])
+def test_sweep(bodies):
+    """P2 at h = 1/16: errors as the transfer matrices have them, to 1 % (h-errors are a hundredth of that)."""
+    joint, setup = fourier(1 / 16)
+    rows = []
+    for eps in EPS:
+        layer = ThinLayer(FOURIER_LAYER, eps)
+        limit = solve(Model.interface(joint, layer=layer, **setup))
+        row = compare(solve(Model.full(joint, layer=layer, bodies=bodies, **setup)), limit)
+        assert (row["error_traction"], row["error_jump"]) == pytest.approx(reference.sweep_errors(eps, bodies), rel=1e-2)
+        rows.append(row)
+    if bodies == "kept":
+        assert [row["error_jump"] for row in rows] == pytest.approx([0.1030, 0.0508, 0.0250, 0.0124], rel=5e-3)
+    first = 1 if bodies == "kept" else 2
+    for name in ("error_traction", "error_jump"):
+        orders = observed_orders(EPS, [row[name] for row in rows])[first:]
+        assert orders == pytest.approx([1.0] * len(orders), abs=0.05)
+
+
+def test_wrong_law_leaves_a_floor():
+    """A layer with lmbda + mu for its normal stiffness is not the limit: its error does not go to zero."""
+    joint, setup = fourier(1 / 16)
+    wrong = type(FOURIER_LAYER)(lmbda=FOURIER_LAYER.lmbda - FOURIER_LAYER.mu, mu=FOURIER_LAYER.mu)
+    errors = []
+    for eps in EPS[1:]:
+        full = solve(Model.full(joint, layer=ThinLayer(FOURIER_LAYER, eps), **setup))
+        errors.append(compare(full, solve(Model.interface(joint, layer=ThinLayer(wrong, eps), **setup)))["error_jump"])
+    assert min(errors) > 0.1
+    assert max(abs(order) for order in observed_orders(EPS[1:], errors)[1:]) < 0.5
