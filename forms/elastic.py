@@ -183,14 +183,15 @@ class Stack(LinearLaw):
         return self.with_laws([law.plane_stress() for law in self.laws])
 
     def stress(self, step: Step) -> Expr:
-        if step.n is None:
-            raise LawError("Stack: sublayers need a layer; a body has no director")
-        return sum(a * law.stress(Step(e, step.n)) for (a, law), e in zip(self.sublayers, self._strains(step), strict=True))
+        return sum(
+            a * law.stress(Step(e, step.n)) for (a, law), e in zip(self.sublayers, self._strains(step), strict=True)
+        )
 
     def _strains(self, step: Step) -> list[Expr]:
         """Strain of each sublayer, e + sym(g_i (x) n) with the g_i that make the tractions equal and average to zero."""
-        n = step.n
-        d = n.ufl_shape[0]
+        if step.n is None:
+            raise LawError("Stack: sublayers need a layer; a body has no director")
+        n, d = step.n, step.n.ufl_shape[0]
         in_space = [ufl.as_vector([1.0 if k == i else 0.0 for k in range(d)]) for i in range(d)]
 
         def traction(law: Law, e: Expr) -> Expr:

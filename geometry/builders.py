@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from itertools import pairwise
+from typing import Any, TypeVar, cast
 
 import gmsh
 import numpy as np
@@ -86,16 +87,16 @@ def sandwich(
 def on_root(comm: MPI.Comm | None, build: Callable[[], T]) -> T:
     """Result of a function run on rank 0 only, on every rank; its exception too. Collective."""
     comm = comm or MPI.COMM_WORLD
-    result: tuple[T | None, Exception | None] = (None, None)
+    result: T | Exception | None = None
     if comm.rank == 0:
         try:
-            result = build(), None
+            result = build()
         except Exception as error:
-            result = None, error
-    value, error = comm.bcast(result, root=0)
-    if error is not None:
-        raise error
-    return value  # type: ignore[return-value]
+            result = error
+    result = comm.bcast(result, root=0)
+    if isinstance(result, Exception):
+        raise result
+    return cast(T, result)
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ class _Rectangles:
         heights = [-self.bodies[0][1], 0.0, self.bodies[1][1]] if two else [0.0, self.bodies[0][1]]
         corners = [[kernel.addPoint(x, y, 0) for x in (0.0, self.width)] for y in heights]
         across = [kernel.addLine(left, right) for left, right in corners]
-        rise = [[kernel.addLine(a[k], b[k]) for k in (0, 1)] for a, b in zip(corners, corners[1:], strict=False)]
+        rise = [[kernel.addLine(a[k], b[k]) for k in (0, 1)] for a, b in pairwise(corners)]
         curves = {"LEFT": [r[0] for r in rise], "RIGHT": [r[1] for r in rise], "TOP": [across[-1]], S: [across[-2]]}
         if two:
             curves["BOTTOM"] = [across[0]]
@@ -170,7 +171,10 @@ class _Rectangles:
         """Size fields: h_ends at the ends of S, h_S on it, growing to h."""
         h, h_S, h_ends = self.sizes
         field = gmsh.model.mesh.field
-        places = [("CurvesList", s, h_S), ("PointsList", [p for _, p in gmsh.model.getBoundary([(1, c) for c in s], oriented=False)], h_ends)]
+        places = [
+            ("CurvesList", s, h_S),
+            ("PointsList", [p for _, p in gmsh.model.getBoundary([(1, c) for c in s], oriented=False)], h_ends),
+        ]
         thresholds = []
         for kind, where, size in places:
             distance = field.add("Distance")
@@ -208,8 +212,13 @@ class _Rectangles:
         mesh = gmsh.model.mesh
         nodes, x, _ = mesh.getNodes()
         kind, corners = (2, [0, 1, 2]) if self.cell == "triangle" else (3, [0, 1, 3, 2])
-        cells = [mesh.getElementsByType(kind, tag)[1].reshape(-1, len(corners))[:, corners] for tag in surfaces.values()]
-        facets = {name: np.concatenate([mesh.getElementsByType(1, c)[1] for c in tags]).reshape(-1, 2) for name, tags in curves.items()}
+        cells = [
+            mesh.getElementsByType(kind, tag)[1].reshape(-1, len(corners))[:, corners] for tag in surfaces.values()
+        ]
+        facets = {
+            name: np.concatenate([mesh.getElementsByType(1, c)[1] for c in tags]).reshape(-1, 2)
+            for name, tags in curves.items()
+        }
         used = np.unique(np.concatenate(cells))
         points = x.reshape(-1, 3)[np.argsort(nodes), :2][np.searchsorted(np.sort(nodes), used)]
 
@@ -219,9 +228,15 @@ class _Rectangles:
         names = tuple(surfaces)
         region = np.repeat(np.arange(len(cells)), [len(c) for c in cells])
         return Joint(
-            points, number(np.concatenate(cells)), self.cell, region, names,
-            {name: number(rows) for name, rows in facets.items()}, upper=names[-1:], lower=names[:-1],
-        )  # fmt: skip
+            points,
+            number(np.concatenate(cells)),
+            self.cell,
+            region,
+            names,
+            {name: number(rows) for name, rows in facets.items()},
+            upper=names[-1:],
+            lower=names[:-1],
+        )
 
 
 def _geometric(length: float, first: float, last: float) -> tuple[int, float]:

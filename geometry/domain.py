@@ -111,11 +111,12 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, npt.NDArray[np.int32], dict[str, tuple[int, ...]]]:
     """Facets with a name (vertices), the number of the combination of names of each, and name -> combinations."""
-    names, rows = zip(*_named_sets(joint), strict=True)
+    sets = list(_named_sets(joint))
+    names, rows = [name for name, _ in sets], [row for _, row in sets]
     tagged = np.unique(np.concatenate(rows))
     member = np.zeros((len(tagged), len(names)), bool)
     for column, row in enumerate(rows):
         member[np.searchsorted(tagged, row), column] = True
     kinds, combination = np.unique(member, axis=0, return_inverse=True)
-    values = {name: tuple((np.flatnonzero(kinds[:, k]) + 1).tolist()) for k, name in enumerate(names)}
+    values = {name: tuple(int(v) + 1 for v in np.flatnonzero(kinds[:, k])) for k, name in enumerate(names)}
     return joint.table.vertices[tagged], (combination.ravel() + 1).astype(np.int32), values

@@ -11,7 +11,7 @@ import scipy.sparse.csgraph
 import scipy.sparse.linalg
 
 from geometry.joint import BASE, LAYER, LOWER_FACE, UPPER_FACE, Band, GeometryError, Joint, S, unknown
-from geometry.topology import FacetTable, FloatArray, IntArray, corner_jacobians, is_tensor
+from geometry.topology import FacetTable, FloatArray, IntArray, corner_jacobians, facet_normals, is_tensor
 
 WAYS = ("kept", "extended")
 FLAT = 1e-9  # S counts as planar when its unit normals differ by less
@@ -84,9 +84,16 @@ def inflate(joint: Joint, eps: float, *, layers: int, strata: Sequence[float], b
 
     facets = _move_facets(joint, surface, levels, cells, len(body_cells))
     return Joint(
-        points, cells, joint.cell_type, region, joint.regions + names, facets, joint.upper, joint.lower,
+        points,
+        cells,
+        joint.cell_type,
+        region,
+        joint.regions + names,
+        facets,
+        joint.upper,
+        joint.lower,
         band=Band(float(eps), bodies, names, joint, reference),
-    )  # fmt: skip
+    )
 
 
 def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodies: str) -> None:
@@ -147,10 +154,7 @@ def _heights(
     """How far each vertex moves along n."""
     n_body = len(joint.points)
     height = np.zeros(n_body + levels.top * len(levels.vertices))
-    if joint.rigid_base:
-        start = -1.0 if bodies == "kept" else 0.0
-    else:
-        start = -0.5
+    start = (-1.0 if bodies == "kept" else 0.0) if joint.rigid_base else -0.5
     for level, z in enumerate(levels.heights):
         height[levels.number(levels.vertices, level)] = (start + z) * eps
     above, below = (np.unique(body_cells[joint.side == s]) for s in (1, -1))
@@ -180,15 +184,15 @@ def _edge_graph(cells: IntArray, n: int) -> scipy.sparse.csr_matrix:
 
 def _inclined_vertices(joint: Joint, normal: FloatArray) -> IntArray:
     """Vertices of outer faces that are not parallel to n: the total shape is kept when they stay."""
-    from geometry.topology import facet_normals
-
     outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
     outer = outer[~np.isin(joint.table.index(outer), joint.table.index(joint.facets[S]))]
     inclined = np.abs(facet_normals(joint.points, outer) @ normal) > 1e-6
     touching = np.isin(outer[inclined], joint.facets[S]).any(axis=1)
     if touching.any():
         x = joint.points[outer[inclined][touching][0]].mean(axis=0)
-        raise GeometryError(f"an outer face at {tuple(x.tolist())} touches S and is inclined to its normal: bodies='extended' cannot keep the shape there")
+        raise GeometryError(
+            f"bodies='extended' cannot keep the shape: the outer face at {tuple(x.tolist())} touches S and is inclined to n"
+        )
     return np.unique(outer[inclined])
 
 
@@ -199,7 +203,9 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray) -> None:
     bad = np.flatnonzero((before * after[:n] <= 0).any(axis=1))
     if len(bad):
         x = joint.points[joint.cells[bad[0]]].mean(axis=0)
-        raise GeometryError(f"eps is too large for these bodies: {len(bad)} cells turn inside out, the first at {tuple(x.tolist())}")
+        raise GeometryError(
+            f"eps is too large for these bodies: {len(bad)} cells turn inside out, the first at {tuple(x.tolist())}"
+        )
     band = after[n:]
     if not ((band > 0).all(axis=1) | (band < 0).all(axis=1)).all():
         raise GeometryError("cells of the layer are folded")

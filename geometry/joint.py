@@ -30,7 +30,9 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     """Message for a name that does not exist: the nearest known one and the whole list."""
     known = sorted(known)
     near = difflib.get_close_matches(str(name), known, n=1)
-    return f"unknown {kind} {name!r}" + (f", did you mean {near[0]!r}?" if near else "") + f"; known: {', '.join(known)}"
+    return (
+        f"unknown {kind} {name!r}" + (f", did you mean {near[0]!r}?" if near else "") + f"; known: {', '.join(known)}"
+    )
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,9 @@ class Joint:
         side = self.side
         if not self.lower:
             if (cells[:, 1] >= 0).any():
-                raise GeometryError(f"{S!r} on a rigid base must lie on the outer boundary; {(cells[:, 1] >= 0).sum()} facets do not")
+                raise GeometryError(
+                    f"{S!r} on a rigid base must lie on the outer boundary; {(cells[:, 1] >= 0).sum()} facets do not"
+                )
             return
         if (cells[:, 1] < 0).any():
             raise GeometryError(
@@ -117,11 +121,15 @@ class Joint:
                 f"{'+'.join(self.upper)} each needs a cell on both sides"
             )
         if (side[cells[:, 0]] == side[cells[:, 1]]).any():
-            raise GeometryError(f"{S!r} does not separate two bodies: some of its facets have the same body on both sides")
+            raise GeometryError(
+                f"{S!r} does not separate two bodies: some of its facets have the same body on both sides"
+            )
         inner = self.table.cells[self.table.cells[:, 1] >= 0]
         across = (side[inner[:, 0]] != side[inner[:, 1]]).sum()
         if across != len(np.unique(self.table.index(self.facets[S]))):
-            raise GeometryError(f"{S!r} does not separate two bodies: they also meet on {across - len(cells)} facets outside it")
+            raise GeometryError(
+                f"{S!r} does not separate two bodies: they also meet on {across - len(cells)} facets outside it"
+            )
 
     @property
     def dim(self) -> int:
@@ -157,9 +165,7 @@ class Joint:
         towards = self.points[self.cells[above]].mean(axis=1) - self.points[facets].mean(axis=1)
         return normals * np.sign((normals * towards).sum(axis=1))[:, None]
 
-    def inflate(
-        self, eps: float, *, layers: int = 4, strata: Sequence[float] = (), bodies: str = "kept"
-    ) -> Joint:
+    def inflate(self, eps: float, *, layers: int = 4, strata: Sequence[float] = (), bodies: str = "kept") -> Joint:
         """The same joint with S opened into a meshed layer of thickness eps.
 
         See `geometry.inflate.inflate` for the parameters and errors.

@@ -1,4 +1,4 @@
-"""Cells and facets as plain arrays: which facets a mesh has, which cells meet there, whether a cell is turned inside out."""
+"""Cells and facets as plain arrays: which facets a mesh has, which cells meet there, which cells are folded."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def facet_normals(points: FloatArray, facets: IntArray) -> FloatArray:
     x = points[facets]
     if points.shape[1] == 2:
         edge = x[:, 1] - x[:, 0]
-        normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1)
+        normal = np.array([-edge[:, 1], edge[:, 0]]).T
     else:
-        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), float)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), float)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import ufl
 
 from forms import Anisotropic
@@ -56,7 +54,9 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.check("|t - t_bonded| kappa at the largest kappa", last, **_near(BONDED_TRACTION, 2e-4))
     tolerance = 1e-4 if quick else 1e-5
     record.check("amplitude of [u_T] at the smallest K_T", sliding["jump_T"][-1], **_near(SLIDING_JUMP, tolerance))
-    record.check("amplitude of t_N at the smallest K_T", sliding["traction_N"][-1], **_near(SLIDING_TRACTION, tolerance))
+    record.check(
+        "amplitude of t_N at the smallest K_T", sliding["traction_N"][-1], **_near(SLIDING_TRACTION, tolerance)
+    )
 
 
 def _amplitudes(surface: Surface, state: State) -> dict[str, float]:
@@ -89,6 +89,11 @@ def draw(record: Record) -> None:
         "slope -1": (kappa, 5 / kappa),
     }
     plotting.curves(
-        lines, xlabel="K_N = K_T = kappa", ylabel="L2 norm on S", title="a stiff interface law tends to bonded bodies",
-        styles={"|[u]|": "o-", "|t - t_bonded|": "s-", "slope -1": "--"}, logarithmic=True, save=record.path("bonded.png"),
-    )  # fmt: skip
+        lines,
+        xlabel="K_N = K_T = kappa",
+        ylabel="L2 norm on S",
+        title="a stiff interface law tends to bonded bodies",
+        styles={"|[u]|": "o-", "|t - t_bonded|": "s-", "slope -1": "--"},
+        logarithmic=True,
+        save=record.path("bonded.png"),
+    )

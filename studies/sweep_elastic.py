@@ -9,7 +9,9 @@ from thinlayer import Model, ThinLayer, compare, plotting, solve, sweep
 from thinlayer.record import Record
 
 
-def run(record: Record, *, eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64), bodies: str = "kept", quick: bool = False) -> None:
+def run(
+    record: Record, *, eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64), bodies: str = "kept", quick: bool = False
+) -> None:
     """Sweep the thickness with the moduli over thickness held.
 
     Args:

@@ -70,5 +70,5 @@ def sweep_errors(eps: float, bodies: str) -> tuple[float, float]:
     _, b0, a0, _ = interface_states()
     traction, limit = (below[2:] + above[2:]) / 2, b0[2:]
     jump, jump0 = above[:2] - below[:2], a0[:2] - b0[:2]
-    relative = lambda a, b: float(np.linalg.norm(a - b) / np.linalg.norm(b))  # noqa: E731
+    relative = lambda a, b: float(np.linalg.norm(a - b) / np.linalg.norm(b))
     return relative(traction, limit), relative(jump, jump0)

@@ -20,7 +20,13 @@ LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)
 GLUE = LinearElastic(lmbda=15.0, mu=7.0)
 ANGLE = 0.4
 EXACT = 1e-9  # relative: MUMPS on cells as flat as 1e-4
-ELEMENTS = [("triangle", "P1"), ("triangle", "P2"), ("quadrilateral", "Q1"), ("quadrilateral", "Q2"), ("quadrilateral", "S2")]
+ELEMENTS = [
+    ("triangle", "P1"),
+    ("triangle", "P2"),
+    ("quadrilateral", "Q1"),
+    ("quadrilateral", "Q2"),
+    ("quadrilateral", "S2"),
+]
 
 
 def rotation(angle: float) -> np.ndarray:
@@ -51,7 +57,9 @@ def column(
     return {"body": bodies, "supports": supports, "tractions": tractions}, t, n
 
 
-def check(joint: Joint, glue: LinearElastic, bodies: dict[str, LinearElastic], eps: float, angle: float, **options) -> None:
+def check(
+    joint: Joint, glue: LinearElastic, bodies: dict[str, LinearElastic], eps: float, angle: float, **options
+) -> None:
     turn = rotation(angle)
     layer_stress = side_stress(glue, turn @ TRACTION, turn @ [0.0, 1.0])
     setup, t, n = column(joint, glue, bodies, angle, {"LAYER": layer_stress})
@@ -105,7 +113,9 @@ def test_swapped_bodies_give_the_same_structure():
         for build in (Model.interface, Model.full):
             state = solve(build(one, layer=layer, **setup))
             surface = Surface(Model.interface(one, layer=layer, **setup))
-            found.append((surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["layer"]))
+            found.append(
+                (surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["layer"])
+            )
     assert found[0] == pytest.approx(found[2], rel=1e-9)
     assert found[1] == pytest.approx(found[3], rel=1e-9)
 
@@ -114,7 +124,7 @@ class OneSided(LinearElastic):
     """Stiffer when it is compressed: a law that knows closing from opening."""
 
     linear = False
-    powers = {"lmbda": 1, "mu": 1, "extra": 1}  # noqa: RUF012
+    powers = {"lmbda": 1, "mu": 1, "extra": 1}
 
     def __init__(self, lmbda: float, mu: float, extra: float) -> None:
         object.__setattr__(self, "extra", extra)
@@ -155,7 +165,12 @@ def test_plane_stress():
     joint = sandwich(1.0, 0.5, 0.7, 0.5)
     rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     glue = LinearElastic.young(E, nu)
-    setup = {"body": UPPER, "supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, 0.6)}, "layer": ThinLayer(glue, 0.05)}
+    setup = {
+        "body": UPPER,
+        "supports": {"BOTTOM": 0.0} | rollers,
+        "tractions": {"TOP": (0.0, 0.6)},
+        "layer": ThinLayer(glue, 0.05),
+    }
     right, wrong = E / (1 - nu**2), glue.lmbda + 2 * glue.mu
     limit = solve(Model.interface(joint, plane="stress", **setup))
     surface = Surface(limit.model)
@@ -188,13 +203,19 @@ def test_stratified_column():
     for sides, t, component, stiffness in ((normal, (0.0, 0.6), 1, K_N), (shear, (0.6, 0.0), 0, K_T)):
         supports = {"BOTTOM": 0.0, "TOP": {"xy"[1 - component]: 0.0}} | sides
         if component == 0:  # without normal displacements the sides carry the shear stress
-            setup = {"body": UPPER, "supports": supports, "tractions": {"TOP": t, "RIGHT": (0.0, 0.6), "LEFT": (0.0, -0.6)}}
+            setup = {
+                "body": UPPER,
+                "supports": supports,
+                "tractions": {"TOP": t, "RIGHT": (0.0, 0.6), "LEFT": (0.0, -0.6)},
+            }
         else:
             setup = {"body": UPPER, "supports": supports, "tractions": {"TOP": t}}
         limit = solve(Model.interface(joint, layer=ThinLayer(glue, 0.05), **setup))
         surface = Surface(limit.model)
         for state in (limit, solve(Model.full(joint, layer=ThinLayer(glue, 0.05), **setup))):
-            assert surface.integral(surface.jump(state)[component]) == pytest.approx(0.6 / stiffness, rel=1e-9), state.model
+            assert surface.integral(surface.jump(state)[component]) == pytest.approx(0.6 / stiffness, rel=1e-9), (
+                state.model
+            )
     stiffnesses = [limits.elastic_stiffness(law.lmbda, law.mu, [0, 1]) for law in (lower, upper)]
     assert np.diag(limits.stratified((a, 1 - a), stiffnesses)) == pytest.approx([K_T, K_N])
     harmonic_lmbda = 1 / (a / lower.lmbda + (1 - a) / upper.lmbda)

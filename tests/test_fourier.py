@@ -75,7 +75,12 @@ def test_bodies_of_the_interface_model():
             exact.interpolate(field, cells0=cells)
         exact.x.scatter_forward()
         difference, size = state.u - exact, exact
-        errors.append(np.sqrt(state.integral(ufl.inner(difference, difference) * ufl.dx) / state.integral(ufl.inner(size, size) * ufl.dx)))
+        errors.append(
+            np.sqrt(
+                state.integral(ufl.inner(difference, difference) * ufl.dx)
+                / state.integral(ufl.inner(size, size) * ufl.dx)
+            )
+        )
     assert errors[1] < 1e-4
     assert np.log2(errors[0] / errors[1]) == pytest.approx(3.0, abs=0.25)
 
@@ -92,7 +97,9 @@ def test_sweep(bodies):
         layer = ThinLayer(FOURIER_LAYER, eps)
         limit = solve(Model.interface(joint, layer=layer, **setup))
         row = compare(solve(Model.full(joint, layer=layer, bodies=bodies, **setup)), limit)
-        assert (row["error_traction"], row["error_jump"]) == pytest.approx(reference.sweep_errors(eps, bodies), rel=1e-2)
+        assert (row["error_traction"], row["error_jump"]) == pytest.approx(
+            reference.sweep_errors(eps, bodies), rel=1e-2
+        )
         rows.append(row)
     if bodies == "kept":
         assert [row["error_jump"] for row in rows] == pytest.approx([0.1030, 0.0508, 0.0250, 0.0124], rel=5e-3)

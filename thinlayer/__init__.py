@@ -19,15 +19,34 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Model", "ModelError", "OptionError", "SolveError", "State", "Surface", "Table", "ThinLayer",
-    "compare", "observed_orders", "solve", "sweep",
-]  # fmt: skip
+    "Model",
+    "ModelError",
+    "OptionError",
+    "SolveError",
+    "State",
+    "Surface",
+    "Table",
+    "ThinLayer",
+    "compare",
+    "observed_orders",
+    "solve",
+    "sweep",
+]
 
 _HOME = {
-    "compare": "comparison", "observed_orders": "comparison", "sweep": "comparison", "ThinLayer": "layer",
-    "ModelError": "loads", "Model": "model", "OptionError": "options", "SolveError": "solvers", "solve": "solvers",
-    "State": "state", "Surface": "surface", "Table": "table",
-}  # fmt: skip
+    "compare": "comparison",
+    "observed_orders": "comparison",
+    "sweep": "comparison",
+    "ThinLayer": "layer",
+    "ModelError": "loads",
+    "Model": "model",
+    "OptionError": "options",
+    "SolveError": "solvers",
+    "solve": "solvers",
+    "State": "state",
+    "Surface": "surface",
+    "Table": "table",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -110,7 +110,9 @@ def interface_measure(
     equal = (colours[entities[:, 0]] == colours[entities[:, 2]]).sum() if len(entities) else 0
     lost, equal = mesh.comm.allreduce(np.array([len(owned) - len(entities), equal]))
     if lost or equal:
-        raise RuntimeError(f"interface: {lost} facets with one local cell, {equal} facets between cells of equal colour")
+        raise RuntimeError(
+            f"interface: {lost} facets with one local cell, {equal} facets between cells of equal colour"
+        )
     swap = colours[entities[:, 0]] < colours[entities[:, 2]]
     entities[swap] = entities[swap][:, [2, 3, 0, 1]]
     return ufl.Measure("dS", domain=mesh, subdomain_data=[(tag, entities.ravel())])(tag), entities

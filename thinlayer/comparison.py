@@ -40,7 +40,9 @@ def compare(full: State, interface: State, *, where: Where | None = None) -> dic
         ModelError: the states are not a full and an interface model of the same joint.
     """
     if (full.model.kind, interface.model.kind) != ("full", "interface"):
-        raise ModelError(f"compare needs a full and an interface model, not {full.model.kind} and {interface.model.kind}")
+        raise ModelError(
+            f"compare needs a full and an interface model, not {full.model.kind} and {interface.model.kind}"
+        )
     if full.model.joint is not interface.model.joint:
         raise ModelError("compare needs two models of the same joint")
     assert full.model.layer is not None

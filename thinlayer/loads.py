@@ -74,7 +74,7 @@ def _call(function: Callable[[Expr, Expr], Any], at: Coordinates, what: str) -> 
         return function(at.x, at.t)
     except Exception as error:
         raise ModelError(
-            f"{what} could not be evaluated as a function (x, t) of UFL coordinates: {error}; use ufl.sin, ufl.conditional, ..."
+            f"{what} is no function (x, t) of UFL coordinates: {error}; use ufl.sin, ufl.conditional, ..."
         ) from error
 
 
@@ -94,7 +94,9 @@ class Supports:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
     """
 
-    def __init__(self, domain: Domain, given: Mapping[Place, Support], at: Coordinates, clamped: Sequence[str] = ()) -> None:
+    def __init__(
+        self, domain: Domain, given: Mapping[Place, Support], at: Coordinates, clamped: Sequence[str] = ()
+    ) -> None:
         self.domain, self.at = domain, at
         self.axes = AXES[: domain.joint.dim]
         self.entries: list[tuple[Place, dict[str, Value]]] = []
@@ -110,12 +112,15 @@ class Supports:
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
 
     def _components(self, place: Place, support: Support) -> dict[str, Value]:
-        components = dict(support) if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
+        given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
+        components: dict[str, Value] = dict(given)
         for axis, value in components.items():
             if axis not in self.axes:
                 raise ModelError(f"support on {place!r}: {unknown('component', axis, self.axes)}")
-            if not callable(value) and not (np.isscalar(value) and np.isfinite(value)):  # type: ignore[arg-type]
-                raise ModelError(f"support on {place!r}: component {axis} is {value!r}; allowed: a finite number or a function (x, t)")
+            if not callable(value) and not (isinstance(value, (int, float)) and np.isfinite(value)):
+                raise ModelError(
+                    f"support on {place!r}: component {axis} is {value!r}; allowed: a finite number or a function (x, t)"
+                )
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> npt.NDArray[np.int32]:
@@ -150,7 +155,9 @@ class Conditions:
                 self.bcs.append(fem.dirichletbc(value, [dofs, dofs], V.sub(supports.axes.index(axis))))
         self.update()
 
-    def _value(self, supports: Supports, V: fem.FunctionSpace, place: Place, components: dict[str, Value]) -> fem.Function:
+    def _value(
+        self, supports: Supports, V: fem.FunctionSpace, place: Place, components: dict[str, Value]
+    ) -> fem.Function:
         value = fem.Function(V)
         entries = [components.get(axis, 0.0) for axis in supports.axes]
         if any(callable(entry) for entry in entries):
@@ -181,4 +188,3 @@ def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component
             block = dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_dofs(0, corner)]
             found.append(block * dofmap.bs + component)
     return np.unique(np.concatenate([np.empty(0, np.int32), *found])).astype(np.int32)
-

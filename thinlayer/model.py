@@ -256,7 +256,9 @@ class Model:
         d = self.joint.dim
         points = self.domain.joint.points
         centre, size = points.mean(axis=0), np.ptp(points, axis=0).max()
-        motions: list[Any] = [lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)]) for i in range(d)]
+        motions: list[Any] = [
+            lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)]) for i in range(d)
+        ]
 
         def rotation(x: np.ndarray, i: int, j: int) -> np.ndarray:
             out = np.zeros((d, x.shape[1]))
@@ -281,7 +283,10 @@ class Model:
         gram = self.comm.allreduce(rows @ rows.T)
         values, vectors = np.linalg.eigh(gram)
         if values[0] <= 1e-10 * max(values[-1], 1.0):
-            parts = [*(f"translation {a}" for a in self.supports.axes), *(["rotation"] if self.joint.dim == 2 else ["rotation xy", "rotation xz", "rotation yz"])]
+            parts = [
+                *(f"translation {a}" for a in self.supports.axes),
+                *(["rotation"] if self.joint.dim == 2 else ["rotation xy", "rotation xz", "rotation yz"]),
+            ]
             free = parts[int(np.argmax(np.abs(vectors[:, 0])))]
             raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")
 

@@ -32,7 +32,9 @@ COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
 
 
-def rates(table: Table | str | Path, *, save: str | Path | None = None, title: str = "", reference: float = 1.0) -> Figure:
+def rates(
+    table: Table | str | Path, *, save: str | Path | None = None, title: str = "", reference: float = 1.0
+) -> Figure:
     """Errors of a sweep against eps on logarithmic axes, with a reference slope.
 
     Args:
@@ -59,9 +61,16 @@ def rates(table: Table | str | Path, *, save: str | Path | None = None, title: s
 
 
 def curves(
-    lines: Mapping[str, tuple[Any, Any]], *, xlabel: str, ylabel: str, title: str = "", save: str | Path | None = None,
-    styles: Mapping[str, str] | None = None, logarithmic: bool = False, ylim: tuple[float, float] | None = None,
-) -> Figure:  # fmt: skip
+    lines: Mapping[str, tuple[Any, Any]],
+    *,
+    xlabel: str,
+    ylabel: str,
+    title: str = "",
+    save: str | Path | None = None,
+    styles: Mapping[str, str] | None = None,
+    logarithmic: bool = False,
+    ylim: tuple[float, float] | None = None,
+) -> Figure:
     """Curves over a common axis.
 
     Args:
@@ -100,9 +109,15 @@ def axes_of(figure: Figure) -> Axes:
 
 
 def deformed(
-    states: Mapping[str, State] | State, *, save: str | Path, component: str = "size", scale: float | None = None,
-    title: str = "", unit: str = "", zoom: Sequence[float] | None = None,
-) -> None:  # fmt: skip
+    states: Mapping[str, State] | State,
+    *,
+    save: str | Path,
+    component: str = "size",
+    scale: float | None = None,
+    title: str = "",
+    unit: str = "",
+    zoom: Sequence[float] | None = None,
+) -> None:
     """Deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
 
     Args:
@@ -132,15 +147,26 @@ def deformed(
     height_per_width = (y1 - y0) / (x1 - x0)
     panel_width = 4.6
     figure, axes = plt.subplots(
-        1, len(grids), figsize=(panel_width * len(grids), panel_width * height_per_width + 1.3), layout="constrained", squeeze=False
-    )  # fmt: skip
+        1,
+        len(grids),
+        figsize=(panel_width * len(grids), panel_width * height_per_width + 1.3),
+        layout="constrained",
+        squeeze=False,
+    )
     for one, (label, grid) in zip(axes[0], grids.items(), strict=True):
         one.imshow(_render(grid, values[label], limits, scale, (x0, x1, y0, y1)), extent=(x0, x1, y0, y1))
         one.set_axis_off()
         one.set_title(label, fontsize=11)
     name = ("|u|" if component == "size" else f"u_{component}") + (f" ({unit})" if unit else "")
     colours = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(*limits), "viridis")
-    figure.colorbar(colours, ax=axes, orientation="horizontal", aspect=40, pad=0.02, label=f"{name}; drawn displacements x {scale:.3g}")
+    figure.colorbar(
+        colours,
+        ax=axes,
+        orientation="horizontal",
+        aspect=40,
+        pad=0.02,
+        label=f"{name}; drawn displacements x {scale:.3g}",
+    )
     figure.suptitle(title)
     _finish(figure, save)
 
@@ -162,7 +188,7 @@ def _component(grid: Grid, component: str) -> npt.NDArray[np.float64]:
 def _render(
     grid: Grid, values: npt.NDArray[np.float64], limits: tuple[float, float], scale: float, window: Sequence[float]
 ) -> npt.NDArray[np.uint8]:
-    """Image of a deformed structure seen along the third axis; outlines of bodies black, of the layer's parts red; base grey."""
+    """Image of a deformed structure in its plane; outlines of bodies black, of the layer's parts red, the base grey."""
     x0, x1, y0, y1 = window
     pixels = 1400 / max(x1 - x0, y1 - y0)
     plotter = pyvista.Plotter(off_screen=True, window_size=[round(pixels * (x1 - x0)), round(pixels * (y1 - y0))])
@@ -171,9 +197,13 @@ def _render(
     plotter.add_mesh(mesh, scalars="u", clim=limits, cmap="viridis", show_scalar_bar=False, lighting=False)
     for number in np.unique(grid.region)[::-1]:
         part = mesh.extract_cells(grid.region == number)
-        outline = part.linear_copy().extract_surface(algorithm=None).extract_feature_edges(
-            boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
-        )  # fmt: skip
+        outline = (
+            part.linear_copy()
+            .extract_surface(algorithm=None)
+            .extract_feature_edges(
+                boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
+            )
+        )
         plotter.add_mesh(outline, color="crimson" if number < 0 else "black", line_width=4 if number < 0 else 3)
     if len(grid.base):
         plotter.add_lines(grid.base.reshape(-1, 3), color="dimgrey", width=8)

@@ -17,9 +17,21 @@ from thinlayer.state import State
 from thinlayer.table import Table
 
 PACKAGES = (
-    "fenics-dolfinx", "fenics-basix", "fenics-ufl", "fenics-ffcx", "petsc4py", "mpi4py", "gmsh", "meshio", "pyvista",
-    "vtk", "numpy", "scipy", "matplotlib", "rich",
-)  # fmt: skip
+    "fenics-dolfinx",
+    "fenics-basix",
+    "fenics-ufl",
+    "fenics-ffcx",
+    "petsc4py",
+    "mpi4py",
+    "gmsh",
+    "meshio",
+    "pyvista",
+    "vtk",
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "rich",
+)
 
 
 def versions() -> dict[str, str]:
@@ -61,7 +73,10 @@ class Check:
         self.passed = above and below  # NaN passes neither
 
     def __str__(self) -> str:
-        ends = [f">= {self.low:.6g}" if self.low is not None else "", f"<= {self.high:.6g}" if self.high is not None else ""]
+        ends = [
+            f">= {self.low:.6g}" if self.low is not None else "",
+            f"<= {self.high:.6g}" if self.high is not None else "",
+        ]
         return f"{self.name}: {self.value:.6g} ({' and '.join(e for e in ends if e)})"
 
 
@@ -106,7 +121,9 @@ class Record:
     def solved(self, state: State) -> State:
         """Note how a state was found; returns it."""
         layer = state.model.layer
-        self.solves.append({"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t, **asdict(state.report)})
+        self.solves.append(
+            {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t, **asdict(state.report)}
+        )
         return state
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:

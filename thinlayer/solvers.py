@@ -18,7 +18,13 @@ from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read
 from thinlayer.state import State
 
 DIRECT: dict[str, OptionValue] = {"ksp_type": "preonly", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_7": 2}
-NEWTON: dict[str, OptionValue] = {"snes_type": "newtonls", "snes_linesearch_type": "basic", "snes_rtol": 1e-10, "snes_stol": 0, "snes_max_it": 30}
+NEWTON: dict[str, OptionValue] = {
+    "snes_type": "newtonls",
+    "snes_linesearch_type": "basic",
+    "snes_rtol": 1e-10,
+    "snes_stol": 0,
+    "snes_max_it": 30,
+}
 LARGEST_RESIDUAL = 1e-6
 REFINED_RESIDUAL = 1e-15
 
@@ -44,7 +50,9 @@ class Report:
     seconds: float
 
 
-def solve(model: Model, t: float = 0.0, *, options: Mapping[str, OptionValue] | None = None, method: str | None = None) -> State:
+def solve(
+    model: Model, t: float = 0.0, *, options: Mapping[str, OptionValue] | None = None, method: str | None = None
+) -> State:
     """Equilibrium of a model at a time. Collective.
 
     Args:

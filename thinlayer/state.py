@@ -57,7 +57,7 @@ def cell_values(f: fem.Function, cells: np.ndarray) -> np.ndarray:
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
-    """A function of one model's bodies on the same cells of the other model's mesh, degree of freedom by degree of freedom.
+    """A function of one model's bodies on the same cells of another model's mesh, value by value.
 
     Both models come from the same joint: body cells have the same original numbers and the same local order of their
     degrees of freedom, wherever they are and whichever rank has them. Collective.

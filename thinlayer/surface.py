@@ -82,7 +82,7 @@ class Surface:
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
 
     def nodal(self, f: Expr) -> fem.Function:
-        """L2 projection on S of a vector expression on S to degree 1, as a function on the upper side's nodes. Collective."""
+        """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective."""
         v = ufl.TestFunction(self.trace_space)
         b = dolfinx.fem.petsc.assemble_vector(fem.form(ufl.inner(f, self.sides.upper(v)) * self.sides.measure))
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
