@@ -83,7 +83,7 @@ class Check:
 class Record:
     """What a run of a study keeps: tables, pictures, checks; `run.json` says what they were made from.
 
-    The folder is made with the first file in it. Only rank 0 writes.
+    The folder is made with the first file in it, and only rank 0 writes.
 
     Attributes:
         study: name of the study.
@@ -101,9 +101,7 @@ class Record:
         self.root = MPI.COMM_WORLD.rank == 0
 
     def path(self, name: str) -> Path:
-        """Path of a file in the folder."""
-        if self.root:
-            self.out.mkdir(parents=True, exist_ok=True)
+        """Path of a file in the folder (whoever writes it makes the folder)."""
         return self.out / name
 
     def write(self, name: str, table: Table) -> None:
@@ -136,9 +134,10 @@ class Record:
         return [check for check in self.checks if not check.passed]
 
     def close(self, error: str | None = None) -> None:
-        """Write run.json, if the run has written anything."""
-        if not (self.root and self.out.is_dir()):
+        """Write run.json."""
+        if not self.root:
             return
+        self.out.mkdir(parents=True, exist_ok=True)
         content = {
             "study": self.study,
             "options": self.options,

@@ -17,7 +17,12 @@ from thinlayer.model import Model
 from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read
 from thinlayer.state import State
 
-DIRECT: dict[str, OptionValue] = {"ksp_type": "preonly", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_7": 2}
+LINEAR: dict[str, OptionValue] = {
+    "ksp_type": "preonly",
+    "ksp_rtol": 1e-10,
+    "pc_factor_mat_solver_type": "mumps",
+    "mat_mumps_icntl_7": 2,
+}
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "basic",
@@ -74,16 +79,16 @@ def solve(
     model.coordinates.t.value = t
     model.conditions.update()
     given = dict(options or {})
-    ours = {**direct_options(model), **(NEWTON if method == "newton" else {})}
+    ours = {**linear_options(model), **(NEWTON if method == "newton" else {})}
     with defaults({**ours, **given}):
         u, iterations, residual = (_linear if method == "linear" else _newton)(model)
         require_all_read(method, ours.keys() - given.keys())
     return State(model, u, t, Report(method, iterations, residual, time.perf_counter() - start))
 
 
-def direct_options(model: Model) -> dict[str, OptionValue]:
+def linear_options(model: Model) -> dict[str, OptionValue]:
     """MUMPS: Cholesky where the tangent is symmetric, else LU; AMF ordering."""
-    return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
+    return {**LINEAR, "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
 def _mark(A: PETSc.Mat, model: Model) -> None:
@@ -125,7 +130,8 @@ def _linear(model: Model) -> tuple[fem.Function, int, float]:
     size = max(b.norm(), 1e-300)
     ksp.solve(b, x)
     iterations, residual = ksp.getIterationNumber(), _residual(A, x, b, r, size)
-    while ksp.getType() == "preonly" and REFINED_RESIDUAL < residual < LARGEST_RESIDUAL:
+    direct = ksp.getType() == "preonly"
+    while direct and REFINED_RESIDUAL < residual < LARGEST_RESIDUAL:
         ksp.solve(r, correction)
         correction.aypx(1.0, x)
         refined = _residual(A, correction, b, r, size)
@@ -136,7 +142,7 @@ def _linear(model: Model) -> tuple[fem.Function, int, float]:
     reason = ksp.getConvergedReason()
     for thing in (A, b, r, correction, ksp):
         thing.destroy()
-    if reason < 0 or not residual < LARGEST_RESIDUAL:
+    if reason < 0 or (direct and not residual < LARGEST_RESIDUAL):
         raise SolveError(
             f"linear solve failed: {_reason(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
             "a body without supports and without a stiff enough layer can move freely; with an iterative solver try "

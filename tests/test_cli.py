@@ -1,0 +1,150 @@
+"""The command line: what each command prints and writes, and its exit status."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from thinlayer.catalogue import studies
+
+CLONE = Path(__file__).parent.parent
+
+
+def thinlayer(*arguments: object, cwd: Path = CLONE) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "thinlayer", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=240)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def assert_drawn(path: Path) -> None:
+    """A picture with more than a background: many different colours."""
+    image = matplotlib.image.imread(path)
+    assert min(image.shape[:2]) > 400
+    assert len(np.unique((image[..., :3] * 255).astype(int).reshape(-1, 3), axis=0)) > 50
+
+
+def test_list_is_light_and_matches_the_readme():
+    probe = "import sys; from thinlayer.cli import main; main(['list']); print(sorted(m for m in sys.modules if '.' not in m))"
+    done = subprocess.run([sys.executable, "-c", probe], cwd=CLONE, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    *listed, modules = done.stdout.splitlines()
+    assert not {"dolfinx", "petsc4py", "numpy", "gmsh", "pyvista"} & set(eval(modules))
+    names = [line.split()[0] for line in listed]
+    assert names == sorted(studies()) != []
+    readme = (CLONE / "README.md").read_text()
+    assert all(f"`{name}`" in readme for name in names)
+
+
+def test_info():
+    done = thinlayer("info")
+    assert done.returncode == 0
+    for name in ("fenics-dolfinx", "petsc", "gmsh", "pyvista"):
+        assert any(line.split()[0] == name and line.split()[1][0].isdigit() for line in done.stdout.splitlines()), done.stdout
+
+
+def test_fig6(tmp_path):
+    done = thinlayer("run", "fig6_stratified", "--quick", "--eps", "0.2", "0.1", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    table = rows(tmp_path / "out" / "table.csv")
+    assert list(table[0]) == ["x_mm", "ratio_band", "ratio_interface"]
+    inner = [row for row in table if 6 <= float(row["x_mm"]) <= 30]
+    assert len(inner) > 20
+    assert all(abs(float(row["ratio_band"]) / 85714.2857 - 1) < 1e-3 for row in inner)
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run["versions"]["fenics-dolfinx"][0].isdigit()
+    assert all(check["passed"] for check in run["checks"])
+    assert run["options"] == {"eps": [0.2, 0.1], "quick": True}
+    assert {solve["method"] for solve in run["solves"]} == {"linear"}
+    assert [float(row["eps_mm"]) for row in rows(tmp_path / "out" / "deviation.csv")] == [0.2, 0.1]
+    for name in ("ratio.png", "deformed.png", "layer_end.png"):
+        assert_drawn(tmp_path / "out" / name)
+
+
+def test_sweep_with_options(tmp_path):
+    arguments = ("run", "sweep_elastic", "--quick", "--eps", "0.03125", "0.0625", "--bodies", "extended", "--out", tmp_path)
+    done = thinlayer(*arguments, "-thinlayer_ksp_type", "cg", "-thinlayer_pc_type", "jacobi", "-thinlayer_ksp_rtol", "1e-11")
+    assert done.returncode == 0, done.stderr
+    table = rows(tmp_path / "table.csv")
+    assert list(table[0])[:5] == ["eps", "error_traction", "error_jump", "order_traction", "order_jump"]
+    assert [float(row["eps"]) for row in table] == [0.0625, 0.03125]
+    assert (table[0]["order_jump"], table[0]["order_traction"]) == ("", "")
+    run = json.loads((tmp_path / "run.json").read_text())
+    assert min(solve["iterations"] for solve in run["solves"]) > 20
+    assert run["parameters"]["bodies"] == "extended"
+    assert_drawn(tmp_path / "rates.png")
+
+
+def test_limits(tmp_path):
+    done = thinlayer("run", "limits", "--quick", "--out", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert_drawn(tmp_path / "bonded.png")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "fig7"], "unknown study 'fig7'; known: fig6_stratified, limits"),
+        (["run", "limits", "--eps", "0.1"], "study limits does not use --eps; it uses: --quick"),
+        (["run", "fig6_stratified", "--bodies", "kept"], "does not use --bodies"),
+        (["run", "sweep_elastic", "--eps", "-0.1"], "--eps -0.1: a thickness must be > 0"),
+        (["run", "sweep_elastic", "--eps", "0.1", "0.1"], "different thicknesses"),
+        (["run", "sweep_elastic", "--eps", "3", "--bodies", "extended"], "turn inside out"),
+        (["run", "sweep_elastic", "--bodies", "keep"], "choose from"),
+        (["run", "sweep_elastic", "--fast"], "unrecognized argument '--fast'"),
+        (["run", "sweep_elastic", "-ksp_type", "cg"], "PETSc options start with -thinlayer_"),
+        (["run", "sweep_elastic", "--quick", "-thinlayer_ksp_typ", "cg"], "not read by the linear solver: -thinlayer_ksp_typ"),
+        (["list", "--all"], "unrecognized arguments: --all"),
+        (["lst"], "invalid choice"),
+    ],
+)
+def test_bad_input_writes_nothing(tmp_path, arguments, message):
+    out = ["--out", tmp_path / "out"] if arguments[0] == "run" else []
+    done = thinlayer(*arguments, *out)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_failed_solve_keeps_what_was_done(tmp_path, monkeypatch, capsys):
+    import studies.sweep_elastic
+    from thinlayer import SolveError, cli, solve
+
+    def fails_for_thin_layers(model):
+        if model.layer.eps < 0.05:
+            raise SolveError("linear solve failed: DIVERGED_MAX_IT")
+        return solve(model)
+
+    monkeypatch.setattr(studies.sweep_elastic, "solve", fails_for_thin_layers)
+    status = cli.main(["run", "sweep_elastic", "--quick", "--eps", "0.01", "0.1", "--out", str(tmp_path)])
+    assert status == 3
+    assert "DIVERGED_MAX_IT" in capsys.readouterr().err
+    assert [row["eps"] for row in rows(tmp_path / "table.csv")] == ["0.1"]
+    assert "DIVERGED_MAX_IT" in json.loads((tmp_path / "run.json").read_text())["error"]
+
+
+def test_solver_that_does_not_converge(tmp_path):
+    options = ("-thinlayer_ksp_type", "cg", "-thinlayer_pc_type", "jacobi", "-thinlayer_ksp_max_it", "5")
+    done = thinlayer("run", "sweep_elastic", "--quick", "--out", tmp_path, *options)
+    assert done.returncode == 3
+    assert "DIVERGED_MAX_IT" in done.stderr
+    assert not (tmp_path / "table.csv").exists()
+
+
+def test_failed_check(tmp_path):
+    """Thick layers are far from their limit: the sweep's own check of the order says so."""
+    done = thinlayer("run", "sweep_elastic", "--quick", "--eps", "2", "4", "--out", tmp_path)
+    assert done.returncode == 1
+    assert "checks failed: last observed order" in done.stderr
+    assert len(rows(tmp_path / "table.csv")) == 2

@@ -1,0 +1,156 @@
+"""Laws at a point, against the closed formulas, for random moduli and directions; and their range checks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mpi4py import MPI
+
+from forms import Anisotropic, LawError, LinearElastic, Stack, Step, limits
+from forms.kinematics import jump_strain, layer_frame, lift
+from thinlayer import ThinLayer
+from thinlayer.layer import constants
+
+CELL = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+
+
+class Point:
+    """A law as a function of jump and normal, compiled once: parameters, w and n are Constants."""
+
+    def __init__(self, law, dim=2):
+        self.law, self.w, self.n = constants(law, CELL), fem.Constant(CELL, np.zeros(dim)), fem.Constant(CELL, np.ones(dim))
+        step = Step(jump_strain(self.w, self.n), self.n)
+        t = ufl.dot(self.law.stress(step), lift(self.n))
+        self.values = fem.Expression(ufl.as_vector([*(t[i] for i in range(3)), self.law.energy(step)]), np.zeros((1, 2)))
+
+    def __call__(self, law, w, n):
+        """Traction (3,) and energy of a law of the same kind."""
+        for constant, value in zip(self._leaves(self.law), self._leaves(law), strict=True):
+            constant.value = value
+        self.w.value[:], self.n.value[:] = w, n
+        found = self.values.eval(CELL, np.array([0], np.int32)).ravel()
+        return found[:3], found[3]
+
+    def _leaves(self, law):
+        laws = law.laws if isinstance(law, Stack) else (law,)
+        return [value for one in laws for value in one.parameters().values()]
+
+
+moduli = st.floats(0.1, 50.0)
+jumps = st.lists(st.floats(-2.0, 2.0).map(lambda x: round(x, 9)), min_size=3, max_size=3).map(np.array)
+angles = st.floats(-np.pi, np.pi)
+
+
+def direction(a, b, dim):
+    if dim == 2:
+        return np.array([np.sin(a), np.cos(a)])
+    return np.array([np.sin(a) * np.cos(b), np.cos(a), np.sin(a) * np.sin(b)])
+
+
+@pytest.fixture(scope="module")
+def points():
+    a, b = LinearElastic(1.0, 2.0), LinearElastic(3.0, 4.0)
+    laws = {"isotropic": a, "stack": Stack((0.3, a), (0.5, b), (0.2, a)), "springs": Anisotropic.springs(1.0, 2.0)}
+    return {(name, dim): Point(law, dim) for name, law in laws.items() for dim in (2, 3)}
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@settings(max_examples=40, deadline=None)
+@given(lmbda=moduli, mu=moduli, w=jumps, a=angles, b=angles)
+def test_elastic(points, dim, lmbda, mu, w, a, b):
+    """Eq. (17) and its energy, w.K w/2."""
+    n, law = direction(a, b, dim), LinearElastic(lmbda, mu)
+    t, energy = points["isotropic", dim](law, w[:dim], n)
+    expected = limits.elastic(lmbda, mu, w[:dim], n)
+    size = (lmbda + 2 * mu) * max(np.linalg.norm(w), 1e-300)
+    assert t[:dim] == pytest.approx(expected, abs=1e-13 * size)
+    assert energy == pytest.approx(expected @ w[:dim] / 2, rel=1e-10, abs=1e-13 * size)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@settings(max_examples=40, deadline=None)
+@given(m=st.lists(moduli, min_size=6, max_size=6), w=jumps, a=angles, b=angles)
+def test_stratified(points, dim, m, w, a, b):
+    """Compliances add up, whatever the order of the sublayers."""
+    n = direction(a, b, dim)
+    laws = [LinearElastic(m[2 * k], m[2 * k + 1]) for k in range(3)]
+    fractions = (0.3, 0.5, 0.2)
+    K = limits.stratified(fractions, [limits.elastic_stiffness(law.lmbda, law.mu, n) for law in laws])
+    t, energy = points["stack", dim](Stack(*zip(fractions, laws, strict=True)), w[:dim], n)
+    size = np.linalg.norm(K) * max(np.linalg.norm(w), 1e-300)
+    assert t[:dim] == pytest.approx(K @ w[:dim], abs=1e-11 * size)
+    assert energy == pytest.approx(w[:dim] @ K @ w[:dim] / 2, rel=1e-8, abs=1e-12 * size)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@settings(max_examples=40, deadline=None)
+@given(k_n=moduli, k_t=moduli, w=jumps, a=angles, b=angles)
+def test_springs(points, dim, k_n, k_t, w, a, b):
+    n = direction(a, b, dim)
+    t, _ = points["springs", dim](Anisotropic.springs(k_n, k_t), w[:dim], n)
+    w = w[:dim]
+    expected = k_t * w + (k_n - k_t) * (w @ n) * n
+    assert t[:dim] == pytest.approx(expected, abs=1e-9 * (k_n + k_t) * max(np.linalg.norm(w), 1e-300))
+
+
+@pytest.mark.parametrize("n", [(0, 1, 0), (0, -1, 0), (1, 0, 0), (0.6, -0.48, 0.64), (0, 1), (0, -1), (0.8, -0.6)])
+def test_layer_frame_is_a_rotation_with_second_axis_n(n):
+    constant = fem.Constant(CELL, np.array(n, float))
+    turn = fem.Expression(layer_frame(constant), np.zeros((1, 2))).eval(CELL, np.array([0], np.int32)).reshape(3, 3)
+    assert turn.T @ turn == pytest.approx(np.eye(3), abs=1e-14)
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    assert turn[:, 1] == pytest.approx([*n, 0][:3])
+
+
+@given(lmbda=moduli, mu=moduli, eps=st.floats(1e-6, 10.0))
+def test_per_thickness_is_undone_by_the_layer(lmbda, mu, eps):
+    real = ThinLayer(LinearElastic(lmbda, mu).per_thickness(eps), eps).real_law(CELL, "strain")
+    assert (float(real.lmbda.value), float(real.mu.value)) == pytest.approx((lmbda, mu), rel=1e-12)
+
+
+@given(E=moduli, nu=st.floats(-0.9, 0.49))
+def test_moduli(E, nu):
+    law = LinearElastic.young(E, nu)
+    assert law.lmbda + 2 * law.mu == pytest.approx(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)), rel=1e-9)
+    assert law.plane_stress().lmbda + 2 * law.mu == pytest.approx(E / (1 - nu**2), rel=1e-9)
+    assert LinearElastic.shear(law.mu, nu).lmbda == pytest.approx(law.lmbda, rel=1e-9, abs=1e-12 * E)
+
+
+NOT_SYMMETRIC = np.eye(6) + np.diag([0.5], 5)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: LinearElastic(1.0, 0.0), "mu is 0.0; allowed: > 0"),
+        (lambda: LinearElastic(1.0, float("nan")), "mu is nan"),
+        (lambda: LinearElastic(-1.0, 1.0), "lmbda is -1.0; allowed: > -2 mu/3"),
+        (lambda: LinearElastic.young(0.0, 0.3), "E is 0.0; allowed: > 0"),
+        (lambda: LinearElastic.young(1.0, 0.5), "nu is 0.5; allowed: -1 < nu < 0.5"),
+        (lambda: LinearElastic.young(1.0, -1.0), "nu is -1.0"),
+        (lambda: Anisotropic(np.eye(3)), r"shape of C is \(3, 3\); allowed: \(6, 6\)"),
+        (lambda: Anisotropic(NOT_SYMMETRIC), "not symmetric"),
+        (lambda: Anisotropic(-np.eye(6)), "smallest eigenvalue"),
+        (lambda: Anisotropic(np.eye(6), "local"), "frame is 'local'; allowed: 'global', 'layer'"),
+        (lambda: Anisotropic.springs(0.0, 1.0), "K_N is 0.0; allowed: > 0"),
+        (lambda: Stack(), "number of sublayers"),
+        (lambda: Stack((0.5, LinearElastic(1.0, 1.0)), (0.6, LinearElastic(1.0, 1.0))), "sum of the fractions is 1.1"),
+        (lambda: Stack((1.5, LinearElastic(1.0, 1.0)), (-0.5, LinearElastic(1.0, 1.0))), "each > 0"),
+        (lambda: ThinLayer(LinearElastic(1.0, 1.0), 0.0), "eps is 0.0; allowed: > 0"),
+        (lambda: ThinLayer(LinearElastic(1.0, 1.0), -1.0), "eps is -1.0"),
+        (lambda: ThinLayer("glue", 1.0), "must be a law"),
+        (lambda: LinearElastic(1.0, 1.0).per_thickness(0.0), "eps is 0.0"),
+    ],
+)
+def test_parameters_out_of_range(build, message):
+    with pytest.raises(LawError, match=message):
+        build()
+
+
+def test_unknown_law_parameter():
+    with pytest.raises(TypeError, match="lamda"):
+        LinearElastic(lamda=1.0, mu=1.0)

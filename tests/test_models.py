@@ -1,0 +1,249 @@
+"""Every option changes the answer it should and only that; what cannot be built says why."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from petsc4py import PETSc
+
+from forms import Anisotropic, Law, LawError, LinearElastic, Stack
+from geometry import GeometryError, sandwich
+from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, solve
+
+JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
+BODY = LinearElastic.young(100.0, 0.3)
+GLUE = LinearElastic(lmbda=15.0, mu=7.0)
+SETUP = {
+    "body": BODY,
+    "layer": ThinLayer(GLUE, 0.05),
+    "supports": {"BOTTOM": 0.0},
+    "tractions": {"TOP": (0.4, -0.9)},
+}
+
+
+def measure(build, **change):
+    """(|[u]|, |t|, energy of the bodies) of a model."""
+    state = solve(build(JOINT, **(SETUP | change)))
+    surface = Surface(Model.interface(JOINT, **(SETUP | change)))
+    return np.array([surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["bodies"]])
+
+
+def same(a, b):
+    return a == pytest.approx(b, rel=1e-10)
+
+
+@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize(
+    "change",
+    [
+        dict(body=LinearElastic.young(100.0, 0.2)),
+        dict(body={"LOWER": BODY, "UPPER": LinearElastic.young(90.0, 0.3)}),
+        dict(body={"LOWER": LinearElastic.young(90.0, 0.3), "UPPER": BODY}),
+        dict(layer=ThinLayer(LinearElastic(lmbda=16.0, mu=7.0), 0.05)),
+        dict(layer=ThinLayer(LinearElastic(lmbda=15.0, mu=8.0), 0.05)),
+        dict(layer=ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(lmbda=20.0, mu=7.0))), 0.05)),
+        dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}),
+        dict(supports={"BOTTOM": {"x": 0.0, "y": 0.01}, "LEFT": {"y": 0.0}}),
+        dict(supports={"BOTTOM": 0.0, (0.0, 0.7): {"x": 0.0}}),
+        dict(tractions={"TOP": (0.4, -0.8)}),
+        dict(tractions={"TOP": (0.4, -0.9), "LEFT/UPPER": (0.1, 0.0)}),
+        dict(tractions={"TOP": (0.4, -0.9), "RIGHT": (0.1, 0.0)}),
+        dict(body_force=(0.0, -0.5)),
+        dict(body_force={"LOWER": (0.0, -0.5)}),
+        dict(plane="stress"),
+        dict(element="P1"),
+    ],
+)
+def test_options_that_change_both_models(build, change):
+    assert not same(measure(build), measure(build, **change))
+
+
+@pytest.mark.parametrize("change", [dict(bodies="extended"), dict(sublayers=2), dict(tractions={"TOP": (0.4, -0.9), "LEFT/LAYER": (0.3, 0.0)})])
+def test_options_that_change_the_full_model_only(change):
+    assert same(measure(Model.interface), measure(Model.interface, **change))
+    assert not same(measure(Model.full), measure(Model.full, **change))
+
+
+def test_thickness_matters_to_the_interface_law_through_its_moduli_only():
+    other = ThinLayer(GLUE, 0.01)
+    assert same(measure(Model.interface), measure(Model.interface, layer=other))
+    assert not same(measure(Model.full), measure(Model.full, layer=other))
+    real = LinearElastic(lmbda=15.0 * 0.05, mu=7.0 * 0.05)
+    assert same(measure(Model.interface), measure(Model.interface, layer=ThinLayer(real.per_thickness(0.05), 0.05)))
+
+
+@pytest.mark.parametrize("build", [Model.full, Model.interface])
+def test_different_words_for_the_same_thing(build):
+    reference = measure(build)
+    assert same(reference, measure(build, body={"UPPER": BODY, "LOWER": BODY}))
+    assert same(reference, measure(build, supports={"BOTTOM": {"x": 0.0, "y": 0.0}}))
+    assert same(reference, measure(build, tractions={"TOP": lambda x, t: (0.4, -0.9)}))
+    assert same(reference, measure(build, body_force=(0.0, 0.0)))
+    assert same(reference, measure(build, plane="strain", element="P2"))
+    assert same(reference, measure(build, layer=ThinLayer(Stack((0.3, GLUE), (0.7, GLUE)), 0.05)) if build is Model.interface else reference)
+
+
+def test_coordinates_of_loads_belong_to_the_bodies():
+    """In kept geometry the meshed layer moves the bodies apart; loads stay on the same material points."""
+    load = {"TOP": lambda x, t: (0.0, x[1] * x[0]), "RIGHT": lambda x, t: (ufl.exp(x[1]), 0.0)}
+    states = [solve(build(JOINT, **(SETUP | {"tractions": load}))) for build in (Model.full, Model.interface)]
+    work = [s.integral(s.model.external_work(ufl.as_vector([1.0, 2.0]))) for s in states]
+    exact = (np.exp(0.7) - np.exp(-0.5)) + 2 * 0.7 * 0.5
+    assert work == pytest.approx([exact, exact], rel=1e-6)  # quadrature of exp
+
+
+def test_time_dependent_loads_and_supports():
+    change = {
+        "tractions": {"TOP": lambda x, t: (0.0, 3.0 * t)},
+        "supports": {"BOTTOM": {"x": 0.0, "y": lambda x, t: 0.01 * t * (1 + x[0])}, "LEFT": {"x": 0.0}},
+    }
+    model = Model.interface(JOINT, **(SETUP | change))
+    surface = Surface(model)
+    norms = [surface.norm(surface.traction(solve(model, t))) for t in (1.0, 2.0)]
+    assert norms[1] == pytest.approx(2 * norms[0], rel=1e-9)
+    assert norms[0] > 0.1
+
+
+def test_clapeyron():
+    for build in (Model.full, Model.interface):
+        energies = solve(build(JOINT, **SETUP)).energies()
+        assert energies["bodies"] + energies["layer"] == pytest.approx(energies["loads"] / 2, rel=1e-10)
+        assert energies["layer"] > 0
+
+
+def test_point_support_holds_both_sides_of_s():
+    model = Model.interface(JOINT, **(SETUP | {"supports": {"BOTTOM": 0.0, (0.0, 0.0): {"x": 0.0}}}))
+    state = solve(model)
+    at = np.flatnonzero(np.all(np.abs(model.V.tabulate_dof_coordinates()[:, :2]) < 1e-12, axis=1))
+    values = state.u.x.array.reshape(-1, 2)[at]
+    assert len(at) == 2
+    assert np.abs(values[:, 0]).max() == 0
+    assert np.abs(values[:, 1]).min() > 0
+
+
+class Hardening(Law):
+    """Stress 2 k e + c (e:e) e, for tests of Newton's method: a user's law in a dozen lines."""
+
+    powers = {"k": 1, "c": 3}
+
+    def __init__(self, k, c):
+        object.__setattr__(self, "k", k)
+        object.__setattr__(self, "c", c)
+
+    def parameters(self):
+        return {"k": self.k, "c": self.c}
+
+    def stress(self, step):
+        return 2 * self.k * step.e + self.c * ufl.inner(step.e, step.e) * step.e
+
+
+@pytest.mark.parametrize("eps", [0.2, 1e-3])
+def test_newton_on_a_users_law(eps):
+    """Uniform opening w of a hardening layer: 2 k w + c w^3 = pull, in both models, with quadratic convergence."""
+    k, c, pull = 5.0, 4e5, 0.6
+    rollers = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    change = {"layer": ThinLayer(Hardening(k, c), eps), "supports": rollers, "tractions": {"TOP": (0.0, pull)}}
+    opening = np.roots([c, 0.0, 2 * k, -pull])
+    opening = float(opening[np.abs(opening.imag) < 1e-12].real[0])
+    limit = solve(Model.interface(JOINT, **(SETUP | change)))
+    surface = Surface(limit.model)
+    for state in (limit, solve(Model.full(JOINT, **(SETUP | change)))):
+        assert surface.integral(surface.jump(state)[1]) == pytest.approx(opening, rel=1e-9)
+        assert state.report.method == "newton"
+        assert 3 <= state.report.iterations <= 12
+
+
+def test_newton_and_linear_agree():
+    for build in (Model.full, Model.interface):
+        model = build(JOINT, **SETUP)
+        linear, newton = solve(model), solve(model, method="newton")
+        assert newton.report.iterations == 1
+        assert np.abs(linear.u.x.array - newton.u.x.array).max() < 1e-11 * np.abs(linear.u.x.array).max()
+
+
+def test_petsc_options():
+    model = Model.interface(JOINT, **SETUP)
+    direct = solve(model)
+    iterative = solve(model, options={"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-12})
+    assert iterative.report.iterations > 3
+    assert np.abs(direct.u.x.array - iterative.u.x.array).max() < 1e-8 * np.abs(direct.u.x.array).max()
+    with pytest.raises(OptionError, match="-thinlayer_ksp_rtoll"):
+        solve(model, options={"ksp_rtoll": 1e-3})
+    PETSc.Options().setValue("thinlayer_snes_max_it", 7)
+    try:
+        with pytest.raises(OptionError, match="linear solver: -thinlayer_snes_max_it"):
+            solve(model)
+    finally:
+        PETSc.Options().delValue("thinlayer_snes_max_it")
+
+
+def test_failed_solves_say_why():
+    model = Model.interface(JOINT, **SETUP)
+    with pytest.raises(SolveError, match=r"DIVERGED_MAX_IT.*relative residual"):
+        solve(model, options={"ksp_type": "cg", "pc_type": "jacobi", "ksp_max_it": 2})
+    hard = Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(Hardening(5.0, 4e9), 0.1)}))
+    with pytest.raises(SolveError, match=r"failed after \d steps: DIVERGED.*residual.*try"):
+        solve(hard, options={"snes_max_it": 2})
+    with pytest.raises(ValueError, match="linear, newton"):
+        solve(model, method="simplex")
+    with pytest.raises(ValueError, match="cannot solve a non-linear law"):
+        solve(hard, method="linear")
+
+
+@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (dict(supports={"BOTOM": 0.0}), GeometryError, "did you mean 'BOTTOM'.*known.*TOP"),
+        (dict(supports={"BOTTOM": {"z": 0.0}}), ModelError, "unknown component 'z'; known: x, y"),
+        (dict(supports={"BOTTOM": "fixed"}), ModelError, "allowed: a finite number"),
+        (dict(supports={"BOTTOM": {"x": float("nan")}}), ModelError, "allowed: a finite number"),
+        (dict(supports={}), ModelError, "no support against rigid motion"),
+        (dict(supports={"BOTTOM": {"y": 0.0}}), ModelError, "rigid motion of the structure .translation x"),
+        (dict(supports={(0.0, -0.5): 0.0}), ModelError, "rigid motion of the structure .rotation"),
+        (dict(supports={(0.1, -0.5): 0.0}), GeometryError, "the nearest is"),
+        (dict(supports={(0.0, -0.5, 0.0): 0.0}), GeometryError, "has 3 coordinates"),
+        (dict(supports={"S": 0.0}), ModelError, "a support on S"),
+        (dict(supports={"BOTTOM/UPPER": 0.0}), ModelError, "empty"),
+        (dict(tractions={"TOP": (1.0, 2.0, 3.0)}), ModelError, "needs 2 finite components"),
+        (dict(tractions={"TOP": lambda x, t: (1.0,)}), ModelError, "needs 2 components"),
+        (dict(tractions={"TOP": lambda x, t: (np.sin(x[0]), 0.0)}), ModelError, "use ufl.sin"),
+        (dict(tractions={"UP": (1.0, 2.0)}), GeometryError, "unknown facet tag 'UP'"),
+        (dict(tractions={"TOP/LOWER": (1.0, 2.0)}), ModelError, "this facet set is empty"),
+        (dict(body_force={"MIDDLE": (0.0, 1.0)}), ModelError, "unknown body 'MIDDLE'"),
+        (dict(body={"LOWER": BODY}), ModelError, "body 'UPPER' has no law"),
+        (dict(body={"LOWER": BODY, "UPER": BODY}), ModelError, "did you mean 'UPPER'"),
+        (dict(body=Anisotropic.springs(1.0, 1.0)), LawError, "in a body use frame='global'"),
+        (dict(plane="stres"), ModelError, "did you mean 'stress'"),
+        (dict(element="Q2"), ModelError, "does not exist on triangle cells; allowed: P1, P2"),
+        (dict(layer=GLUE), ModelError, "give layer=ThinLayer"),
+        (dict(layer=ThinLayer(Hardening(1.0, 1.0), 0.1), plane="stress"), LawError, "plane stress is not defined for Hardening"),
+    ],
+)
+def test_models_that_cannot_be_built(build, change, error, message):
+    with pytest.raises(error, match=message):
+        solve(build(JOINT, **(SETUP | change)))
+
+
+def test_unknown_option_of_a_model():
+    with pytest.raises(TypeError, match="traction"):
+        Model.full(JOINT, **SETUP, traction={})
+
+
+def test_compare_refuses_other_pairs():
+    full, limit = solve(Model.full(JOINT, **SETUP)), solve(Model.interface(JOINT, **SETUP))
+    with pytest.raises(ModelError, match="not interface and full"):
+        compare(limit, full)
+    other = sandwich(1.0, 0.5, 0.7, 0.5)
+    with pytest.raises(ModelError, match="same joint"):
+        compare(solve(Model.full(other, **SETUP)), limit)
+
+
+def test_compare_on_a_part_of_s():
+    full, limit = solve(Model.full(JOINT, **SETUP)), solve(Model.interface(JOINT, **SETUP))
+    inner = compare(full, limit, where=lambda x: ufl.And(ufl.gt(x[0], 0.25), ufl.lt(x[0], 0.75)))
+    outer = compare(full, limit, where=lambda x: ufl.Or(ufl.lt(x[0], 0.25), ufl.gt(x[0], 0.75)))
+    whole = compare(full, limit)
+    assert inner["jump"] ** 2 + outer["jump"] ** 2 == pytest.approx(whole["jump"] ** 2, rel=1e-9)
+    assert inner["error_jump"] != pytest.approx(outer["error_jump"], rel=1e-3)

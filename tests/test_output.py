@@ -1,0 +1,104 @@
+"""Tables, files and pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista
+import pytest
+from matplotlib.image import imread
+
+from forms import LawError
+from studies.problems import FOURIER_LAYER, fourier
+from thinlayer import Model, Surface, Table, ThinLayer, fields, plotting, solve, sweep
+
+
+def test_rows_are_committed_one_by_one(tmp_path):
+    seen = []
+
+    def run(eps):
+        seen.append((tmp_path / "t.csv").read_text() if seen else "")
+        if len(seen) == 3:
+            raise RuntimeError("the third run fails")
+        return {"eps": eps, "error_traction": eps**2, "error_jump": 3 * eps, "note": 1.0}
+
+    with pytest.raises(RuntimeError, match="third"):
+        sweep(run, [0.1, 0.4, 0.2], tmp_path / "t.csv")
+    assert seen[2].count("\n") == 3
+    table = Table.load(tmp_path / "t.csv")
+    assert table.columns == ["eps", "error_traction", "error_jump", "order_traction", "order_jump", "note"]
+    assert list(table["eps"]) == [0.4, 0.2]
+    assert table["order_traction"][1] == pytest.approx(2.0)
+    assert table["order_jump"][1] == pytest.approx(1.0)
+    assert np.isnan(table["order_jump"][0])
+
+
+@pytest.mark.parametrize("eps", [[], [0.1, 0.1], [0.0, 0.1], [float("inf")]])
+def test_sweep_refuses_bad_thicknesses(eps):
+    with pytest.raises(LawError, match="different thicknesses > 0"):
+        sweep(lambda e: {}, eps)
+
+
+def test_table():
+    table = Table([{"a": 1.0, "b": "x"}, {"a": 2.0, "b": None}])
+    assert "a" in str(table)
+    with pytest.raises(ValueError, match="does not fit"):
+        table.append({"a": 1.0})
+    with pytest.raises(KeyError, match="no column 'c'; columns: a, b"):
+        table["c"]
+
+
+@pytest.fixture(scope="module", params=[("triangle", "P1"), ("triangle", "P2"), ("quadrilateral", "S2")])
+def states(request):
+    cell, element = request.param
+    joint, setup = fourier(1 / 8, cell=cell)
+    layer = ThinLayer(FOURIER_LAYER, 0.1)
+    return [solve(build(joint, layer=layer, element=element, **setup)) for build in (Model.full, Model.interface)]
+
+
+def nodes_at(grid, height):
+    return grid.u[np.abs(grid.points[:, 1] - height) < 1e-12]
+
+
+def test_gathered_field_keeps_the_jump(states):
+    full, limit = states
+    grid = fields.gather(limit)
+    at_s = nodes_at(grid, 0.0)
+    x = grid.points[np.abs(grid.points[:, 1]) < 1e-12][:, 0]
+    assert len(x) == 2 * len(np.unique(x.round(12)))
+    surface = Surface(limit.model)
+    place, jump = surface.profile(surface.jump(limit))
+    order = np.lexsort((at_s[:, 1], x.round(12)))
+    first = at_s[order][:2]
+    assert abs(first[1, 1] - first[0, 1]) == pytest.approx(abs(jump[0, 1]), rel=2e-2)
+    assert place[0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert set(np.unique(fields.gather(full).region)) == {0, 1, -1}
+
+
+def test_files_for_paraview(states, tmp_path):
+    for state in states:
+        fields.write(state, tmp_path / f"{state.model.kind}.pvd")
+        fields.write(state, tmp_path / f"{state.model.kind}.bp")
+        assert any((tmp_path / f"{state.model.kind}.bp").iterdir())
+    grid = pyvista.read(next(tmp_path.glob("interface*.vtu")))
+    u = grid.point_data["u"]
+    at_s = np.abs(grid.points[:, 1]) < 1e-12
+    x, v = grid.points[at_s, 0], u[at_s, 1]
+    left = np.abs(x) < 1e-12
+    assert np.ptp(v[left]) > 1e-3  # both sides of S, 4.3e-3 apart
+    with pytest.raises(ValueError, match=r"allowed endings: \.bp"):
+        fields.write(states[0], tmp_path / "u.xdmf")
+
+
+def test_pictures(states, tmp_path):
+    full, limit = states
+    plotting.deformed({"meshed": full, "law": limit}, save=tmp_path / "d.png", component="y", title="t")
+    image = imread(tmp_path / "d.png")[..., :3]
+    red = (image[..., 0] > 0.7) & (image[..., 1] < 0.35) & (image[..., 2] < 0.45)
+    half = image.shape[1] // 2
+    assert red[:, :half].sum() > 500  # the outline of the meshed layer
+    assert red[:, half:].sum() < 50
+    with pytest.raises(ValueError, match="allowed: size, x, y, z"):
+        plotting.deformed(full, save=tmp_path / "e.png", component="normal")
+    with pytest.raises(ValueError, match="nothing to draw"):
+        plotting.deformed(full, save=tmp_path / "e.png", zoom=(5, 6, 5, 6))
+    assert not (tmp_path / "e.png").exists()

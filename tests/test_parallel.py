@@ -1,0 +1,59 @@
+"""The same numbers on 1, 2 and 3 ranks; studies and errors under mpirun."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CLONE = Path(__file__).parent.parent
+# an outer MPI process must not be taken for our parent
+CLEAN = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_RANK", "PMIX_NAMESPACE", "OMPI_COMM", "PRTE_"))}
+CLEAN |= {k: v for k, v in os.environ.items() if k.startswith("PRTE_MCA")}
+
+
+def mpirun(ranks: int, *command: str, cwd: Path = CLONE) -> subprocess.CompletedProcess:
+    environment = CLEAN | {"PYTHONPATH": str(CLONE), "OMP_NUM_THREADS": "1"}
+    words = ["mpirun", "-n", str(ranks), sys.executable, *command]
+    return subprocess.run(words, env=environment, cwd=cwd, capture_output=True, text=True, timeout=240)
+
+
+@pytest.fixture(scope="module")
+def serial():
+    return numbers(1)
+
+
+def numbers(ranks: int) -> dict[str, float]:
+    done = mpirun(ranks, "-m", "tests.parallel_norms")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_same_norms(serial, ranks):
+    assert numbers(ranks) == pytest.approx(serial, rel=1e-10)
+    assert len(serial) > 30
+
+
+def test_study_on_two_ranks(tmp_path):
+    done = mpirun(2, "-m", "thinlayer", "run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out", str(tmp_path / "two"))
+    one = mpirun(1, "-m", "thinlayer", "run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out", str(tmp_path / "one"))
+    assert (done.returncode, one.returncode) == (0, 0), done.stderr + one.stderr
+    assert done.stdout.count("error_traction") == 1
+    texts = [(tmp_path / name / "table.csv").read_text().splitlines() for name in ("two", "one")]
+    assert texts[0][0] == texts[1][0]
+    for a, b in zip(texts[0][1:], texts[1][1:], strict=True):
+        assert [float(x) for x in a.split(",") if x] == pytest.approx([float(x) for x in b.split(",") if x], rel=1e-9)
+    assert json.loads((tmp_path / "two" / "run.json").read_text())["ranks"] == 2
+    assert (tmp_path / "two" / "deformed.png").stat().st_size > 10_000
+
+
+def test_bad_input_on_two_ranks(tmp_path):
+    done = mpirun(2, "-m", "thinlayer", "run", "sweep_elastic", "--eps", "3", "--bodies", "extended", "--out", str(tmp_path / "x"))
+    assert done.returncode == 2
+    assert done.stderr.count("turn inside out") == 1
+    assert not (tmp_path / "x").exists()
