@@ -2,6 +2,7 @@
 
 from geometry.builders import block, sandwich
 from geometry.domain import Domain
+from geometry.inflation import inflate
 from geometry.joint import GeometryError, Joint
 
-__all__ = ["Domain", "GeometryError", "Joint", "block", "sandwich"]
+__all__ = ["Domain", "GeometryError", "Joint", "block", "inflate", "sandwich"]

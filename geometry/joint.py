@@ -6,16 +6,10 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geometry.topology import CELL_TYPES, FacetTable, FloatArray, IntArray, facet_normals
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
-
-    from geometry.domain import Domain
 
 S = "S"
 LAYER = "LAYER"
@@ -164,21 +158,6 @@ class Joint:
         normals = facet_normals(self.points, facets)
         towards = self.points[self.cells[above]].mean(axis=1) - self.points[facets].mean(axis=1)
         return normals * np.sign((normals * towards).sum(axis=1))[:, None]
-
-    def inflate(self, eps: float, *, layers: int = 4, strata: Sequence[float] = (), bodies: str = "kept") -> Joint:
-        """The same joint with S opened into a meshed layer of thickness eps.
-
-        See `geometry.inflate.inflate` for the parameters and errors.
-        """
-        from geometry.inflate import inflate
-
-        return inflate(self, eps, layers=layers, strata=strata, bodies=bodies)
-
-    def distribute(self, comm: MPI.Comm | None = None) -> Domain:
-        """The DOLFINx mesh with its tags, on the ranks of a communicator (default: the world). Collective."""
-        from geometry.domain import Domain
-
-        return Domain.of(self, comm)
 
     def rotated(self, angle: float) -> Joint:
         """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""

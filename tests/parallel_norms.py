@@ -22,7 +22,11 @@ def norms() -> dict[str, float]:
     push = {"TOP": lambda x, t: (0.5 * x[0], -1.0), "LEFT/UPPER": (0.2, 0.0)}
     structures = {
         "fourier P2": (*fourier(1 / 8), FOURIER_LAYER, {}),
-        "fourier S2 extended": (*fourier(1 / 8, cell="quadrilateral"), FOURIER_LAYER, {"element": "S2", "bodies": "extended"}),
+        "fourier S2 extended": (
+            *fourier(1 / 8, cell="quadrilateral"),
+            FOURIER_LAYER,
+            {"element": "S2", "bodies": "extended"},
+        ),
         "stack P1": (
             sandwich(1.0, 0.5, 0.7, 0.15, h_S=0.05).rotated(0.4),
             {"body": {"LOWER": soft, "UPPER": hard}, "supports": pinned, "tractions": push, "body_force": (0.0, -0.3)},

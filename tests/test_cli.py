@@ -35,7 +35,9 @@ def assert_drawn(path: Path) -> None:
 
 
 def test_list_is_light_and_matches_the_readme():
-    probe = "import sys; from thinlayer.cli import main; main(['list']); print(sorted(m for m in sys.modules if '.' not in m))"
+    probe = (
+        "import sys; from thinlayer.cli import main; main(['list']); print([m for m in sys.modules if '.' not in m])"
+    )
     done = subprocess.run([sys.executable, "-c", probe], cwd=CLONE, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     *listed, modules = done.stdout.splitlines()
@@ -50,7 +52,9 @@ def test_info():
     done = thinlayer("info")
     assert done.returncode == 0
     for name in ("fenics-dolfinx", "petsc", "gmsh", "pyvista"):
-        assert any(line.split()[0] == name and line.split()[1][0].isdigit() for line in done.stdout.splitlines()), done.stdout
+        assert any(line.split()[0] == name and line.split()[1][0].isdigit() for line in done.stdout.splitlines()), (
+            done.stdout
+        )
 
 
 def test_fig6(tmp_path):
@@ -72,8 +76,21 @@ def test_fig6(tmp_path):
 
 
 def test_sweep_with_options(tmp_path):
-    arguments = ("run", "sweep_elastic", "--quick", "--eps", "0.03125", "0.0625", "--bodies", "extended", "--out", tmp_path)
-    done = thinlayer(*arguments, "-thinlayer_ksp_type", "cg", "-thinlayer_pc_type", "jacobi", "-thinlayer_ksp_rtol", "1e-11")
+    arguments = (
+        "run",
+        "sweep_elastic",
+        "--quick",
+        "--eps",
+        "0.03125",
+        "0.0625",
+        "--bodies",
+        "extended",
+        "--out",
+        tmp_path,
+    )
+    done = thinlayer(
+        *arguments, "-thinlayer_ksp_type", "cg", "-thinlayer_pc_type", "jacobi", "-thinlayer_ksp_rtol", "1e-11"
+    )
     assert done.returncode == 0, done.stderr
     table = rows(tmp_path / "table.csv")
     assert list(table[0])[:5] == ["eps", "error_traction", "error_jump", "order_traction", "order_jump"]
@@ -103,7 +120,10 @@ def test_limits(tmp_path):
         (["run", "sweep_elastic", "--bodies", "keep"], "choose from"),
         (["run", "sweep_elastic", "--fast"], "unrecognized argument '--fast'"),
         (["run", "sweep_elastic", "-ksp_type", "cg"], "PETSc options start with -thinlayer_"),
-        (["run", "sweep_elastic", "--quick", "-thinlayer_ksp_typ", "cg"], "not read by the linear solver: -thinlayer_ksp_typ"),
+        (
+            ["run", "sweep_elastic", "--quick", "-thinlayer_ksp_typ", "cg"],
+            "not read by the linear solver: -thinlayer_ksp_typ",
+        ),
         (["list", "--all"], "unrecognized arguments: --all"),
         (["lst"], "invalid choice"),
     ],

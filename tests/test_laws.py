@@ -22,10 +22,16 @@ class Point:
     """A law as a function of jump and normal, compiled once: parameters, w and n are Constants."""
 
     def __init__(self, law, dim=2):
-        self.law, self.w, self.n = constants(law, CELL), fem.Constant(CELL, np.zeros(dim)), fem.Constant(CELL, np.ones(dim))
+        self.law, self.w, self.n = (
+            constants(law, CELL),
+            fem.Constant(CELL, np.zeros(dim)),
+            fem.Constant(CELL, np.ones(dim)),
+        )
         step = Step(jump_strain(self.w, self.n), self.n)
         t = ufl.dot(self.law.stress(step), lift(self.n))
-        self.values = fem.Expression(ufl.as_vector([*(t[i] for i in range(3)), self.law.energy(step)]), np.zeros((1, 2)))
+        self.values = fem.Expression(
+            ufl.as_vector([*(t[i] for i in range(3)), self.law.energy(step)]), np.zeros((1, 2))
+        )
 
     def __call__(self, law, w, n):
         """Traction (3,) and energy of a law of the same kind."""

@@ -8,7 +8,7 @@ import ufl
 from petsc4py import PETSc
 
 from forms import Anisotropic, Law, LawError, LinearElastic, Stack
-from geometry import GeometryError, sandwich
+from geometry import GeometryError, block, sandwich
 from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, solve
 
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
@@ -26,7 +26,9 @@ def measure(build, **change):
     """(|[u]|, |t|, energy of the bodies) of a model."""
     state = solve(build(JOINT, **(SETUP | change)))
     surface = Surface(Model.interface(JOINT, **(SETUP | change)))
-    return np.array([surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["bodies"]])
+    return np.array(
+        [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["bodies"]]
+    )
 
 
 def same(a, b):
@@ -59,7 +61,10 @@ def test_options_that_change_both_models(build, change):
     assert not same(measure(build), measure(build, **change))
 
 
-@pytest.mark.parametrize("change", [dict(bodies="extended"), dict(sublayers=2), dict(tractions={"TOP": (0.4, -0.9), "LEFT/LAYER": (0.3, 0.0)})])
+@pytest.mark.parametrize(
+    "change",
+    [dict(bodies="extended"), dict(sublayers=2), dict(tractions={"TOP": (0.4, -0.9), "LEFT/LAYER": (0.3, 0.0)})],
+)
 def test_options_that_change_the_full_model_only(change):
     assert same(measure(Model.interface), measure(Model.interface, **change))
     assert not same(measure(Model.full), measure(Model.full, **change))
@@ -81,7 +86,12 @@ def test_different_words_for_the_same_thing(build):
     assert same(reference, measure(build, tractions={"TOP": lambda x, t: (0.4, -0.9)}))
     assert same(reference, measure(build, body_force=(0.0, 0.0)))
     assert same(reference, measure(build, plane="strain", element="P2"))
-    assert same(reference, measure(build, layer=ThinLayer(Stack((0.3, GLUE), (0.7, GLUE)), 0.05)) if build is Model.interface else reference)
+    assert same(
+        reference,
+        measure(build, layer=ThinLayer(Stack((0.3, GLUE), (0.7, GLUE)), 0.05))
+        if build is Model.interface
+        else reference,
+    )
 
 
 def test_coordinates_of_loads_belong_to_the_bodies():
@@ -218,7 +228,11 @@ def test_failed_solves_say_why():
         (dict(plane="stres"), ModelError, "did you mean 'stress'"),
         (dict(element="Q2"), ModelError, "does not exist on triangle cells; allowed: P1, P2"),
         (dict(layer=GLUE), ModelError, "give layer=ThinLayer"),
-        (dict(layer=ThinLayer(Hardening(1.0, 1.0), 0.1), plane="stress"), LawError, "plane stress is not defined for Hardening"),
+        (
+            dict(layer=ThinLayer(Hardening(1.0, 1.0), 0.1), plane="stress"),
+            LawError,
+            "plane stress is not defined for Hardening",
+        ),
     ],
 )
 def test_models_that_cannot_be_built(build, change, error, message):
@@ -229,6 +243,34 @@ def test_models_that_cannot_be_built(build, change, error, message):
 def test_unknown_option_of_a_model():
     with pytest.raises(TypeError, match="traction"):
         Model.full(JOINT, **SETUP, traction={})
+
+
+def test_bonded_bodies_are_the_stiff_limit():
+    """Two bodies, and a body on a rigid base, which then does not move on S."""
+    for joint, name in ((JOINT, "BOTTOM"), (block(1.0, 0.7, 0.25), "RIGHT")):
+        setup = SETUP | {"supports": {name: 0.0}}
+        bonded = solve(Model.bonded(joint, **setup))
+        stiff = solve(Model.interface(joint, **(setup | {"layer": ThinLayer(Anisotropic.springs(1e9, 1e9), 1.0)})))
+        surface = Surface(stiff.model)
+        difference = surface.displacement(bonded).x.array - stiff.u.x.array
+        assert np.abs(difference).max() < 1e-6 * np.abs(stiff.u.x.array).max()
+        assert surface.norm(surface.jump(bonded)) < 1e-12
+        difference = surface.norm(surface.traction(bonded) - surface.traction(stiff))
+        assert difference < 1e-6 * surface.norm(surface.traction(stiff))
+    with pytest.raises(ModelError, match="needs an interface model"):
+        Surface(bonded.model)
+
+
+def test_components_held_by_a_side_support_are_left_out_of_the_traction():
+    """On both sides of S, even where only one is held: there the reaction is the support's too."""
+    change = {"supports": {"BOTTOM": 0.0, "LEFT/LOWER": {"x": 0.0}}}
+    for build in (Model.full, Model.interface):
+        state = solve(build(JOINT, **(SETUP | change)))
+        surface = Surface(Model.interface(JOINT, **(SETUP | change)))
+        x, t = surface.profile(surface.traction(state))
+        assert (x[0, 0], t[0, 0]) == pytest.approx((0.0, 0.0), abs=1e-12)
+        assert abs(t[0, 1]) > 1e-3
+        assert abs(t[1, 0]) > 1e-3
 
 
 def test_compare_refuses_other_pairs():

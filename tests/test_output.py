@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pyvista
 import pytest
+import pyvista
 from matplotlib.image import imread
 
 from forms import LawError

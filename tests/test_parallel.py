@@ -40,8 +40,12 @@ def test_same_norms(serial, ranks):
 
 
 def test_study_on_two_ranks(tmp_path):
-    done = mpirun(2, "-m", "thinlayer", "run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out", str(tmp_path / "two"))
-    one = mpirun(1, "-m", "thinlayer", "run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out", str(tmp_path / "one"))
+    done = mpirun(
+        2, "-m", "thinlayer", "run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out", str(tmp_path / "two")
+    )
+    one = mpirun(
+        1, "-m", "thinlayer", "run", "sweep_elastic", "--quick", "--eps", "0.1", "0.05", "--out", str(tmp_path / "one")
+    )
     assert (done.returncode, one.returncode) == (0, 0), done.stderr + one.stderr
     assert done.stdout.count("error_traction") == 1
     texts = [(tmp_path / name / "table.csv").read_text().splitlines() for name in ("two", "one")]
@@ -53,7 +57,9 @@ def test_study_on_two_ranks(tmp_path):
 
 
 def test_bad_input_on_two_ranks(tmp_path):
-    done = mpirun(2, "-m", "thinlayer", "run", "sweep_elastic", "--eps", "3", "--bodies", "extended", "--out", str(tmp_path / "x"))
+    done = mpirun(
+        2, "-m", "thinlayer", "run", "sweep_elastic", "--eps", "3", "--bodies", "extended", "--out", str(tmp_path / "x")
+    )
     assert done.returncode == 2
     assert done.stderr.count("turn inside out") == 1
     assert not (tmp_path / "x").exists()

@@ -18,6 +18,7 @@ from forms.elastic import Stack
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
+from geometry.inflation import inflate
 from geometry.joint import BASE, LAYER, Joint, S, unknown
 from geometry.topology import is_tensor
 from thinlayer.broken import broken_space, cell_colours, interface_measure
@@ -132,7 +133,7 @@ class Model:
     def _inflated(self, bodies: str, sublayers: int) -> Joint:
         if self.kind != "full" or self.layer is None:
             return self.joint
-        return self.joint.inflate(self.layer.eps, layers=sublayers, strata=self.layer.fractions, bodies=bodies)
+        return inflate(self.joint, self.layer.eps, layers=sublayers, strata=self.layer.fractions, bodies=bodies)
 
     # ---------------------------------------------------------------- spaces
     @cached_property

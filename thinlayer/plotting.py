@@ -28,6 +28,8 @@ from thinlayer.state import State
 from thinlayer.table import Table
 
 DPI = 150
+SUBDIVISION = 3  # of curved cells, for drawing
+LARGEST = 0.05  # drawn displacement, in units of the structure
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
 
@@ -98,7 +100,7 @@ def curves(
 def _finish(figure: Figure, save: str | Path | None) -> Figure:
     if save and MPI.COMM_WORLD.rank == 0:
         Path(save).parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(save, dpi=DPI)
+        figure.savefig(save, dpi=DPI, bbox_inches="tight")
     plt.close(figure)
     return figure
 
@@ -124,7 +126,7 @@ def deformed(
         states: label -> state, or one state. Collective.
         save: PNG file.
         component: "size", "x", "y" or "z".
-        scale: factor of the displacements (default: the largest is a tenth of the structure).
+        scale: factor of the displacements (default: the largest is a twentieth of the structure).
         title: text over the picture.
         unit: unit of the displacements, for the colour bar.
         zoom: (x_min, x_max, y_min, y_max) part to show, in deformed coordinates.
@@ -135,7 +137,7 @@ def deformed(
         return
     first = next(iter(grids.values()))
     largest = max(np.linalg.norm(g.u, axis=1).max() for g in grids.values())
-    scale = scale or (0.1 * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0)
+    scale = scale or (LARGEST * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0)
     values = {label: _component(grid, component) for label, grid in grids.items()}
     places = np.concatenate([g.points + scale * g.u for g in grids.values()])
     x0, x1, y0, y1 = zoom or (*_range(places[:, 0]), *_range(places[:, 1]))
@@ -167,7 +169,8 @@ def deformed(
         pad=0.02,
         label=f"{name}; drawn displacements x {scale:.3g}",
     )
-    figure.suptitle(title)
+    if title:
+        figure.suptitle(title)
     _finish(figure, save)
 
 
@@ -194,15 +197,12 @@ def _render(
     plotter = pyvista.Plotter(off_screen=True, window_size=[round(pixels * (x1 - x0)), round(pixels * (y1 - y0))])
     mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
     mesh.point_data["u"] = values
-    plotter.add_mesh(mesh, scalars="u", clim=limits, cmap="viridis", show_scalar_bar=False, lighting=False)
     for number in np.unique(grid.region)[::-1]:
         part = mesh.extract_cells(grid.region == number)
-        outline = (
-            part.linear_copy()
-            .extract_surface(algorithm=None)
-            .extract_feature_edges(
-                boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
-            )
+        surface = part.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION).clean()
+        plotter.add_mesh(surface, scalars="u", clim=limits, cmap="viridis", show_scalar_bar=False, lighting=False)
+        outline = surface.extract_feature_edges(
+            boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
         )
         plotter.add_mesh(outline, color="crimson" if number < 0 else "black", line_width=4 if number < 0 else 3)
     if len(grid.base):

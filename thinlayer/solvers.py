@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import dolfinx.fem.petsc
@@ -15,7 +14,7 @@ from petsc4py import PETSc
 from forms.work import work
 from thinlayer.model import Model
 from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read
-from thinlayer.state import State
+from thinlayer.state import Report, State
 
 LINEAR: dict[str, OptionValue] = {
     "ksp_type": "preonly",
@@ -36,23 +35,6 @@ REFINED_RESIDUAL = 1e-15
 
 class SolveError(RuntimeError):
     """A solve that did not converge: PETSc's reason, the last residual, and what to try."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """How a solve went.
-
-    Attributes:
-        method: "linear" or "newton".
-        iterations: Newton steps, or Krylov iterations of a linear solve.
-        residual: norm of the residual over that of the loads (linear) or over the first residual (Newton).
-        seconds: wall time of assembling and solving.
-    """
-
-    method: str
-    iterations: int
-    residual: float
-    seconds: float
 
 
 def solve(

@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
 
 from forms.work import energy
 from thinlayer.exchange import carry
+from thinlayer.model import Model
 
-if TYPE_CHECKING:
-    from thinlayer.model import Model
-    from thinlayer.solvers import Report
+
+@dataclass(frozen=True)
+class Report:
+    """How a solve went.
+
+    Attributes:
+        method: "linear" or "newton".
+        iterations: Newton steps, or Krylov iterations of a linear solve.
+        residual: norm of the residual over that of the loads (linear) or over the first residual (Newton).
+        seconds: wall time of assembling and solving.
+    """
+
+    method: str
+    iterations: int
+    residual: float
+    seconds: float
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -14,6 +15,7 @@ from petsc4py import PETSc
 
 from forms.kinematics import Expr
 from forms.work import Interface, work
+from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
@@ -44,15 +46,21 @@ class Surface:
 
     Attributes:
         model: an interface model.
+
+    Raises:
+        ModelError: another kind of model.
     """
 
     model: Model
 
+    def __post_init__(self) -> None:
+        if self.model.kind != "interface":
+            raise ModelError(f"Surface needs an interface model, not {self.model!r}")
+
     @property
     def sides(self) -> Interface:
         """The two sides of S."""
-        assert self.model.sides is not None, "Surface needs an interface model"
-        return self.model.sides
+        return cast(Interface, self.model.sides)
 
     @cached_property
     def trace_space(self) -> fem.FunctionSpace:

@@ -43,7 +43,7 @@ class _Levels:
         return out
 
 
-def inflate(joint: Joint, eps: float, *, layers: int, strata: Sequence[float], bodies: str) -> Joint:
+def inflate(joint: Joint, eps: float, *, layers: int = 4, strata: Sequence[float] = (), bodies: str = "kept") -> Joint:
     """Open S into a meshed layer.
 
     Args:
