@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -43,6 +44,13 @@ class Law:
     powers: ClassVar[Mapping[str, float]] = {}
     linear: ClassVar[bool] = False
     symmetric: ClassVar[bool] = True
+
+    def __new__(cls, *_: Any, **named: Any) -> Self:
+        known = [name for name in inspect.signature(cls.__init__).parameters if name != "self"]
+        for name in named:
+            if name not in known:
+                raise LawError(f"{cls.__name__} has no parameter {name!r}; known: {', '.join(known)}")
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         self.check()

@@ -35,8 +35,16 @@ def run(
         return row
 
     table = sweep(compare_at, eps, record.path("table.csv"))
-    plotting.rates(table, save=record.path("rates.png"), title=f"elastic layer, bodies {bodies}")
+    draw(record)
     record.say(table)
     if len(eps) > 1:
         for name in ("traction", "jump"):
             record.check(f"last observed order of the {name}", table[f"order_{name}"][-1], low=0.95, high=1.05)
+
+
+def draw(record: Record) -> None:
+    """Draw the rates from table.csv."""
+    if record.root:
+        plotting.rates(
+            record.path("table.csv"), save=record.path("rates.png"), title="elastic layer between two blocks"
+        )

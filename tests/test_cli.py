@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import subprocess
@@ -102,10 +103,23 @@ def test_sweep_with_options(tmp_path):
     assert_drawn(tmp_path / "rates.png")
 
 
-def test_limits(tmp_path):
+def test_limits_and_drawing_again(tmp_path):
     done = thinlayer("run", "limits", "--quick", "--out", tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert_drawn(tmp_path / "bonded.png")
+    (tmp_path / "bonded.png").unlink()
+    table = (tmp_path / "table.csv").read_bytes()
+    assert thinlayer("draw", "limits", "--out", tmp_path).returncode == 0
+    assert_drawn(tmp_path / "bonded.png")
+    assert (tmp_path / "table.csv").read_bytes() == table
+    assert "run the study first" in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
+
+
+@pytest.mark.parametrize("name", sorted(studies()))
+def test_every_study_can_be_drawn_again(name):
+    assert "draw" in {
+        node.name for node in ast.parse((CLONE / "studies" / f"{name}.py").read_text()).body if hasattr(node, "name")
+    }
 
 
 @pytest.mark.parametrize(

@@ -158,5 +158,5 @@ def test_parameters_out_of_range(build, message):
 
 
 def test_unknown_law_parameter():
-    with pytest.raises(TypeError, match="lamda"):
+    with pytest.raises(LawError, match="LinearElastic has no parameter 'lamda'; known: lmbda, mu"):
         LinearElastic(lamda=1.0, mu=1.0)

@@ -241,8 +241,13 @@ def test_models_that_cannot_be_built(build, change, error, message):
 
 
 def test_unknown_option_of_a_model():
-    with pytest.raises(TypeError, match="traction"):
-        Model.full(JOINT, **SETUP, traction={})
+    for build in (Model.full, Model.interface, Model.bonded):
+        with pytest.raises(
+            ModelError, match=r"unknown option of a model 'traction', did you mean 'tractions'"
+        ):
+            build(JOINT, **SETUP, traction={})
+        with pytest.raises(ModelError, match="a model needs supports"):
+            build(JOINT, body=BODY, layer=SETUP["layer"])
 
 
 def test_bonded_bodies_are_the_stiff_limit():

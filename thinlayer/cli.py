@@ -28,6 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         width = max(map(len, studies()))
         print("\n".join(f"{study.name:<{width}}  {study.summary}" for study in studies().values()))
         return OK
+    if chosen.command == "draw":
+        _refuse(parser, rest)
+        return _draw(parser, chosen)
     if chosen.command == "info":
         _refuse(parser, rest)
         return _info()
@@ -41,6 +44,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     commands.add_parser("list", help="the studies, a line each")
     commands.add_parser("info", help="versions of everything results depend on")
+    draw = commands.add_parser("draw", help="draw a study's curves again from the tables of an earlier run")
+    draw.add_argument("study", metavar="STUDY", help="name, see the command list")
+    draw.add_argument("--out", type=Path, metavar="DIR", help="folder of the run (default: out/STUDY)")
     run = commands.add_parser(
         "run",
         help="run a study",
@@ -63,11 +69,27 @@ def _refuse(parser: argparse.ArgumentParser, rest: Sequence[str]) -> None:
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
 
 
-def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
+def _study(parser: argparse.ArgumentParser, name: str) -> Study:
     known = studies()
-    if chosen.study not in known:
-        parser.error(f"unknown study {chosen.study!r}; known: {', '.join(known)}")
-    study = known[chosen.study]
+    if name not in known:
+        parser.error(f"unknown study {name!r}; known: {', '.join(known)}")
+    return known[name]
+
+
+def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
+    study = _study(parser, chosen.study)
+    out = chosen.out or Path("out") / study.name
+    if not (out / "table.csv").is_file():
+        parser.error(f"no table.csv in {out}; run the study first")
+    from thinlayer.record import Record
+
+    importlib.import_module(f"studies.{study.name}").draw(Record(study.name, out, {}))
+    print(f"drawn again in {out}")
+    return OK
+
+
+def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
+    study = _study(parser, chosen.study)
     given = {name: getattr(chosen, name) for name in ("eps", "bodies", "quick") if getattr(chosen, name) is not None}
     _check_options(parser, study, given)
     petsc = _petsc_options(parser, rest)

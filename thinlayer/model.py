@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -24,6 +25,7 @@ from geometry.topology import is_tensor
 from thinlayer.broken import broken_space, cell_colours, interface_measure
 from thinlayer.layer import ThinLayer, constants, in_plane
 from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports, vector
+from thinlayer.rigid import require_support
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 PLANES = ("strain", "stress")
@@ -92,7 +94,8 @@ class Model:
         self.layer_points = self._layer_points()
         self._tractions = self._check_tractions(tractions or {})
         self._body_forces = self._check_body_forces(body_force)
-        self._check_rigid_motion()
+        if not joint.rigid_base:
+            require_support(self.V, joint, self.supports.held(self.V))
 
     @classmethod
     def full(cls, joint: Joint, **data: Any) -> Model:
@@ -115,12 +118,12 @@ class Model:
         Raises:
             ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
         """
-        return cls(joint, "full", **data)
+        return cls(joint, "full", **_known(data))
 
     @classmethod
     def interface(cls, joint: Joint, **data: Any) -> Model:
         """The model whose layer is replaced by its interface law on S; arguments and errors as in `full`."""
-        return cls(joint, "interface", **data)
+        return cls(joint, "interface", **_known(data))
 
     @classmethod
     def bonded(cls, joint: Joint, **data: Any) -> Model:
@@ -128,7 +131,7 @@ class Model:
 
         Arguments and errors as in `full`; the layer is ignored.
         """
-        return cls(joint, "bonded", **data)
+        return cls(joint, "bonded", **_known(data))
 
     def _inflated(self, bodies: str, sublayers: int) -> Joint:
         if self.kind != "full" or self.layer is None:
@@ -250,47 +253,19 @@ class Model:
             form += ufl.inner(traction, v) * self._ds(values)
         return form
 
-    # ---------------------------------------------------------------- rigid motions
-    @cached_property
-    def rigid_motions(self) -> list[fem.Function]:
-        """Rigid motions of the whole structure: translations, then rotations about its centre (scaled to its size)."""
-        d = self.joint.dim
-        points = self.domain.joint.points
-        centre, size = points.mean(axis=0), np.ptp(points, axis=0).max()
-        motions: list[Any] = [
-            lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)]) for i in range(d)
-        ]
-
-        def rotation(x: np.ndarray, i: int, j: int) -> np.ndarray:
-            out = np.zeros((d, x.shape[1]))
-            out[i], out[j] = -(x[j] - centre[j]) / size, (x[i] - centre[i]) / size
-            return out
-
-        motions += [lambda x, i=i, j=j: rotation(x, i, j) for i in range(d) for j in range(i + 1, d)]
-        out = []
-        for motion in motions:
-            f = fem.Function(self.V)
-            f.interpolate(motion)
-            f.x.scatter_forward()
-            out.append(f)
-        return out
-
-    def _check_rigid_motion(self) -> None:
-        if self.joint.rigid_base:
-            return
-        owned = self.V.dofmap.index_map.size_local * self.V.dofmap.index_map_bs
-        held = self.supports.held(self.V)
-        rows = np.array([f.x.array[held[held < owned]] for f in self.rigid_motions])
-        gram = self.comm.allreduce(rows @ rows.T)
-        values, vectors = np.linalg.eigh(gram)
-        if values[0] <= 1e-10 * max(values[-1], 1.0):
-            parts = [
-                *(f"translation {a}" for a in self.supports.axes),
-                *(["rotation"] if self.joint.dim == 2 else ["rotation xy", "rotation xz", "rotation yz"]),
-            ]
-            free = parts[int(np.argmax(np.abs(vectors[:, 0])))]
-            raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")
-
     def __repr__(self) -> str:
         dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs
         return f"Model.{self.kind}({self.element}, {dofs} unknowns)"
+
+
+def _known(data: dict[str, Any]) -> dict[str, Any]:
+    """The data of a model, if all names in it are known and none that it needs is missing."""
+    parameters = inspect.signature(Model.__init__).parameters
+    options = {name: p for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
+    for name in data:
+        if name not in options:
+            raise ModelError(unknown("option of a model", name, options))
+    for name, parameter in options.items():
+        if parameter.default is parameter.empty and name not in data:
+            raise ModelError(f"a model needs {name}=...")
+    return data

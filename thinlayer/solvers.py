@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from forms.work import work
 from thinlayer.model import Model
 from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read
+from thinlayer.rigid import rigid_motions
 from thinlayer.state import Report, State
 
 LINEAR: dict[str, OptionValue] = {
@@ -82,7 +83,7 @@ def _mark(A: PETSc.Mat, model: Model) -> None:
 
 def _orthonormal(model: Model) -> list[PETSc.Vec]:
     basis: list[PETSc.Vec] = []
-    for motion in model.rigid_motions:
+    for motion in rigid_motions(model.V, model.joint).values():
         v = motion.x.petsc_vec.copy()
         for b in basis:
             v.axpy(-v.dot(b), b)
