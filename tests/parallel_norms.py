@@ -33,6 +33,16 @@ def norms() -> dict[str, float]:
             Stack((0.3, soft), (0.7, hard)),
             {"element": "P1"},
         ),
+        "fewer cells than ranks": (
+            sandwich(1.0, 1.0, 1.0, 1.0, cell="quadrilateral"),
+            {
+                "body": hard,
+                "supports": {"BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2}},
+                "tractions": {"TOP": (1.0, 2.0)},
+            },
+            soft,
+            {"element": "Q1"},
+        ),
         "block Q2": (
             block(2.0, 1.0, 0.3, h_S=0.1, cell="quadrilateral"),
             {"body": hard, "supports": {"RIGHT": {"x": 0.0}}, "tractions": {"LEFT": (1.0, 0.0)}},

@@ -242,9 +242,7 @@ def test_models_that_cannot_be_built(build, change, error, message):
 
 def test_unknown_option_of_a_model():
     for build in (Model.full, Model.interface, Model.bonded):
-        with pytest.raises(
-            ModelError, match=r"unknown option of a model 'traction', did you mean 'tractions'"
-        ):
+        with pytest.raises(ModelError, match=r"unknown option of a model 'traction', did you mean 'tractions'"):
             build(JOINT, **SETUP, traction={})
         with pytest.raises(ModelError, match="a model needs supports"):
             build(JOINT, body=BODY, layer=SETUP["layer"])

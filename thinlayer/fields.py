@@ -60,9 +60,11 @@ def gather(state: State) -> Grid:
     n_layers = len(model.domain.layer_regions)
     first_layer = len(model.domain.joint.regions) - n_layers
     region = np.where(region >= first_layer, first_layer - region - 1, region) if n_layers else region
-    pieces = model.comm.gather((points, values, cells.reshape(len(types), -1), types, region), root=0)
+    rows = cells.reshape(len(types), -1) if len(types) else None
+    pieces = model.comm.gather((points, values, rows, types, region), root=0)
     if pieces is None:
         return Grid(points[:0], values[:0], cells[:0], types[:0], region[:0], np.empty((0, 2, 3)))
+    pieces = [piece for piece in pieces if piece[2] is not None]  # a rank may have no cells
     shifted, offset = [], 0
     for x, _, c, _, _ in pieces:
         c = c.copy()

@@ -162,7 +162,8 @@ class Conditions:
         entries = [components.get(axis, 0.0) for axis in supports.axes]
         if any(callable(entry) for entry in entries):
             scalars = [_call(e, supports.at, f"support on {place!r}") if callable(e) else e for e in entries]
-            expression = ufl.as_vector([ufl.as_ufl(s) for s in scalars])
+            on_mesh = fem.Constant(V.mesh, np.zeros(len(scalars)))  # a function may give plain numbers
+            expression = ufl.as_vector([ufl.as_ufl(s) for s in scalars]) + on_mesh
             self._varying.append((value, fem.Expression(expression, interpolation_points(V))))
         elif any(entries):
             numbers = np.array(entries, float)

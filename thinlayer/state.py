@@ -67,7 +67,7 @@ def cell_values(f: fem.Function, cells: np.ndarray) -> np.ndarray:
     """Degrees of freedom of local cells, (n, dofs per cell)."""
     dofmap = f.function_space.dofmap
     blocks = dofmap.list[cells]
-    return f.x.array.reshape(-1, dofmap.bs)[blocks].reshape(len(cells), -1)
+    return f.x.array.reshape(-1, dofmap.bs)[blocks].reshape(len(cells), blocks.shape[1] * dofmap.bs)
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
