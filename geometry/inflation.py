@@ -96,15 +96,20 @@ def inflate(joint: Joint, eps: float, *, layers: int = 4, strata: Sequence[float
     )
 
 
-def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodies: str) -> None:
-    if joint.band is not None:
-        raise GeometryError("this joint is inflated already; inflate the joint it came from")
+def check_layering(layers: int, bodies: str) -> None:
+    """Raise GeometryError if the number of cells through the thickness or the way to make room is out of range."""
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
+    if not np.isfinite(layers) or int(layers) != layers or layers < 1:
+        raise GeometryError(f"layers is {layers}; the layer needs a whole number >= 1 of cells through its thickness")
+
+
+def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodies: str) -> None:
+    check_layering(layers, bodies)
+    if joint.band is not None:
+        raise GeometryError("this joint is inflated already; inflate the joint it came from")
     if not np.isfinite(eps) or eps <= 0:
         raise GeometryError(f"the layer's thickness eps is {eps}; it must be > 0")
-    if int(layers) != layers or layers < 1:
-        raise GeometryError(f"layers is {layers}; the layer needs a whole number >= 1 of cells through its thickness")
     if len(strata) and (min(strata) <= 0 or abs(sum(strata) - 1) > 1e-12):
         raise GeometryError(f"the strata's fractions {tuple(strata)} must be > 0 and add up to 1")
     inner = np.unique(joint.cells[joint.side < 0]) if joint.lower else np.empty(0, np.int64)

@@ -225,6 +225,8 @@ def test_failed_solves_say_why():
         (dict(body={"LOWER": BODY}), ModelError, "body 'UPPER' has no law"),
         (dict(body={"LOWER": BODY, "UPER": BODY}), ModelError, "did you mean 'UPPER'"),
         (dict(body=Anisotropic.springs(1.0, 1.0)), LawError, "in a body use frame='global'"),
+        (dict(bodies="keep"), GeometryError, "did you mean 'kept'"),
+        (dict(sublayers=0), GeometryError, "whole number >= 1"),
         (dict(plane="stres"), ModelError, "did you mean 'stress'"),
         (dict(element="Q2"), ModelError, "does not exist on triangle cells; allowed: P1, P2"),
         (dict(layer=GLUE), ModelError, "give layer=ThinLayer"),

@@ -19,7 +19,7 @@ from forms.elastic import Stack
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.inflation import inflate
+from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, LAYER, Joint, S, unknown
 from geometry.topology import is_tensor
 from thinlayer.broken import broken_space, cell_colours, interface_measure
@@ -76,6 +76,7 @@ class Model:
         if plane == "stress" and joint.dim == 3:
             raise ModelError("plane='stress' needs a two-dimensional joint")
         self.element = element
+        check_layering(sublayers, bodies)
         laws = self._body_laws(body)
         self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
         self.comm = self.domain.mesh.comm
