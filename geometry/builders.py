@@ -31,7 +31,7 @@ def block(
     cell: str = "triangle",
     structured: bool = False,
     arrangement: str = "Right",
-    comm: MPI.Comm | None = None,
+    comm: MPI.Intracomm | None = None,
 ) -> Joint:
     """A rectangular body (0, width) x (0, height) standing on a rigid base; S is its bottom side. Collective.
 
@@ -66,7 +66,7 @@ def sandwich(
     cell: str = "triangle",
     structured: bool = False,
     arrangement: str = "Right",
-    comm: MPI.Comm | None = None,
+    comm: MPI.Intracomm | None = None,
 ) -> Joint:
     """Two rectangular bodies, stacked: (0, width) x (-lower, 0) and (0, width) x (0, upper); S at height 0. Collective.
 
@@ -84,7 +84,7 @@ def sandwich(
     return on_root(comm, shape.build)
 
 
-def on_root(comm: MPI.Comm | None, build: Callable[[], T]) -> T:
+def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
     """Result of a function run on rank 0 only, on every rank; its exception too. Collective."""
     comm = comm or MPI.COMM_WORLD
     result: T | Exception | None = None

@@ -24,7 +24,7 @@ def _partitioner() -> Callable[..., Any]:
         return create(mode, 2)
 
 
-def create_mesh(comm: MPI.Comm, points: FloatArray, cells: IntArray, cell_type: str) -> dolfinx.mesh.Mesh:
+def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str) -> dolfinx.mesh.Mesh:
     """Distribute straight-sided cells given on rank 0 (other ranks: any value). Collective."""
     dim = points.shape[1]
     if comm.rank:

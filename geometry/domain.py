@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -29,6 +30,8 @@ class Domain:
         facet_tags: one value per combination of names.
         facet_values: name -> the values of `facet_tags` it stands for.
         original_cells: for each local cell (ghosts included) its number in `joint.cells`.
+        comm: communicator for everything of ours. Not the mesh's own: when Python's garbage collector frees a mesh
+            amid a pickled collective, mpi4py 4.0 waits for itself if the mesh's communicator was ever used for one.
     """
 
     joint: Joint
@@ -37,17 +40,20 @@ class Domain:
     facet_tags: dolfinx.mesh.MeshTags
     facet_values: Mapping[str, tuple[int, ...]]
     original_cells: IntArray
+    comm: MPI.Intracomm
 
     @classmethod
-    def of(cls, joint: Joint, comm: MPI.Comm | None = None) -> Domain:
+    def of(cls, joint: Joint, comm: MPI.Intracomm | None = None) -> Domain:
         """Distribute a joint. Collective."""
         comm = comm or MPI.COMM_WORLD
+        if comm.size > 1:
+            gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
         mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type)
         cell_tags = create_tags(mesh, joint.dim, joint.cells, (joint.region + 1).astype(np.int32))
         facets, combination, values = _name_combinations(joint)
         facet_tags = create_tags(mesh, joint.dim - 1, facets, combination)
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
-        return cls(joint, mesh, cell_tags, facet_tags, values, original)
+        return cls(joint, mesh, cell_tags, facet_tags, values, original, comm)
 
     def cell_values(self, *regions: str) -> tuple[int, ...]:
         """Values of `cell_tags` of regions."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms import Anisotropic, Law, LawError, LinearElastic, Stack
@@ -276,6 +277,16 @@ def test_components_held_by_a_side_support_are_left_out_of_the_traction():
         assert (x[0, 0], t[0, 0]) == pytest.approx((0.0, 0.0), abs=1e-12)
         assert abs(t[0, 1]) > 1e-3
         assert abs(t[1, 0]) > 1e-3
+
+
+def test_meshes_communicators_are_not_used_for_pickled_collectives():
+    """If they were, freeing a mesh amid another pickled collective could deadlock mpi4py 4.0 (`Domain.comm`)."""
+    full, limit = solve(Model.full(JOINT, **SETUP)), solve(Model.interface(JOINT, **SETUP))
+    compare(full, limit)
+    Surface(limit.model).profile(Surface(limit.model).jump(full))
+    for state in (full, limit):
+        assert MPI._lock_table(state.model.domain.mesh.comm) == {}
+    assert MPI._lock_table(MPI.COMM_WORLD)  # that is where they leave their locks
 
 
 def test_compare_refuses_other_pairs():

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from mpi4py import MPI
 
 from thinlayer.compat import index_map, interior_facet_entities, space_with_dofmap
 from thinlayer.exchange import ask
@@ -33,15 +34,16 @@ def cell_colours(mesh: Mesh, cell_tags: dolfinx.mesh.MeshTags, groups: Sequence[
     return colours.array.copy()
 
 
-def broken_space(mesh: Mesh, element: Any, colours: Colours) -> fem.FunctionSpace:
+def broken_space(comm: MPI.Intracomm, mesh: Mesh, element: Any, colours: Colours) -> fem.FunctionSpace:
     """Space of an element, continuous inside each colour, discontinuous between colours. Collective.
 
     Args:
+        comm: the domain's communicator.
         mesh: the mesh, with ghost cells across shared facets.
         element: a basix.ufl element.
         colours: colour >= 0 of each local cell, ghosts included.
     """
-    comm, rank = mesh.comm, mesh.comm.rank
+    rank = comm.rank
     whole = fem.functionspace(mesh, element)
     base_map, base_dofs = whole.dofmap.index_map, np.asarray(whole.dofmap.list, np.int64)
     n_colours = comm.allreduce(int(colours.max(initial=0)) + 1, op=max)
@@ -89,11 +91,12 @@ def _elect(questions: npt.NDArray[np.int64], source: npt.NDArray[np.int64], rank
 
 
 def interface_measure(
-    mesh: Mesh, facets: npt.NDArray[np.int32], colours: Colours, tag: int = 1
+    comm: MPI.Intracomm, mesh: Mesh, facets: npt.NDArray[np.int32], colours: Colours, tag: int = 1
 ) -> tuple[ufl.Measure, npt.NDArray[np.int32]]:
     """dS over facets between two colours, with "+" the higher colour on each of them. Collective.
 
     Args:
+        comm: the domain's communicator.
         mesh: the mesh.
         facets: local facets of the interface (ghosts allowed, each is integrated once).
         colours: colour of each local cell.
@@ -108,7 +111,7 @@ def interface_measure(
     owned = facets[facets < topology.index_map(topology.dim - 1).size_local]
     entities = interior_facet_entities(mesh, np.sort(owned))
     equal = (colours[entities[:, 0]] == colours[entities[:, 2]]).sum() if len(entities) else 0
-    lost, equal = mesh.comm.allreduce(np.array([len(owned) - len(entities), equal]))
+    lost, equal = comm.allreduce(np.array([len(owned) - len(entities), equal]))
     if lost or equal:
         raise RuntimeError(
             f"interface: {lost} facets with one local cell, {equal} facets between cells of equal colour"

@@ -22,7 +22,7 @@ def _first(*calls: Callable[[], Any]) -> Any:
     return calls[-1]()
 
 
-def index_map(comm: MPI.Comm, n: int, ghosts: npt.NDArray[np.int64], owners: npt.NDArray[np.int32]) -> Any:
+def index_map(comm: MPI.Intracomm, n: int, ghosts: npt.NDArray[np.int64], owners: npt.NDArray[np.int32]) -> Any:
     """Index map of n owned indices and ghosts given by global number and owner. Collective."""
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     return _first(lambda: cpp.common.IndexMap(*arguments), lambda: cpp.common.IndexMap(*arguments, 1801))

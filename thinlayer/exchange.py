@@ -12,7 +12,7 @@ from mpi4py import MPI
 Array = npt.NDArray[Any]
 
 
-def ask(comm: MPI.Comm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
+def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
     """Send question k to rank[k] and return the answers in the same order. Collective.
 
     Args:
@@ -33,7 +33,7 @@ def ask(comm: MPI.Comm, rank: Array, questions: Array, answer: Callable[[Array, 
     return out
 
 
-def carry(comm: MPI.Comm, cells: Array, values: Array, wanted: Array) -> Array:
+def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Array:
     """Values of cells known by their original numbers, for whoever wants them. Collective.
 
     Args:

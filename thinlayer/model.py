@@ -62,7 +62,7 @@ class Model:
         element: str | None = None,
         bodies: str = "kept",
         sublayers: int = 4,
-        comm: MPI.Comm | None = None,
+        comm: MPI.Intracomm | None = None,
     ) -> None:
         if plane not in PLANES:
             raise ModelError(unknown("plane", plane, PLANES))
@@ -79,7 +79,7 @@ class Model:
         check_layering(sublayers, bodies)
         laws = self._body_laws(body)
         self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
-        self.comm = self.domain.mesh.comm
+        self.comm = self.domain.comm
         mesh = self.domain.mesh
         self.V = self.space(2 if element[1] == "2" else 1, family="S" if element[0] == "S" else None)
         self.coordinates = Coordinates.of(self.domain)
@@ -96,7 +96,7 @@ class Model:
         self._tractions = self._check_tractions(tractions or {})
         self._body_forces = self._check_body_forces(body_force)
         if not joint.rigid_base:
-            require_support(self.V, joint, self.supports.held(self.V))
+            require_support(self.comm, self.V, joint, self.supports.held(self.V))
 
     @classmethod
     def full(cls, joint: Joint, **data: Any) -> Model:
@@ -165,7 +165,8 @@ class Model:
         """
         mesh = self.domain.mesh
         element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(self.joint.dim,))
-        return broken_space(mesh, element, self._broken_colours if broken_at_faces else self._colours)
+        colours = self._broken_colours if broken_at_faces else self._colours
+        return broken_space(self.comm, mesh, element, colours)
 
     # ---------------------------------------------------------------- where laws act
     def _clamped(self) -> tuple[str, ...]:
@@ -188,7 +189,7 @@ class Model:
         mesh, facets = self.domain.mesh, self.domain.facets(S)
         if self.joint.rigid_base:
             return forms.Interface.on_rigid_base(mesh, self._ds(self.domain.values(S)))
-        measure, _ = interface_measure(mesh, facets, self._colours)
+        measure, _ = interface_measure(self.comm, mesh, facets, self._colours)
         return forms.Interface.between_bodies(mesh, measure)
 
     def _layer_points(self) -> list[forms.Points]:

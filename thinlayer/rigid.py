@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+from mpi4py import MPI
 
 from geometry.joint import Joint
 from thinlayer.loads import AXES, ModelError
@@ -40,12 +41,12 @@ def _rotation(
     return out
 
 
-def require_support(V: fem.FunctionSpace, joint: Joint, held: npt.NDArray[np.int32]) -> None:
+def require_support(comm: MPI.Intracomm, V: fem.FunctionSpace, joint: Joint, held: npt.NDArray[np.int32]) -> None:
     """Raise ModelError if a rigid motion moves none of the held degrees of freedom. Collective."""
     motions = rigid_motions(V, joint)
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
     rows = np.array([f.x.array[held[held < owned]] for f in motions.values()])
-    values, vectors = np.linalg.eigh(V.mesh.comm.allreduce(rows @ rows.T))
+    values, vectors = np.linalg.eigh(comm.allreduce(rows @ rows.T))
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]
         raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")
