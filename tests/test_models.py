@@ -279,14 +279,18 @@ def test_components_held_by_a_side_support_are_left_out_of_the_traction():
         assert abs(t[1, 0]) > 1e-3
 
 
+LOCKS = getattr(MPI, "_comm_lock_table", None) or getattr(MPI, "_lock_table", None)
+
+
+@pytest.mark.skipif(LOCKS is None, reason="this mpi4py does not show its locks")
 def test_meshes_communicators_are_not_used_for_pickled_collectives():
     """If they were, freeing a mesh amid another pickled collective could deadlock mpi4py 4.0 (`Domain.comm`)."""
     full, limit = solve(Model.full(JOINT, **SETUP)), solve(Model.interface(JOINT, **SETUP))
     compare(full, limit)
     Surface(limit.model).profile(Surface(limit.model).jump(full))
     for state in (full, limit):
-        assert MPI._lock_table(state.model.domain.mesh.comm) == {}
-    assert MPI._lock_table(MPI.COMM_WORLD)  # that is where they leave their locks
+        assert LOCKS(state.model.domain.mesh.comm) == {}
+    assert LOCKS(MPI.COMM_WORLD)  # that is where they leave their locks
 
 
 def test_compare_refuses_other_pairs():
