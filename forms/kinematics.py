@@ -47,9 +47,3 @@ def layer_frame(n: Expr) -> Expr:
     )
     half_turn = ufl.as_tensor([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
     return ufl.as_tensor([[ufl.conditional(opposite, half_turn[i, j], turn[i, j]) for j in range(3)] for i in range(3)])
-
-
-def normal_and_tangential(v: Expr, n: Expr) -> tuple[Expr, Expr]:
-    """v_N = v.n (scalar) and v_T = v - v_N n (vector)."""
-    v_n = ufl.dot(v, n)
-    return v_n, v - v_n * n

@@ -7,19 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
 if not os.environ.get("DISPLAY"):  # without an X server VTK otherwise tries one first, and warns
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
-import matplotlib.cm
-import matplotlib.colors
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 import pyvista
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
@@ -46,7 +42,7 @@ def rates(
         reference: order of the reference line.
     """
     data = table if isinstance(table, Table) else Table.load(table)
-    figure, axes = plt.subplots(figsize=(6, 4.5), layout="constrained")
+    figure, axes = _figure(6, 4.5)
     eps = data["eps"]
     errors = {"traction": data["error_traction"], "jump": data["error_jump"]}
     for (name, error), colour, marker in zip(errors.items(), COLOURS, MARKERS, strict=False):
@@ -83,7 +79,7 @@ def curves(
         logarithmic: whether both axes are.
         ylim: range of the second axis.
     """
-    figure, axes = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
+    figure, axes = _figure(6.5, 4.5)
     for k, (label, (x, y)) in enumerate(lines.items()):
         style = (styles or {}).get(label, "-")
         axes.plot(x, y, style, color=COLOURS[k % len(COLOURS)], label=label)
@@ -97,17 +93,17 @@ def curves(
     return _finish(figure, save)
 
 
+def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    """A picture with one set of axes; outside pyplot, so that a notebook keeps its own backend."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots()
+
+
 def _finish(figure: Figure, save: str | Path | None) -> Figure:
     if save and MPI.COMM_WORLD.rank == 0:
         Path(save).parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(save, dpi=DPI, bbox_inches="tight")
-    plt.close(figure)
     return figure
-
-
-def axes_of(figure: Figure) -> Axes:
-    """The axes of a picture of this module, to add to it before saving it again."""
-    return figure.axes[0]
 
 
 def deformed(
@@ -148,19 +144,14 @@ def deformed(
     limits = (float(seen.min()), float(seen.max()))
     height_per_width = (y1 - y0) / (x1 - x0)
     panel_width = 4.6
-    figure, axes = plt.subplots(
-        1,
-        len(grids),
-        figsize=(panel_width * len(grids), panel_width * height_per_width + 1.3),
-        layout="constrained",
-        squeeze=False,
-    )
-    for one, (label, grid) in zip(axes[0], grids.items(), strict=True):
+    figure = Figure(figsize=(panel_width * len(grids), panel_width * height_per_width + 1.3), layout="constrained")
+    axes = list(figure.subplots(1, len(grids), squeeze=False)[0])
+    for one, (label, grid) in zip(axes, grids.items(), strict=True):
         one.imshow(_render(grid, values[label], limits, scale, (x0, x1, y0, y1)), extent=(x0, x1, y0, y1))
         one.set_axis_off()
         one.set_title(label, fontsize=11)
     name = ("|u|" if component == "size" else f"u_{component}") + (f" ({unit})" if unit else "")
-    colours = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(*limits), "viridis")
+    colours = ScalarMappable(Normalize(*limits), "viridis")
     figure.colorbar(
         colours,
         ax=axes,
