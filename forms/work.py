@@ -8,8 +8,10 @@ from typing import Any
 
 import ufl
 
-from forms.kinematics import Expr, jump_strain, strain
+from forms.kinematics import Expr, jump_strain, lift, strain
 from forms.law import Law, Step
+
+GAUSS = (-(12**-0.5), 12**-0.5)  # places through a thickness from -1/2 to 1/2
 
 
 @dataclass(frozen=True)
@@ -75,9 +77,33 @@ def band(law: Law, measure: ufl.Measure, n: Expr) -> Points:
     return Points(law, strain, 1, measure, n)
 
 
-def surface(law: Law, interface: Interface, eps: Expr) -> Points:
-    """A layer's law on S, order 0: strain sym([u] (x) n)/eps, weight eps."""
-    return Points(law, lambda u: jump_strain(interface.jump(u), interface.n) / eps, eps, interface.measure, interface.n)
+def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Points]:
+    """A layer's law on S.
+
+    Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: displacements linear through the thickness of the
+    layer, strain e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with
+    e0 = sym([u] (x) n)/eps + sym(grad_S <u>), e1 = sym(grad_S [u]). For an energy quadratic in the strain that is the
+    thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    """
+
+    def jump_part(u: Expr) -> Expr:
+        return jump_strain(sides.jump(u), sides.n) / eps
+
+    if order == 0:
+        return [Points(law, jump_part, eps, sides.measure, sides.n)]
+    tangential = ufl.Identity(len(sides.n)) - ufl.outer(sides.n, sides.n)
+
+    def along(u: Expr, side: Callable[[Expr], Expr]) -> Expr:
+        return lift(ufl.sym(ufl.dot(side(ufl.grad(u)), tangential)))
+
+    def at(z: float) -> Callable[[Expr], Expr]:
+        def point_strain(u: Expr) -> Expr:
+            upper, lower = along(u, sides.upper), along(u, sides.lower)
+            return jump_part(u) + (upper + lower) / 2 + z * (upper - lower)
+
+        return point_strain
+
+    return [Points(law, at(z), eps / 2, sides.measure, sides.n) for z in GAUSS]
 
 
 def work(points: Iterable[Points], u: Expr, v: Expr) -> Expr:

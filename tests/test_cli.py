@@ -115,6 +115,16 @@ def test_limits_and_drawing_again(tmp_path):
     assert "run the study first" in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "options"), [("sweep_order1", ()), ("hard_layer", ()), ("sweep_elastic", ("--order", "1"))]
+)
+def test_next_order_studies(tmp_path, name, options):
+    done = thinlayer("run", name, "--quick", "--eps", "0.0625", "0.03125", "0.015625", "--out", tmp_path, *options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert float(rows(tmp_path / "table.csv")[-1]["order_traction"]) > 1.9
+    assert_drawn(next(tmp_path.glob("*.png")))
+
+
 @pytest.mark.parametrize("name", sorted(studies()))
 def test_every_study_can_be_drawn_again(name):
     assert "draw" in {
@@ -125,9 +135,11 @@ def test_every_study_can_be_drawn_again(name):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "fig7"], "unknown study 'fig7'; known: fig6_stratified, limits"),
+        (["run", "fig7"], "unknown study 'fig7'; known: fig6_stratified, hard_layer"),
         (["run", "limits", "--eps", "0.1"], "study limits does not use --eps; it uses: --quick"),
         (["run", "fig6_stratified", "--bodies", "kept"], "does not use --bodies"),
+        (["run", "sweep_elastic", "--order", "2"], "invalid choice"),
+        (["run", "sweep_elastic", "--order", "1", "--bodies", "extended"], "order=1 needs bodies='kept'"),
         (["run", "sweep_elastic", "--eps", "-0.1"], "--eps -0.1: a thickness must be > 0"),
         (["run", "sweep_elastic", "--eps", "0.1", "0.1"], "different thicknesses"),
         (["run", "sweep_elastic", "--eps", "3", "--bodies", "extended"], "turn inside out"),

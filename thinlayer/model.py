@@ -19,7 +19,7 @@ from forms.elastic import Stack
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.inflation import check_layering, inflate
+from geometry.inflation import FLAT, check_layering, inflate
 from geometry.joint import BASE, LAYER, Joint, S, unknown
 from geometry.topology import is_tensor
 from thinlayer.broken import broken_space, cell_colours, interface_measure
@@ -77,6 +77,8 @@ class Model:
             raise ModelError("plane='stress' needs a two-dimensional joint")
         self.element = element
         check_layering(sublayers, bodies)
+        if layer and layer.order == 1 and kind != "bonded":
+            self._check_order_1(bodies)
         laws = self._body_laws(body)
         self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
         self.comm = self.domain.comm
@@ -139,6 +141,14 @@ class Model:
             return self.joint
         return inflate(self.joint, self.layer.eps, layers=sublayers, strata=self.layer.fractions, bodies=bodies)
 
+    def _check_order_1(self, bodies: str) -> None:
+        if bodies != "kept":
+            raise ModelError("order=1 needs bodies='kept': on extended bodies its energy has no lower bound")
+        if self.element[1] != "2":
+            raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {self.element}")
+        if np.ptp(self.joint.interface_normals, axis=0).max() > FLAT:
+            raise ModelError("order=1 needs a planar S")
+
     # ---------------------------------------------------------------- spaces
     @cached_property
     def _colours(self) -> npt.NDArray[np.int32]:
@@ -197,7 +207,7 @@ class Model:
             return []
         mesh, law = self.domain.mesh, self.layer.real_law(self.domain.mesh, self.plane)
         if self.sides:
-            return [forms.surface(law, self.sides, fem.Constant(mesh, float(self.layer.eps)))]
+            return forms.surface(law, self.sides, fem.Constant(mesh, float(self.layer.eps)), self.layer.order)
         laws = law.laws if isinstance(law, Stack) else (law,)
         n = fem.Constant(mesh, self.joint.interface_normals.mean(axis=0))
         values = [self.domain.cell_values(name) for name in self.domain.layer_regions]

@@ -1,0 +1,85 @@
+"""The next-order interface law: errors and orders, soft and hard layers; what it refuses."""
+
+from __future__ import annotations
+
+import pytest
+
+from forms import LawError, LinearElastic, Stack
+from geometry import block, sandwich
+from studies.hard_layer import LAYERS
+from studies.problems import FOURIER_LAYER, fourier
+from thinlayer import Model, ModelError, ThinLayer, compare, observed_orders, solve
+
+# |t_full - t_order1| in L2(S) of the Fourier problem, from transfer matrices
+TRACTION_ERRORS = {1 / 8: 2.380e-3, 1 / 16: 6.512e-4, 1 / 32: 1.662e-4, 1 / 64: 4.170e-5}
+
+
+def rows(law_at, eps, cell, order=1, h=1 / 32):
+    joint, setup = fourier(h, cell=cell)
+    found = []
+    for e in eps:
+        layer = ThinLayer(law_at(e), e, order=order)
+        limit = solve(Model.interface(joint, layer=layer, **setup))
+        found.append(compare(solve(Model.full(joint, layer=layer, **setup)), limit))
+    return found
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_soft_layer(cell):
+    eps = [*TRACTION_ERRORS, 1 / 128]
+    found = rows(lambda e: FOURIER_LAYER, eps, cell)
+    errors = [row["error_traction"] * row["traction"] for row in found]
+    assert errors[:4] == pytest.approx(list(TRACTION_ERRORS.values()), rel=1e-2)
+    for quantity in ("error_traction", "error_jump"):
+        orders = observed_orders(eps, [row[quantity] for row in found])
+        assert orders[-2:] == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+@pytest.mark.parametrize("law", LAYERS.values(), ids=LAYERS)
+def test_layer_with_moduli_held(law):
+    eps = (1 / 32, 1 / 64, 1 / 128)
+    errors = [row["error_traction"] for row in rows(law.per_thickness, eps, "quadrilateral")]
+    assert all(order >= 2.5 for order in observed_orders(eps, errors)[1:])
+    limit_law = rows(law.per_thickness, eps[:1], "quadrilateral", order=0)[0]["error_traction"]
+    assert errors[0] < 0.1 * limit_law
+
+
+def test_rigid_base():
+    """The base under the layer does not move: its side of S contributes nothing to the mean and the jump."""
+    joint = block(1.0, 0.5, 1 / 16, cell="quadrilateral")
+    setup = {
+        "body": LinearElastic.young(100.0, 0.3),
+        "supports": {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}},
+        "tractions": {"TOP": lambda x, t: (x[0] * (1 - x[0]), x[0] ** 2 * (3 - 2 * x[0]))},
+    }
+    eps = (1 / 64, 1 / 128)
+    errors = {0: [], 1: []}
+    for e in eps:
+        full = solve(Model.full(joint, layer=ThinLayer(FOURIER_LAYER, e), **setup))
+        for order, found in errors.items():
+            layer = ThinLayer(FOURIER_LAYER, e, order=order)
+            found.append(compare(full, solve(Model.interface(joint, layer=layer, **setup)))["error_jump"])
+    assert observed_orders(eps, errors[0])[-1] == pytest.approx(1.0, abs=0.1)
+    assert observed_orders(eps, errors[1])[-1] == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (dict(bodies="extended"), "order=1 needs bodies='kept'"),
+        (dict(element="P1"), "order=1 needs elements of degree 2"),
+    ],
+)
+def test_refused(build, change, message):
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    setup = {"body": FOURIER_LAYER, "supports": {"BOTTOM": 0.0}, "layer": ThinLayer(FOURIER_LAYER, 0.1, order=1)}
+    with pytest.raises(ModelError, match=message):
+        build(joint, **setup, **change)
+
+
+def test_orders():
+    with pytest.raises(LawError, match="allowed: 0, 1"):
+        ThinLayer(FOURIER_LAYER, 0.1, order=2)
+    with pytest.raises(LawError, match="order=1 of a Stack"):
+        ThinLayer(Stack((0.5, FOURIER_LAYER), (0.5, FOURIER_LAYER)), 0.1, order=1)
