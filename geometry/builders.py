@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import gmsh
 import numpy as np
 from mpi4py import MPI
 
 from geometry.joint import GeometryError, Joint, S, unknown
+from geometry.parallel import on_root
 from geometry.topology import IntArray
 
-T = TypeVar("T")
 ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
 CELLS = ("triangle", "quadrilateral")
 GROWTH = 0.3  # cell size gained per unit of distance from a refined place
@@ -82,21 +82,6 @@ def sandwich(
     """
     shape = _Rectangles(width, (("LOWER", lower), ("UPPER", upper)), h, h_S, h_ends, cell, structured, arrangement)
     return on_root(comm, shape.build)
-
-
-def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
-    """Result of a function run on rank 0 only, on every rank; its exception too. Collective."""
-    comm = comm or MPI.COMM_WORLD
-    result: T | Exception | None = None
-    if comm.rank == 0:
-        try:
-            result = build()
-        except Exception as error:
-            result = error
-    result = comm.bcast(result, root=0)
-    if isinstance(result, Exception):
-        raise result
-    return cast(T, result)
 
 
 @dataclass(frozen=True)

@@ -90,9 +90,7 @@ class Domain:
     def vertices(self, original: int) -> npt.NDArray[np.int32]:
         """Local vertices that stand for a vertex of the joint before it was inflated: one, or every copy of it on S."""
         joint, topology = self.joint, self.mesh.topology
-        where = (joint.band.reference if joint.band else joint.points)[original]
-        reference = joint.band.reference if joint.band else joint.points
-        copies = np.flatnonzero(np.all(reference == where, axis=1))
+        copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
         topology.create_connectivity(0, joint.dim)
         local = np.arange(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, dtype=np.int32)
         nodes = dolfinx.mesh.entities_to_geometry(self.mesh, 0, local).ravel()

@@ -131,6 +131,11 @@ class Joint:
         return self.points.shape[1]
 
     @property
+    def reference(self) -> FloatArray:
+        """(n_points, d) where each point was before inflating."""
+        return self.band.reference if self.band else self.points
+
+    @property
     def rigid_base(self) -> bool:
         """Whether S stands on a rigid base instead of a lower body."""
         return not self.lower
@@ -173,7 +178,7 @@ class Joint:
 
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""
-        points = self.band.reference if self.band else self.points
+        points = self.reference
         if len(x) != self.dim:
             raise GeometryError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")
         distance = np.linalg.norm(points - np.asarray(x, float), axis=1)

@@ -63,6 +63,22 @@ def test_rigid_base():
     assert observed_orders(eps, errors[1])[-1] == pytest.approx(2.0, abs=0.1)
 
 
+def test_free_ends():
+    """What the documentation says of them: errors several times smaller than with order 0, but of an order below 1."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 16, h_S=1 / 32, h_ends=1 / 400)
+    body = LinearElastic.young(100.0, 0.3)
+    setup = {"body": body, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, -1.0)}}
+    eps, errors = (1 / 32, 1 / 64), {0: [], 1: []}
+    for e in eps:
+        full = solve(Model.full(joint, layer=ThinLayer(FOURIER_LAYER, e), **setup))
+        for order, found in errors.items():
+            layer = ThinLayer(FOURIER_LAYER, e, order=order)
+            found.append(compare(full, solve(Model.interface(joint, layer=layer, **setup)))["error_jump"])
+    assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
+    assert 0.5 < observed_orders(eps, errors[1])[1] < 0.95
+    assert all(second < first / 5 for first, second in zip(*errors.values(), strict=True))
+
+
 @pytest.mark.parametrize("build", [Model.full, Model.interface])
 @pytest.mark.parametrize(
     ("change", "message"),

@@ -50,7 +50,7 @@ class Coordinates:
         if band is None or band.bodies == "extended":
             return cls(mesh, x, t)
         shift = fem.Function(fem.functionspace(mesh, ("DG", 0, (domain.joint.dim,))))
-        moved = domain.joint.points - band.reference
+        moved = domain.joint.points - domain.joint.reference
         cells = domain.joint.cells[domain.original_cells]
         shift.x.array[:] = moved[cells].mean(axis=1).ravel()
         return cls(mesh, x - shift, t)
@@ -129,8 +129,8 @@ class Supports:
         if isinstance(place, str):
             facets = self.domain.facets(place, layer_sides=True)
             return fem.locate_dofs_topological(component, self.domain.joint.dim - 1, facets)
-        base = self.domain.joint.band.base if self.domain.joint.band else self.domain.joint
-        return vertex_dofs(V, self.domain.vertices(base.nearest_point(place)), self.axes.index(axis))
+        vertices = self.domain.vertices(self.domain.joint.nearest_point(place))
+        return vertex_dofs(V, vertices, self.axes.index(axis))
 
     def held(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """All supported degrees of freedom of a space (local, unrolled, ghosts included). Collective."""

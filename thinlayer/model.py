@@ -45,7 +45,8 @@ class Model:
         sides: the two sides of S (interface model only).
         bodies, layer_points: where the laws act.
         supports: prescribed displacements.
-        t: the time, a Constant; `solve` sets it.
+        conditions: their Dirichlet conditions in V.
+        coordinates: the place and the time that loads depend on; `solve` sets the time.
     """
 
     def __init__(

@@ -19,11 +19,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
+from geometry.parallel import on_root
 from thinlayer.fields import Grid, gather
 from thinlayer.state import State
 from thinlayer.table import Table
 
-DPI = 150
+SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}
 SUBDIVISION = 3  # of curved cells, for drawing
 LARGEST = 0.05  # drawn displacement, in units of the structure
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
@@ -101,9 +102,14 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 
 def _finish(figure: Figure, save: str | Path | None) -> Figure:
     if save and MPI.COMM_WORLD.rank == 0:
-        Path(save).parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(save, dpi=DPI, bbox_inches="tight")
+        figure.savefig(_folder(save), **SAVED)
     return figure
+
+
+def _folder(path: str | Path) -> Path:
+    """The path, its folder made."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    return Path(path)
 
 
 def deformed(
@@ -129,8 +135,18 @@ def deformed(
     """
     panels = {"": states} if isinstance(states, State) else dict(states)
     grids = {label: gather(state) for label, state in panels.items()}
-    if MPI.COMM_WORLD.rank:
-        return
+    comm = next(iter(panels.values())).model.comm
+    on_root(comm, lambda: _draw_deformed(grids, component, scale, title, unit, zoom).savefig(_folder(save), **SAVED))
+
+
+def _draw_deformed(
+    grids: Mapping[str, Grid],
+    component: str,
+    scale: float | None,
+    title: str,
+    unit: str,
+    zoom: Sequence[float] | None,
+) -> Figure:
     first = next(iter(grids.values()))
     largest = max(np.linalg.norm(g.u, axis=1).max() for g in grids.values())
     scale = scale or (LARGEST * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0)
@@ -162,7 +178,7 @@ def deformed(
     )
     if title:
         figure.suptitle(title)
-    _finish(figure, save)
+    return figure
 
 
 def _range(x: npt.NDArray[np.float64]) -> tuple[float, float]:

@@ -77,7 +77,11 @@ def linear_options(model: Model) -> dict[str, OptionValue]:
 def _mark(A: PETSc.Mat, model: Model) -> None:
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear)
-    if not A.getNearNullSpace().handle:
+
+
+def _tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
+    """Rigid motions for algebraic multigrid; nobody else reads them."""
+    if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
         A.setNearNullSpace(PETSc.NullSpace().create(vectors=_orthonormal(model), comm=model.comm))
 
 
@@ -109,6 +113,7 @@ def _linear(model: Model) -> tuple[fem.Function, int, float]:
     ksp.setOptionsPrefix(PREFIX)
     ksp.setOperators(A)
     ksp.setFromOptions()
+    _tell_multigrid(ksp, A, model)
     x, r, correction = u.x.petsc_vec, b.duplicate(), b.duplicate()
     size = max(b.norm(), 1e-300)
     ksp.solve(b, x)
@@ -187,6 +192,7 @@ def _newton(model: Model) -> tuple[fem.Function, int, float]:
     snes.setFunction(equations.residual, equations.b)
     snes.setJacobian(equations.tangent, equations.A)
     snes.setFromOptions()
+    _tell_multigrid(snes.getKSP(), equations.A, model)
     snes.setConvergenceHistory()
     snes.solve(None, equations.x)
     reason, iterations = snes.getConvergedReason(), snes.getIterationNumber()

@@ -30,14 +30,17 @@ def reaction(state: State) -> fem.Function:
     model = state.model
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    r = fem.Function(W)
-    b = dolfinx.fem.petsc.assemble_vector(fem.form(work(model.bodies, state.u, v) - model.external_work(v)))
-    b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-    with b.localForm() as local:
-        r.x.array[:] = local.array
-    b.destroy()
-    r.x.scatter_forward()
-    return r
+    return _assembled(W, work(model.bodies, state.u, v) - model.external_work(v))
+
+
+def _assembled(V: fem.FunctionSpace, form: Expr) -> fem.Function:
+    """A linear form's values on the basis functions of a space, ghosts included. Collective."""
+    vector = fem.assemble_vector(fem.form(form))
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    values = fem.Function(V)
+    values.x.array[:] = vector.array
+    return values
 
 
 @dataclass(frozen=True)
@@ -92,13 +95,7 @@ class Surface:
     def nodal(self, f: Expr) -> fem.Function:
         """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective."""
         v = ufl.TestFunction(self.trace_space)
-        b = dolfinx.fem.petsc.assemble_vector(fem.form(ufl.inner(f, self.sides.upper(v)) * self.sides.measure))
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        r = fem.Function(self.trace_space)
-        with b.localForm() as local:
-            r.x.array[:] = local.array
-        b.destroy()
-        r.x.scatter_forward()
+        r = _assembled(self.trace_space, ufl.inner(f, self.sides.upper(v)) * self.sides.measure)
         return self._divide_by_mass(r, np.empty(0, np.int32))
 
     def frame(self, f: Expr) -> Expr:
@@ -126,10 +123,8 @@ class Surface:
         """Which local nodes of the trace space lie on the upper side of S."""
         v = ufl.TestFunction(self.trace_space)
         ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
-        weight = fem.assemble_vector(fem.form(ufl.inner(ones, self.sides.upper(v)) * self.sides.measure))
-        weight.scatter_reverse(dolfinx.la.InsertMode.add)
-        weight.scatter_forward()
-        return weight.array.reshape(-1, self.model.joint.dim)[:, 0] > 0
+        weight = _assembled(self.trace_space, ufl.inner(ones, self.sides.upper(v)) * self.sides.measure)
+        return weight.x.array.reshape(-1, self.model.joint.dim)[:, 0] > 0
 
     def integral(self, f: Expr) -> float:
         """Integral over S of a scalar expression. Collective."""
@@ -150,11 +145,8 @@ class Surface:
             return np.flatnonzero(mark.x.array > 0)
         v, corners = ufl.TestFunction(V), {"quadrature_rule": "vertex", "quadrature_degree": 1}
         measure = self.sides.measure(metadata=corners)
-        both = ufl.inner(mark("+"), v("-")) * measure + ufl.inner(mark("-"), v("+")) * measure
-        seen = fem.assemble_vector(fem.form(both))
-        seen.scatter_reverse(dolfinx.la.InsertMode.add)
-        seen.scatter_forward()
-        return np.flatnonzero((mark.x.array > 0) | (seen.array > 0))
+        seen = _assembled(V, ufl.inner(mark("+"), v("-")) * measure + ufl.inner(mark("-"), v("+")) * measure)
+        return np.flatnonzero((mark.x.array > 0) | (seen.x.array > 0))
 
     @cached_property
     def _mass(self) -> tuple[PETSc.Mat, np.ndarray]:
