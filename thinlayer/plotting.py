@@ -211,6 +211,7 @@ def _render(
         outline = surface.extract_feature_edges(
             boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
         )
+        outline.points[:, 2] += 0.01 * (x1 - x0)  # in front of the base, which would cover a very thin layer
         plotter.add_mesh(outline, color="crimson" if number < 0 else "black", line_width=4 if number < 0 else 3)
     if len(grid.base):
         plotter.add_lines(grid.base.reshape(-1, 3), color="dimgrey", width=8)
