@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.topology import FloatArray, IntArray
+from geometry.topology import FloatArray, IntArray, geometry_degree
 
 
 def _partitioner() -> Callable[..., Any]:
@@ -25,11 +25,11 @@ def _partitioner() -> Callable[..., Any]:
 
 
 def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str) -> dolfinx.mesh.Mesh:
-    """Distribute straight-sided cells given on rank 0 (other ranks: any value). Collective."""
-    dim = points.shape[1]
+    """Distribute cells given by their nodes on rank 0 (other ranks: any value). Collective."""
+    dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     if comm.rank:
         points, cells = np.empty((0, dim)), np.empty((0, cells.shape[1]), np.int64)
-    element = basix.ufl.element("Lagrange", cell_type, 1, shape=(dim,))
+    element = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,))
     order = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)
     arguments = {"comm": comm, "cells": cells, "x": np.ascontiguousarray(points), "e": element}
     positional = [arguments[name] for name in order[:4]]
@@ -39,7 +39,7 @@ def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_t
 def create_tags(
     mesh: dolfinx.mesh.Mesh, dim: int, entities: IntArray, values: npt.NDArray[np.int32]
 ) -> dolfinx.mesh.MeshTags:
-    """Tags of entities given by their vertices' original numbers on rank 0 (other ranks: any value). Collective."""
+    """Tags of entities given by their nodes' original numbers on rank 0 (other ranks: any value). Collective."""
     if mesh.comm.rank:
         entities, values = np.empty((0, entities.shape[1]), np.int64), np.empty(0, np.int32)
     mesh.topology.create_entities(dim)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from geometry.compat import create_mesh, create_tags
-from geometry.joint import BASE, LAYER, GeometryError, Joint, S, unknown
+from geometry.joint import BASE, BONDED, LAYER, GeometryError, Joint, S, unknown
 from geometry.topology import IntArray
 
 
@@ -21,7 +21,7 @@ class Domain:
     """A distributed mesh and the names of its parts.
 
     A named set of outer facets NAME can be narrowed to the part on one region, "NAME/REGION", and to the side faces of
-    the layer that continue it, "NAME/LAYER" (nothing while S is a surface).
+    the layer that continue it, "NAME/LAYER" (nothing while S is a surface). "BONDED" is where the bodies meet outside S.
 
     Attributes:
         joint: what was distributed.
@@ -115,7 +115,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, npt.NDArray[np.int32], dict[str, tuple[int, ...]]]:
     """Facets with a name (vertices), the number of the combination of names of each, and name -> combinations."""
-    sets = list(_named_sets(joint))
+    sets = [*_named_sets(joint), (BONDED, joint.bonded)]
     names, rows = [name for name, _ in sets], [row for _, row in sets]
     tagged = np.unique(np.concatenate(rows))
     member = np.zeros((len(tagged), len(names)), bool)

@@ -4,95 +4,129 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
+import basix
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
-import scipy.sparse.linalg
 
-from geometry.joint import BASE, LAYER, LOWER_FACE, UPPER_FACE, Band, GeometryError, Joint, S, unknown
-from geometry.topology import FacetTable, FloatArray, IntArray, corner_jacobians, facet_normals, is_tensor
+from geometry.joint import (
+    BASE,
+    LAYER,
+    LOWER_FACE,
+    UPPER_FACE,
+    Band,
+    GeometryError,
+    Joint,
+    Profile,
+    S,
+    place,
+    unknown,
+)
+from geometry.motion import extended_motion, face_directions, require_room
+from geometry.topology import (
+    FACET_TYPES,
+    FacetTable,
+    FloatArray,
+    IntArray,
+    geometry_degree,
+    is_tensor,
+    lagrange,
+    node_jacobians,
+)
 
 WAYS = ("kept", "extended")
-FLAT = 1e-9  # S counts as planar when its unit normals differ by less
 
 
 @dataclass(frozen=True)
 class _Levels:
-    """Vertices of the band: level 0 is its lower face, the last level its upper face, which keeps S's vertex numbers."""
+    """Nodes of the band: level 0 is its lower face, the last level its upper face, which keeps S's node numbers.
 
-    vertices: IntArray  # of S
+    Cells of degree 2 have nodes at the levels of their faces and half-way between.
+    """
+
+    nodes: IntArray  # of S
     first_new: int
-    heights: FloatArray  # of the levels, in units of eps, from 0 to 1
+    heights: FloatArray  # of the levels, in units of the thickness, from 0 to 1
 
     @property
     def top(self) -> int:
         return len(self.heights) - 1
 
-    def number(self, vertices: IntArray, level: int) -> IntArray:
-        """Vertex numbers at a level above or below the given vertices of S."""
-        if level == self.top:
-            return vertices
-        return self.first_new + level * len(self.vertices) + np.searchsorted(self.vertices, vertices)
+    def number(self, nodes: IntArray, level: int | IntArray) -> IntArray:
+        """Node numbers at a level above or below the given nodes of S."""
+        new = self.first_new + level * len(self.nodes) + np.searchsorted(self.nodes, nodes)
+        return np.where(level == self.top, nodes, new)
 
     def drop(self, rows: IntArray) -> IntArray:
         """The same cells or facets, standing on the lower face of the band instead of S."""
-        on_s = np.isin(rows, self.vertices)
+        on_s = np.isin(rows, self.nodes)
         out = rows.copy()
         out[on_s] = self.number(rows[on_s], 0)
         return out
 
+    def footprint(self, rows: IntArray) -> IntArray:
+        """For nodes of the band, the nodes of S they stand on."""
+        return np.where(rows < self.first_new, rows, self.nodes[(rows - self.first_new) % len(self.nodes)])
 
-def inflate(joint: Joint, eps: float, *, layers: int = 4, strata: Sequence[float] = (), bodies: str = "kept") -> Joint:
+
+def inflate(
+    joint: Joint,
+    eps: float,
+    *,
+    profile: Profile | None = None,
+    layers: int = 4,
+    strata: Sequence[float] = (),
+    bodies: str = "kept",
+) -> Joint:
     """Open S into a meshed layer.
 
     Args:
-        joint: the joint; S planar.
+        joint: the joint; S planar for bodies="kept".
         eps: thickness of the layer, a length > 0.
+        profile: function of coordinates (d, n) that returns n numbers > 0: the thickness at the vertices of S is eps times
+            these, and linear in between. None: uniform.
         layers: number of cells through the thickness, at least 1 (each stratum gets at least one).
         strata: thickness fractions of sublayers, from the lower to the upper face, adding up to 1; () for one layer.
         bodies: "kept": the bodies keep their shape and are moved apart by eps (on a rigid base the layer grows below
-            the body). "extended": the total shape is kept; the bodies give up eps/2 each (on a rigid base the body
-            gives up eps), and their cells follow by a harmonic motion along n.
+            the body); S planar, thickness uniform. "extended": the total shape is kept; the bodies give up half of the
+            thickness each (on a rigid base the body gives up all of it), their nodes follow by a harmonic motion that
+            slides along the outer faces.
 
     Returns:
         A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
         sets "LOWER_FACE" ("BASE" on a rigid base) and "UPPER_FACE", and its side faces in "NAME/LAYER" for each outer
-        set NAME that they continue. Body cells keep their numbers and their vertices' order.
+        set NAME that they continue. Body cells keep their numbers and their nodes' order, curved cells stay curved.
 
     Raises:
-        GeometryError: eps, layers or strata out of range, S not planar, faces inclined to n that touch S (extended),
-            cells turned inside out.
+        GeometryError: a size, layers or strata out of range; S ends inside the bodies, branches or is folded; S curved or
+            the thickness varying (kept); outer faces that touch S and are nearly parallel to it (extended); cells turned
+            inside out, a layer that overlaps the bodies.
     """
     _check(joint, eps, layers, strata, bodies)
-    normal = _planar_normal(joint)
+    thickness = float(eps) * joint.relative_thickness(profile)
     levels = _levels(joint, layers, strata)
-    surface = joint.facets[S]
     below = joint.side < 0
-
     body_cells = joint.cells.copy()
     body_cells[below] = levels.drop(joint.cells[below])
-    band_cells, stratum = _band_cells(surface, levels, strata, joint.cell_type)
+    band_cells, stratum, director = _band_cells(joint, levels, strata)
     cells = np.concatenate([body_cells, band_cells])
 
-    names = (LAYER,) if not strata else tuple(f"{LAYER}/{k + 1}" for k in range(len(strata)))
-    region = np.concatenate([joint.region, len(joint.regions) + stratum])
-    reference = np.concatenate([joint.points] + [joint.points[levels.vertices]] * levels.top)
-    height = _heights(joint, body_cells, levels, bodies, float(eps), normal)
-    points = reference + height[:, None] * normal
+    reference = np.concatenate([joint.points, np.tile(joint.points[levels.nodes], (levels.top, 1))])
+    points = reference + _motion(joint, body_cells, levels, thickness, bodies)
     _check_cells(joint, points, cells)
 
-    facets = _move_facets(joint, surface, levels, cells, len(body_cells))
+    names = (LAYER,) if not strata else tuple(f"{LAYER}/{k + 1}" for k in range(len(strata)))
     return Joint(
         points,
         cells,
         joint.cell_type,
-        region,
+        np.concatenate([joint.region, len(joint.regions) + stratum]),
         joint.regions + names,
-        facets,
+        _move_facets(joint, levels, band_cells[:, : joint.corners.shape[1]]),
         joint.upper,
         joint.lower,
-        band=Band(float(eps), bodies, names, joint, reference),
+        joint.direction,
+        band=Band(float(eps), bodies, names, joint, reference, director),
     )
 
 
@@ -112,128 +146,147 @@ def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodie
         raise GeometryError(f"the layer's thickness eps is {eps}; it must be > 0")
     if len(strata) and (min(strata) <= 0 or abs(sum(strata) - 1) > 1e-12):
         raise GeometryError(f"the strata's fractions {tuple(strata)} must be > 0 and add up to 1")
-    inner = np.unique(joint.cells[joint.side < 0]) if joint.lower else np.empty(0, np.int64)
-    shared = np.intersect1d(inner, np.unique(joint.cells[joint.side > 0]))
-    if not np.isin(shared, joint.facets[S]).all():
-        raise GeometryError("S ends inside the bodies: a layer cannot be meshed there")
+    if len(joint.bonded):
+        raise GeometryError(
+            f"S ends inside the bodies (near {place(_tip(joint))}): the layer has no room at its tip and cannot be meshed; "
+            "use the interface model"
+        )
 
 
-def _planar_normal(joint: Joint) -> FloatArray:
-    normals = joint.interface_normals
-    if np.ptp(normals, axis=0).max() > FLAT:
-        raise GeometryError("S is not planar: it cannot be inflated")
-    return normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+def _tip(joint: Joint) -> FloatArray:
+    """A vertex where S meets the bonded part of the bodies' contact, or else any vertex of that part."""
+    bonded = np.unique(joint.table.vertices[joint.bonded])
+    tips = np.intersect1d(bonded, joint.surface)
+    return joint.points[tips[0] if len(tips) else bonded[0]]
 
 
 def _levels(joint: Joint, layers: int, strata: Sequence[float]) -> _Levels:
+    degree = geometry_degree(joint.cell_type, joint.cells.shape[1])
     fractions = np.asarray(strata if len(strata) else [1.0])
-    counts = np.maximum(1, np.rint(layers * fractions).astype(int))
+    counts = degree * np.maximum(1, np.rint(layers * fractions).astype(int))
     edges = np.concatenate([[0.0], np.cumsum(fractions)])
     edges[-1] = 1.0
     heights = [np.linspace(edges[k], edges[k + 1], n + 1)[1:] for k, n in enumerate(counts)]
-    return _Levels(np.unique(joint.facets[S]), len(joint.points), np.concatenate([[0.0], *heights]))
+    return _Levels(np.unique(joint.surface), len(joint.points), np.concatenate([[0.0], *heights]))
 
 
-def _band_cells(
-    surface: IntArray, levels: _Levels, strata: Sequence[float], cell_type: str
-) -> tuple[IntArray, IntArray]:
-    """Cells between the levels and their stratum; prisms are split along sorted vertex numbers, alike on both sides."""
+def _band_cells(joint: Joint, levels: _Levels, strata: Sequence[float]) -> tuple[IntArray, IntArray, FloatArray]:
+    """Cells between the levels, their stratum, and the normal of S at each of their corners."""
+    surface, degree = joint.surface, geometry_degree(joint.cell_type, joint.cells.shape[1])
+    if is_tensor(joint.cell_type):
+        patterns = _extruded(joint.cell_type, degree, len(surface))
+    else:
+        order = np.argsort(surface[:, : joint.dim], axis=1)
+        patterns = _split_prisms(joint.cell_type, degree, order)
     edges = np.cumsum(strata)[:-1] if len(strata) else np.empty(0)
-    cells, stratum = [], []
-    for level in range(levels.top):
-        facets = surface if is_tensor(cell_type) else np.sort(surface, axis=1)
-        low, high = levels.number(facets, level), levels.number(facets, level + 1)
-        if is_tensor(cell_type):
-            new = [np.concatenate([low, high], axis=1)]
-        else:
-            new = [np.concatenate([low[:, : k + 1], high[:, k:]], axis=1) for k in range(surface.shape[1])]
-        middle = levels.heights[level : level + 2].mean()
-        cells += new
-        stratum.append(np.full(sum(map(len, new)), np.searchsorted(edges, middle)))
-    return np.concatenate(cells), np.concatenate(stratum)
+    cells, stratum, director = [], [], []
+    k = joint.corners.shape[1]
+    for base in range(0, levels.top, degree):
+        middle = (levels.heights[base] + levels.heights[base + degree]) / 2
+        for columns, offsets in patterns:
+            cells.append(levels.number(np.take_along_axis(surface, columns, axis=1), base + offsets))
+            director.append(np.take_along_axis(joint.node_normals, columns[:, :k, None], axis=1))
+            stratum.append(np.full(len(surface), np.searchsorted(edges, middle)))
+    return np.concatenate(cells), np.concatenate(stratum), np.concatenate(director)
 
 
-def _heights(
-    joint: Joint, body_cells: IntArray, levels: _Levels, bodies: str, eps: float, normal: FloatArray
-) -> FloatArray:
-    """How far each vertex moves along n."""
-    n_body = len(joint.points)
-    height = np.zeros(n_body + levels.top * len(levels.vertices))
-    start = (-1.0 if bodies == "kept" else 0.0) if joint.rigid_base else -0.5
-    for level, z in enumerate(levels.heights):
-        height[levels.number(levels.vertices, level)] = (start + z) * eps
-    above, below = (np.unique(body_cells[joint.side == s]) for s in (1, -1))
+Pattern = tuple[IntArray, IntArray]  # (n_S, k) which node of each facet of S, (k,) how many levels above the first
+
+
+def _extruded(cell_type: str, degree: int, n: int) -> list[Pattern]:
+    """Quadrilaterals and hexahedra: the facet is the cell's face with last coordinate zero."""
+    cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
+    distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
+    return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell[:, -1] * degree).astype(np.int64))]
+
+
+def _split_prisms(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
+    """Simplices: prisms are split along sorted vertex numbers, so that neighbours split their common side alike.
+
+    With the facet's vertices sorted, simplex k has its first k + 1 vertices below and the rest, from k on, above. Nodes
+    half-way along an edge stand on the middle of that edge's footprint.
+    """
+    n = order.shape[1]
+    middle = np.diag(np.arange(n))
+    facet_edges = basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]
+    for number, (i, j) in enumerate(facet_edges):
+        middle[i, j] = middle[j, i] = n + number
+    patterns = []
+    for k in range(n):
+        corners = [(i, 0) for i in range(k + 1)] + [(i, degree) for i in range(k, n)]
+        columns = [order[:, i] for i, _ in corners]
+        offsets = [level for _, level in corners]
+        if degree == 2:
+            for p, q in basix.topology(basix.CellType[cell_type])[1]:
+                columns.append(middle[columns[p], columns[q]])
+                offsets.append((offsets[p] + offsets[q]) // 2)
+        patterns.append((np.column_stack(columns), np.array(offsets)))
+    return patterns
+
+
+def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: FloatArray, bodies: str) -> FloatArray:
+    """(n_nodes, d) how far each node moves."""
+    motion = np.zeros((len(joint.points) + levels.top * len(levels.nodes), joint.dim))
+    h = thickness[levels.nodes][:, None]
     if bodies == "kept":
-        height[above] = height[levels.vertices[0]]
-        height[below] = -eps / 2
-        return height
-    faces = np.concatenate([levels.number(levels.vertices, level) for level in (0, levels.top)])
-    fixed = np.setdiff1d(_inclined_vertices(joint, normal), levels.vertices)
-    free = np.setdiff1d(np.union1d(above, below), np.union1d(faces, fixed))
-    laplacian = scipy.sparse.csgraph.laplacian(_edge_graph(body_cells, len(height)))
-    if len(free):
-        rows = laplacian.tocsr()[free]
-        known = np.setdiff1d(np.arange(len(height)), free)
-        height[free] = scipy.sparse.linalg.spsolve(rows[:, free].tocsc(), -(rows[:, known] @ height[known]))
-    return height
-
-
-def _edge_graph(cells: IntArray, n: int) -> scipy.sparse.csr_matrix:
-    """Vertices of a common cell, connected with weight one."""
-    k = cells.shape[1]
-    pairs = np.concatenate([cells[:, [i, j]] for i in range(k) for j in range(k) if i != j])
-    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n)).tocsr()
-    graph.data[:] = 1.0
-    return graph
-
-
-def _inclined_vertices(joint: Joint, normal: FloatArray) -> IntArray:
-    """Vertices of outer faces that are not parallel to n: the total shape is kept when they stay."""
-    outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
-    outer = outer[~np.isin(joint.table.index(outer), joint.table.index(joint.facets[S]))]
-    inclined = np.abs(facet_normals(joint.points, outer) @ normal) > 1e-6
-    touching = np.isin(outer[inclined], joint.facets[S]).any(axis=1)
-    if touching.any():
-        x = joint.points[outer[inclined][touching][0]].mean(axis=0)
-        raise GeometryError(
-            f"bodies='extended' cannot keep the shape: the outer face at {tuple(x.tolist())} touches S and is inclined to n"
-        )
-    return np.unique(outer[inclined])
+        if not joint.planar or np.ptp(h) > 1e-12 * h.max():
+            what = "S is not planar" if not joint.planar else "the thickness varies along S"
+            raise GeometryError(f"{what}: the bodies cannot be moved apart in one piece; use bodies='extended'")
+        mean = joint.interface_normals.mean(axis=0)
+        n, eps = mean / np.linalg.norm(mean), float(h[0, 0])
+        require_room(joint, n, eps)
+        start = -1.0 if joint.rigid_base else -0.5
+        low = high = np.broadcast_to(n, (len(h), joint.dim))
+        for side, end in ((-1, start), (1, start + 1)):
+            motion[np.unique(body_cells[joint.side == side])] = end * eps * n
+    else:
+        start = 0.0 if joint.rigid_base else -0.5
+        high = face_directions(joint, levels.nodes, 1)
+        low = high if joint.rigid_base else face_directions(joint, levels.nodes, -1)
+        known = np.concatenate([levels.number(levels.nodes, 0), levels.nodes])
+        faces = np.concatenate([start * h * low, (start + 1) * h * high])
+        motion = extended_motion(joint, body_cells, len(motion), known, faces)
+    for level, z in enumerate(levels.heights):
+        motion[levels.number(levels.nodes, level)] = h * ((1 - z) * start * low + z * (start + 1) * high)
+    return motion
 
 
 def _check_cells(joint: Joint, points: FloatArray, cells: IntArray) -> None:
-    before = corner_jacobians(joint.points, joint.cells, joint.cell_type)
-    after = corner_jacobians(points, cells, joint.cell_type)
+    before = node_jacobians(joint.points, joint.cells, joint.cell_type)
+    after = node_jacobians(points, cells, joint.cell_type)
     n = len(joint.cells)
     bad = np.flatnonzero((before * after[:n] <= 0).any(axis=1))
     if len(bad):
         x = joint.points[joint.cells[bad[0]]].mean(axis=0)
         raise GeometryError(
-            f"eps is too large for these bodies: {len(bad)} cells turn inside out, the first at {tuple(x.tolist())}"
+            f"eps is too large for these bodies: {len(bad)} cells turn inside out, the first at {place(x)}"
         )
-    band = after[n:]
-    if not ((band > 0).all(axis=1) | (band < 0).all(axis=1)).all():
-        raise GeometryError("cells of the layer are folded")
+    bad = np.flatnonzero(~((after[n:] > 0).all(axis=1) | (after[n:] < 0).all(axis=1)))
+    if len(bad):
+        x = points[cells[n + bad[0]]].mean(axis=0)
+        raise GeometryError(
+            f"S turns too sharply for this eps: {len(bad)} cells of the layer are folded, the first at {place(x)}"
+        )
 
 
-def _move_facets(joint: Joint, surface: IntArray, levels: _Levels, cells: IntArray, n_body: int) -> dict[str, IntArray]:
-    """Facet sets of the inflated joint."""
-    lower_face = BASE if joint.rigid_base else LOWER_FACE
-    out = {UPPER_FACE: surface, lower_face: levels.number(surface, 0)}
-    side_faces = _side_faces(cells[n_body:], joint.cell_type, levels)
-    footprint = np.sort(side_faces, axis=1)
-    new = side_faces >= levels.first_new
-    footprint = np.where(new, levels.vertices[(side_faces - levels.first_new) % len(levels.vertices)], side_faces)
+def _move_facets(joint: Joint, levels: _Levels, band: IntArray) -> dict[str, IntArray]:
+    """Facet sets of the inflated joint; `band`: vertices of the layer's cells."""
+    surface = joint.table.vertices[joint.surface_rows]
+    out = {UPPER_FACE: surface, BASE if joint.rigid_base else LOWER_FACE: levels.number(surface, 0)}
+    sides = _side_faces(band, joint.cell_type, levels)
+    ridges = _ridges(levels.footprint(sides), joint.dim)
     for name, facets in joint.facets.items():
         if name == S:
             continue
-        side = joint.side[joint.table.cells[joint.table.index(facets), 0]]
+        rows = joint.table.index(facets)
+        below = (joint.side[joint.table.cells[rows, 0]] < 0) & ~np.isin(rows, joint.surface_rows)
         moved = facets.copy()
-        moved[side < 0] = levels.drop(facets[side < 0])
+        moved[below] = levels.drop(facets[below])
         out[name] = moved
-        continued = np.isin(footprint, facets).all(axis=1)
+        outer = facets[joint.table.cells[rows, 1] < 0]
+        continued = np.isin(ridges, _ridges(outer, joint.dim)).any(axis=1)
         if continued.any():
-            out[f"{name}/{LAYER}"] = side_faces[continued]
+            out[f"{name}/{LAYER}"] = sides[continued]
     return out
 
 
@@ -241,7 +294,16 @@ def _side_faces(band: IntArray, cell_type: str, levels: _Levels) -> IntArray:
     """Outer facets of the band other than its lower and upper face."""
     table = FacetTable.of(band, cell_type)
     outer = table.vertices[table.cells[:, 1] < 0]
-    flat = (outer < levels.first_new).all(axis=1) | (
-        (outer >= levels.first_new) & (outer < levels.first_new + len(levels.vertices))
-    ).all(axis=1)
-    return outer[~flat]
+    upper, lower = (
+        outer < levels.first_new,
+        (outer >= levels.first_new) & (outer < levels.first_new + len(levels.nodes)),
+    )
+    return outer[~upper.all(axis=1) & ~lower.all(axis=1)]
+
+
+def _ridges(rows: IntArray, dim: int) -> IntArray:
+    """Keys of the ridges of facets given by vertices: vertices in 2D, edges (and a quadrilateral's diagonals) in 3D."""
+    rows = np.sort(rows, axis=1)
+    k = range(rows.shape[1])
+    pairs = [(i, i) for i in k] if dim == 2 else list(combinations(k, 2))
+    return np.stack([(rows[:, i] << 32) + rows[:, j] for i, j in pairs], axis=1)

@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from geometry.topology import CELL_TYPES, FacetTable, FloatArray, IntArray, facet_normals
+from geometry.sides import sides_by_direction, upper_cells
+from geometry.topology import (
+    CELL_TYPES,
+    FACET_TYPES,
+    FacetTable,
+    FloatArray,
+    IntArray,
+    corner_count,
+    facet_normals,
+    geometry_degree,
+    lagrange,
+)
+
+Profile = Callable[[FloatArray], FloatArray]
 
 S = "S"
 LAYER = "LAYER"
-LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
+LOWER_FACE, UPPER_FACE, BASE, BONDED = "LOWER_FACE", "UPPER_FACE", "BASE", "BONDED"
+FLAT = 1e-9  # S counts as planar when its unit normals differ by less
 
 
 class GeometryError(ValueError):
@@ -29,16 +43,23 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     )
 
 
+def place(x: FloatArray) -> str:
+    """Coordinates for a message, short."""
+    return f"({', '.join(f'{c:.6g}' for c in x)})"
+
+
 @dataclass(frozen=True)
 class Band:
     """What inflating did: the layer's thickness, its sublayers and the way the bodies made room for it.
 
     Attributes:
-        eps: thickness of the layer, a length.
+        eps: thickness of the layer, a length; where it varies, times the profile.
         bodies: "kept" or "extended".
         regions: names of the sublayers' cell regions, from the lower to the upper face.
         base: the joint before inflating.
         reference: (n_points, d) where each point was before inflating (points of the layer: their place on S).
+        director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layer's cells, from the
+            lower to the upper body.
     """
 
     eps: float
@@ -46,6 +67,7 @@ class Band:
     regions: tuple[str, ...]
     base: Joint
     reference: FloatArray
+    director: FloatArray
 
 
 @dataclass(frozen=True)
@@ -53,22 +75,24 @@ class Joint:
     """Bodies meeting on S, the same on every MPI rank until it is distributed.
 
     The normal n of S points from the lower body to the upper one. Without a lower body S is a part of the upper body's
-    boundary that stands on a rigid base.
+    boundary that stands on a rigid base. Where the bodies also meet outside S they are bonded: S then ends inside.
 
     Attributes:
         points: (n_points, d) coordinates, lengths.
-        cells: (n_cells, k) vertices of each cell, in DOLFINx's order.
+        cells: (n_cells, k) nodes of each cell, in DOLFINx's order: vertices, and for curved cells (degree 2) the nodes on
+            edges, faces and inside.
         cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
         region: (n_cells,) for each cell the position of its region in `regions`.
         regions: names of the cell regions.
-        facets: named sets of facets, each (n, k) vertices; S is one of them.
+        facets: named sets of facets, each (n, k) vertices in any order; S is one of them.
         upper: names of the regions above S.
-        lower: names of the regions below S; empty for a rigid base.
+        lower: names of the regions below S; empty for a rigid base; the same as `upper` for S inside one body.
+        direction: (d,) vector that points to the upper side, for S inside one body only.
         band: how the layer was meshed; None while S is a surface.
 
     Raises:
-        GeometryError: S is missing, empty or does not separate the lower from the upper body, a set of facets is empty
-            or not part of the mesh, a region has no cells.
+        GeometryError: S is missing, empty, on the wrong side or ambiguous, a set of facets is empty or not part of the
+            mesh, a region has no cells or belongs to no body.
     """
 
     points: FloatArray
@@ -79,19 +103,19 @@ class Joint:
     facets: Mapping[str, IntArray]
     upper: tuple[str, ...]
     lower: tuple[str, ...] = ()
+    direction: tuple[float, ...] | None = None
     band: Band | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.cell_type not in CELL_TYPES:
             raise GeometryError(unknown("cell type", self.cell_type, CELL_TYPES))
+        try:
+            geometry_degree(self.cell_type, self.cells.shape[1])
+        except ValueError as error:
+            raise GeometryError(str(error)) from None
         if self.band is None and S not in self.facets:
             raise GeometryError(f"the mesh has no facets named {S!r}; named facets: {', '.join(sorted(self.facets))}")
-        for name in self.lower + self.upper:
-            if name not in self.regions:
-                raise GeometryError(unknown("region", name, self.regions))
-        for number, name in enumerate(self.regions):
-            if not (self.region == number).any():
-                raise GeometryError(f"region {name!r} has no cells")
+        self._check_regions()
         for name, facets in self.facets.items():
             if len(facets) == 0:
                 raise GeometryError(f"the facets named {name!r} are an empty set")
@@ -100,35 +124,62 @@ class Joint:
         if self.band is None:
             self._check_interface()
 
+    def _check_regions(self) -> None:
+        for name in self.lower + self.upper:
+            if name not in self.regions:
+                raise GeometryError(unknown("region", name, self.regions))
+        homeless = sorted(set(self.regions) - set(self.bodies) - set(self.band.regions if self.band else ()))
+        if homeless:
+            raise GeometryError(f"region {homeless[0]!r} belongs to no body; name it in upper or lower")
+        for number, name in enumerate(self.regions):
+            if not (self.region == number).any():
+                raise GeometryError(f"region {name!r} has no cells")
+        shared = sorted(set(self.upper) & set(self.lower))
+        if shared and self.direction is None:
+            raise GeometryError(f"region {shared[0]!r} is on both sides of {S!r}; give the direction of the upper side")
+        if self.direction is not None:
+            if set(self.upper) != set(self.lower):
+                raise GeometryError("direction is for S inside one body; upper and lower are different regions")
+            length = np.linalg.norm(self.direction)
+            if np.shape(self.direction) != (self.dim,) or not np.isfinite(length) or length == 0:
+                raise GeometryError(f"direction is {self.direction}; it needs {self.dim} components, not all zero")
+
     def _check_interface(self) -> None:
-        cells = self.table.cells[self.table.index(self.facets[S])]
-        side = self.side
-        if not self.lower:
-            if (cells[:, 1] >= 0).any():
+        rows = self.surface_rows
+        outer = self.table.cells[rows, 1] < 0
+        if self.rigid_base:
+            if not outer.all():
                 raise GeometryError(
-                    f"{S!r} on a rigid base must lie on the outer boundary; {(cells[:, 1] >= 0).sum()} facets do not"
+                    f"{S!r} on a rigid base must lie on the outer boundary; {(~outer).sum()} facets do not"
                 )
             return
-        if (cells[:, 1] < 0).any():
+        if outer.any():
             raise GeometryError(
-                f"{(cells[:, 1] < 0).sum()} facets of {S!r} lie on the outer boundary; between {'+'.join(self.lower)} and "
+                f"{outer.sum()} facets of {S!r} lie on the outer boundary; between {'+'.join(self.lower)} and "
                 f"{'+'.join(self.upper)} each needs a cell on both sides"
             )
-        if (side[cells[:, 0]] == side[cells[:, 1]]).any():
+        side = self.side[self.table.cells[rows]]
+        if (side[:, 0] == side[:, 1]).any():
+            x = self.points[self.table.vertices[rows[side[:, 0] == side[:, 1]][0]]].mean(axis=0)
             raise GeometryError(
-                f"{S!r} does not separate two bodies: some of its facets have the same body on both sides"
-            )
-        inner = self.table.cells[self.table.cells[:, 1] >= 0]
-        across = (side[inner[:, 0]] != side[inner[:, 1]]).sum()
-        if across != len(np.unique(self.table.index(self.facets[S]))):
-            raise GeometryError(
-                f"{S!r} does not separate two bodies: they also meet on {across - len(cells)} facets outside it"
+                f"{S!r} does not separate two bodies: some of its facets have the same body on both sides, the first at "
+                f"{place(x)}"
             )
 
     @property
     def dim(self) -> int:
         """Space dimension, 2 or 3."""
         return self.points.shape[1]
+
+    @cached_property
+    def corners(self) -> IntArray:
+        """(n_cells, k) vertices of each cell."""
+        return self.cells[:, : corner_count(self.cell_type)]
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies' regions, lower ones first."""
+        return tuple(dict.fromkeys(self.lower + self.upper))
 
     @property
     def reference(self) -> FloatArray:
@@ -144,45 +195,119 @@ class Joint:
     def table(self) -> FacetTable:
         """All facets of the mesh with the cells that meet there."""
         try:
-            return FacetTable.of(self.cells, self.cell_type)
+            return FacetTable.of(self.corners, self.cell_type)
         except ValueError as error:
             raise GeometryError(str(error)) from None
 
     @cached_property
     def side(self) -> IntArray:
         """(n_cells,) -1 below S, +1 above, 0 in the layer."""
-        sign = [(name in self.upper) * 1 - (name in self.lower) * 1 for name in self.regions]
-        return np.array(sign, np.int64)[self.region]
+        if self.direction is None:
+            sign = [(name in self.upper) * 1 - (name in self.lower) * 1 for name in self.regions]
+            return np.array(sign, np.int64)[self.region]
+        rows = self.surface_rows
+        if (self.table.cells[rows, 1] < 0).any():
+            return -np.ones(len(self.cells), np.int64)
+        above = upper_cells(self.points, self.corners, self.table, rows, np.asarray(self.direction, float))
+        try:
+            return sides_by_direction(self.corners, self.table, rows, above)
+        except ValueError as error:
+            raise GeometryError(f"direction {tuple(self.direction)} does not tell the sides of S: {error}") from None
+
+    @cached_property
+    def surface_rows(self) -> IntArray:
+        """Rows of `table` of the facets of S, each once, in lexicographic order of their vertices."""
+        return np.unique(self.table.index(self.facets[S]))
+
+    @cached_property
+    def surface(self) -> IntArray:
+        """(n_S, k) nodes of the facets of S, in the order of the facet's own element."""
+        return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
+
+    @cached_property
+    def bonded(self) -> IntArray:
+        """Rows of `table` where the lower and the upper side meet outside S; S ends inside the bodies if there are any."""
+        if self.rigid_base or self.band is not None:
+            return np.empty(0, np.int64)
+        inner = np.flatnonzero(self.table.cells[:, 1] >= 0)
+        side = self.side[self.table.cells[inner]]
+        return np.setdiff1d(inner[side[:, 0] != side[:, 1]], self.surface_rows)
+
+    @cached_property
+    def node_normals(self) -> FloatArray:
+        """(n_S, k, d) unit normals at the nodes of `surface`, from the lower to the upper body."""
+        cells = self.table.cells[self.surface_rows]
+        above = np.where(self.side[cells[:, 0]] > 0, cells[:, 0], cells[:, 1])
+        normals = facet_normals(self.points, self.surface, self.cell_type)
+        towards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)
+        return normals * np.sign((normals.mean(axis=1) * towards).sum(axis=1))[:, None, None]
 
     @cached_property
     def interface_normals(self) -> FloatArray:
-        """(n_S, d) unit normals of S, from the lower to the upper body."""
-        facets = self.facets[S]
-        cells = self.table.cells[self.table.index(facets)]
-        above = np.where(self.side[cells[:, 0]] > 0, cells[:, 0], cells[:, 1])
-        normals = facet_normals(self.points, facets)
-        towards = self.points[self.cells[above]].mean(axis=1) - self.points[facets].mean(axis=1)
-        return normals * np.sign((normals * towards).sum(axis=1))[:, None]
+        """(n_S, d) mean unit normals of the facets of S, from the lower to the upper body."""
+        mean = self.node_normals.mean(axis=1)
+        return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True), float)
+
+    @property
+    def planar(self) -> bool:
+        """Whether S lies in planes of one direction."""
+        return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= FLAT)
+
+    def relative_thickness(self, profile: Profile | None) -> FloatArray:
+        """(n_points,) a profile at the vertices of S, linear between them; 1 away from S.
+
+        Args:
+            profile: function of coordinates (d, n) that returns n positive numbers; None for a uniform thickness.
+
+        Raises:
+            GeometryError: the profile returns something else, or not a positive number.
+        """
+        values = np.ones(len(self.points))
+        if profile is None:
+            return values
+        vertices = np.unique(self.table.vertices[self.surface_rows])
+        found = np.asarray(profile(self.points[vertices].T), float)
+        if found.shape not in ((), vertices.shape):
+            raise GeometryError(f"the thickness profile returns shape {found.shape} for {len(vertices)} points of S")
+        values[vertices] = found
+        bad = vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))]
+        if len(bad):
+            raise GeometryError(
+                f"the thickness profile is {values[bad[0]]:g} at {place(self.points[bad[0]])}; it must be > 0 on S"
+            )
+        k = corner_count(FACET_TYPES[self.cell_type])
+        if self.surface.shape[1] > k:
+            element = lagrange(FACET_TYPES[self.cell_type], 1)
+            between = element.tabulate(0, lagrange(FACET_TYPES[self.cell_type], 2).points[k:])[0, :, :, 0]
+            values[self.surface[:, k:]] = values[self.surface[:, :k]] @ between.T
+        return values
 
     def rotated(self, angle: float) -> Joint:
         """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        return replace(self, points=self.points @ turn.T)
+        turned = self._with_direction(turn)
+        return replace(turned, points=self.points @ turn.T)
 
     def swapped(self) -> Joint:
         """The joint with the roles of the lower and the upper body exchanged (n turns round, nothing moves)."""
         if self.rigid_base:
             raise GeometryError("a joint on a rigid base has no lower body to swap with")
-        return replace(self, lower=self.upper, upper=self.lower)
+        turned = self._with_direction(-np.eye(self.dim))
+        return replace(turned, lower=self.upper, upper=self.lower)
+
+    def _with_direction(self, turn: FloatArray) -> Joint:
+        if self.direction is None:
+            return self
+        return replace(self, direction=tuple(float(c) for c in turn @ np.array(self.direction)))
 
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""
-        points = self.reference
+        vertices = np.unique(self.corners)
         if len(x) != self.dim:
             raise GeometryError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")
-        distance = np.linalg.norm(points - np.asarray(x, float), axis=1)
-        nearest = int(np.argmin(distance))
-        if distance[nearest] > 1e-6 * np.ptp(points, axis=0).max():
-            raise GeometryError(f"no mesh vertex at {tuple(x)}; the nearest is {tuple(points[nearest].tolist())}")
+        distance = np.linalg.norm(self.reference[vertices] - np.asarray(x, float), axis=1)
+        nearest = int(vertices[np.argmin(distance)])
+        if distance.min() > 1e-6 * np.ptp(self.reference, axis=0).max():
+            raise GeometryError(f"no mesh vertex at {tuple(x)}; the nearest is {place(self.reference[nearest])}")
         return nearest

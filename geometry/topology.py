@@ -1,8 +1,9 @@
-"""Cells and facets as plain arrays: which facets a mesh has, which cells meet there, which cells are folded."""
+"""Cells and facets as plain arrays: which facets a mesh has, which cells meet there, normals, folded cells."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import basix
 import numpy as np
@@ -12,12 +13,36 @@ IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+FACET_TYPES = {
+    "triangle": "interval",
+    "quadrilateral": "interval",
+    "tetrahedron": "triangle",
+    "hexahedron": "quadrilateral",
+}
 
 
-def local_facets(cell_type: str) -> list[list[int]]:
-    """Local vertices of each facet of a cell, in DOLFINx's order."""
-    cell = basix.CellType[cell_type]
-    return basix.topology(cell)[len(basix.topology(cell)) - 2]
+@cache
+def lagrange(cell_type: str, degree: int) -> basix.finite_element.FiniteElement:
+    """The scalar Lagrange element whose nodes carry the geometry of cells, vertices first."""
+    return basix.create_element(basix.ElementFamily.P, basix.CellType[cell_type], degree)
+
+
+def corner_count(cell_type: str) -> int:
+    """Number of vertices of a cell."""
+    return int(lagrange(cell_type, 1).dim)
+
+
+def geometry_degree(cell_type: str, n_nodes: int) -> int:
+    """Degree of cells with that many nodes, 1 or 2; raises ValueError for another number."""
+    allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
+    if n_nodes not in allowed:
+        raise ValueError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))}")
+    return allowed[n_nodes]
+
+
+def local_facets(cell_type: str, degree: int = 1) -> IntArray:
+    """Local nodes of each facet of a cell, in the order of the facet's own element: (n_facets, nodes per facet)."""
+    return np.array(lagrange(cell_type, degree).entity_closure_dofs[-2], np.int64)
 
 
 def is_tensor(cell_type: str) -> bool:
@@ -32,27 +57,29 @@ class FacetTable:
     Attributes:
         vertices: (n_facets, k) sorted vertex numbers, rows unique and in lexicographic order.
         cells: (n_facets, 2) the cells that meet there; -1 in the second column on the outer boundary.
+        local: (n_facets,) which facet of the first of these cells it is.
     """
 
     vertices: IntArray
     cells: IntArray
+    local: IntArray
 
     @classmethod
-    def of(cls, cells: IntArray, cell_type: str) -> FacetTable:
-        """The table of a mesh; raises ValueError if more than two cells share a facet."""
-        local = local_facets(cell_type)
-        rows = np.sort(np.concatenate([cells[:, f] for f in local]), axis=1)
-        owner = np.tile(np.arange(len(cells)), len(local))
+    def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
+        """The table of a mesh given by its cells' vertices; raises ValueError if more than two cells share a facet."""
+        facets = local_facets(cell_type)
+        rows = np.sort(np.concatenate([corners[:, f] for f in facets]), axis=1)
         vertices, index, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
         if counts.max(initial=0) > 2:
             raise ValueError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
         order = np.argsort(index.ravel(), kind="stable")
-        start = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        start = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
+        local, owner = np.divmod(order, max(len(corners), 1))
         pairs = np.full((len(vertices), 2), -1, np.int64)
-        pairs[:, 0] = owner[order[start]]
+        pairs[:, 0] = owner[start]
         double = counts == 2
-        pairs[double, 1] = owner[order[start[double] + 1]]
-        return cls(vertices, pairs)
+        pairs[double, 1] = owner[start[double] + 1]
+        return cls(vertices, pairs, local[start])
 
     def index(self, facets: IntArray) -> IntArray:
         """Rows of this table for facets given by vertices in any order; -1 where the mesh has no such facet."""
@@ -63,26 +90,31 @@ class FacetTable:
         row[inverse[: len(self.vertices)]] = np.arange(len(self.vertices))
         return row[inverse[len(self.vertices) :]]
 
-
-def corner_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:
-    """Signed Jacobian determinants, (n_cells, n_corners): one sign over a row means the cell is not folded."""
-    dim = points.shape[1]
-    if not is_tensor(cell_type):
-        return np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]])[:, None]
-    determinants = []
-    for corner in range(2**dim):
-        sign = [1 if not (corner >> axis) & 1 else -1 for axis in range(dim)]
-        edges = [sign[a] * (points[cells[:, corner ^ (1 << a)]] - points[cells[:, corner]]) for a in range(dim)]
-        determinants.append(np.linalg.det(np.stack(edges, axis=1)))
-    return np.stack(determinants, axis=1)
+    def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
+        """Nodes of facets, (n, nodes per facet), in the order of the facet's own element; `cells`: all nodes of cells."""
+        local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows]]
+        return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
 
 
-def facet_normals(points: FloatArray, facets: IntArray) -> FloatArray:
-    """Unit normals of straight facets (either direction), (n_facets, d)."""
-    x = points[facets]
+def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:
+    """Signed Jacobian determinants at the nodes of cells: one sign over a row means the cell is not folded.
+
+    Shape (n_cells, n_nodes); (n_cells, 1) for straight-sided simplices, whose Jacobian is constant.
+    """
+    element = lagrange(cell_type, geometry_degree(cell_type, cells.shape[1]))
+    at = element.points[:1] if element.degree == 1 and not is_tensor(cell_type) else element.points
+    gradients = element.tabulate(1, at)[1:, :, :, 0]
+    return np.linalg.det(np.einsum("tqn,cnd->cqtd", gradients, points[cells]))
+
+
+def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatArray:
+    """Unit normals (either direction) at the nodes of facets, (n_facets, n_nodes, d); nodes in the facet's own order."""
+    facet_type = FACET_TYPES[cell_type]
+    element = lagrange(facet_type, geometry_degree(facet_type, nodes.shape[1]))
+    gradients = element.tabulate(1, element.points)[1:, :, :, 0]
+    tangents = np.einsum("tqn,fnd->tfqd", gradients, points[nodes])
     if points.shape[1] == 2:
-        edge = x[:, 1] - x[:, 0]
-        normal = np.array([-edge[:, 1], edge[:, 0]]).T
+        normal = np.stack([-tangents[0, ..., 1], tangents[0, ..., 0]], axis=-1)
     else:
-        normal = np.asarray(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), float)
-    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), float)
+        normal = np.cross(tangents[0], tangents[1])
+    return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), float)

@@ -7,10 +7,8 @@ between them. Everything else (forms, boundary conditions, matrices) is standard
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
-import dolfinx
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -22,19 +20,12 @@ from thinlayer.compat import index_map, interior_facet_entities, space_with_dofm
 from thinlayer.exchange import ask
 
 Colours = npt.NDArray[np.int32]
+NO_FACETS = np.empty(0, np.int32)
 
 
-def cell_colours(mesh: Mesh, cell_tags: dolfinx.mesh.MeshTags, groups: Sequence[Sequence[int]]) -> Colours:
-    """Colour of each local cell (ghosts included): the position in `groups` of the group its tag is in. Collective."""
-    colours = dolfinx.la.vector(mesh.topology.index_map(mesh.topology.dim), dtype=np.int32)
-    colours.array[:] = 0
-    for colour, tags in enumerate(groups):
-        colours.array[cell_tags.indices[np.isin(cell_tags.values, tags)]] = colour
-    colours.scatter_forward()
-    return colours.array.copy()
-
-
-def broken_space(comm: MPI.Intracomm, mesh: Mesh, element: Any, colours: Colours) -> fem.FunctionSpace:
+def broken_space(
+    comm: MPI.Intracomm, mesh: Mesh, element: Any, colours: Colours, bonded: npt.NDArray[np.int32] = NO_FACETS
+) -> fem.FunctionSpace:
     """Space of an element, continuous inside each colour, discontinuous between colours. Collective.
 
     Args:
@@ -42,13 +33,17 @@ def broken_space(comm: MPI.Intracomm, mesh: Mesh, element: Any, colours: Colours
         mesh: the mesh, with ghost cells across shared facets.
         element: a basix.ufl element.
         colours: colour >= 0 of each local cell, ghosts included.
+        bonded: local facets between two colours where functions do not jump; the edge of what remains is a tip.
     """
     rank = comm.rank
     whole = fem.functionspace(mesh, element)
     base_map, base_dofs = whole.dofmap.index_map, np.asarray(whole.dofmap.list, np.int64)
     n_colours = comm.allreduce(int(colours.max(initial=0)) + 1, op=max)
 
-    keys, local_key = np.unique(base_dofs * n_colours + colours[: len(base_dofs), None], return_inverse=True)
+    joined = np.zeros(base_map.size_local + base_map.num_ghosts, bool)
+    joined[fem.locate_dofs_topological(whole, mesh.topology.dim - 1, bonded)] = True
+    colour_there = np.where(joined[base_dofs], 0, colours[: len(base_dofs), None])
+    keys, local_key = np.unique(base_dofs * n_colours + colour_there, return_inverse=True)
     local_key = local_key.reshape(base_dofs.shape)
     base, colour = np.divmod(keys, n_colours)
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local

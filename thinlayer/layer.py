@@ -11,6 +11,7 @@ from dolfinx.mesh import Mesh
 
 from forms.elastic import Stack
 from forms.law import Law, LawError
+from geometry.joint import Profile
 
 
 @dataclass(frozen=True)
@@ -20,18 +21,22 @@ class ThinLayer:
     Attributes:
         law: the layer's law, its parameters per thickness (`law.per_thickness(eps)` converts real ones). Sublayers in
             series: `Stack((fraction, law), ...)` from the lower to the upper face.
-        eps: thickness, a length > 0.
+        eps: thickness, a length > 0; where it varies along S, times the profile.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
             observed order stays below 1); needs bodies="kept" and elements of degree 2, not for a Stack.
+        profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
+            > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
+            those of the thickness eps, everywhere.
 
     Raises:
-        LawError: eps or order out of range, order 1 of a Stack.
+        LawError: eps or order out of range, order 1 of a Stack or of a varying thickness.
     """
 
     law: Law
     eps: float
     order: int = 0
+    profile: Profile | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, Law):
@@ -43,6 +48,10 @@ class ThinLayer:
             raise LawError(f"the order of the interface law is {self.order}; allowed: 0, 1")
         if self.order == 1 and isinstance(self.law, Stack):
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
+        if self.profile is not None and not callable(self.profile):
+            raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
+        if self.order == 1 and self.profile is not None:
+            raise LawError("order=1 needs a uniform thickness; use order=0")
 
     @property
     def fractions(self) -> tuple[float, ...]:

@@ -16,6 +16,7 @@ from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
 from thinlayer.compat import interpolation_points
+from thinlayer.joint_fields import shift
 
 AXES = "xyz"
 Place = str | tuple[float, ...]
@@ -49,11 +50,7 @@ class Coordinates:
         x, t = ufl.SpatialCoordinate(mesh), fem.Constant(mesh, 0.0)
         if band is None or band.bodies == "extended":
             return cls(mesh, x, t)
-        shift = fem.Function(fem.functionspace(mesh, ("DG", 0, (domain.joint.dim,))))
-        moved = domain.joint.points - domain.joint.reference
-        cells = domain.joint.cells[domain.original_cells]
-        shift.x.array[:] = moved[cells].mean(axis=1).ravel()
-        return cls(mesh, x - shift, t)
+        return cls(mesh, x - shift(domain), t)
 
 
 def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:

@@ -19,10 +19,11 @@ from forms.elastic import Stack
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.inflation import FLAT, check_layering, inflate
-from geometry.joint import BASE, LAYER, Joint, S, unknown
+from geometry.inflation import check_layering, inflate
+from geometry.joint import BASE, BONDED, LAYER, Joint, S, unknown
 from geometry.topology import is_tensor
-from thinlayer.broken import broken_space, cell_colours, interface_measure
+from thinlayer.broken import broken_space, interface_measure
+from thinlayer.joint_fields import director, relative_thickness
 from thinlayer.layer import ThinLayer, constants, in_plane
 from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports, vector
 from thinlayer.rigid import require_support
@@ -140,31 +141,32 @@ class Model:
     def _inflated(self, bodies: str, sublayers: int) -> Joint:
         if self.kind != "full" or self.layer is None:
             return self.joint
-        return inflate(self.joint, self.layer.eps, layers=sublayers, strata=self.layer.fractions, bodies=bodies)
+        layer = self.layer
+        return inflate(
+            self.joint, layer.eps, profile=layer.profile, layers=sublayers, strata=layer.fractions, bodies=bodies
+        )
 
     def _check_order_1(self, bodies: str) -> None:
         if bodies != "kept":
             raise ModelError("order=1 needs bodies='kept': on extended bodies its energy has no lower bound")
         if self.element[1] != "2":
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {self.element}")
-        if np.ptp(self.joint.interface_normals, axis=0).max() > FLAT:
-            raise ModelError("order=1 needs a planar S")
+        if not self.joint.planar:
+            raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
+        if len(self.joint.bonded):
+            raise ModelError("order=1 needs an S that does not end inside the bodies: its law has gradients at the tip")
 
     # ---------------------------------------------------------------- spaces
     @cached_property
-    def _colours(self) -> npt.NDArray[np.int32]:
-        """Colours in which displacements are continuous: each body in the interface model, else everything."""
-        lower, upper = self.joint.lower, self.joint.upper
-        return self._colour([lower, upper] if self.kind == "interface" else [lower + self.domain.layer_regions + upper])
+    def _sides_of_cells(self) -> npt.NDArray[np.int32]:
+        """0 below S, 1 in the layer, 2 above: colours of a space that is broken at both faces."""
+        joint = self.domain.joint
+        return (joint.side[self.domain.original_cells] + 1).astype(np.int32)
 
     @cached_property
-    def _broken_colours(self) -> npt.NDArray[np.int32]:
-        """Colours of the lower body, the layer and the upper body: broken at both faces."""
-        return self._colour([self.joint.lower, self.domain.layer_regions, self.joint.upper])
-
-    def _colour(self, groups: list[tuple[str, ...]]) -> npt.NDArray[np.int32]:
-        tags = [self.domain.cell_values(*names) for names in groups]
-        return cell_colours(self.domain.mesh, self.domain.cell_tags, tags)
+    def _colours(self) -> npt.NDArray[np.int32]:
+        """Colours in which displacements are continuous: each body in the interface model, else everything."""
+        return self._sides_of_cells if self.kind == "interface" else np.zeros_like(self._sides_of_cells)
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """A vector space on the model's mesh with the jumps of its displacements. Collective.
@@ -176,8 +178,8 @@ class Model:
         """
         mesh = self.domain.mesh
         element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(self.joint.dim,))
-        colours = self._broken_colours if broken_at_faces else self._colours
-        return broken_space(self.comm, mesh, element, colours)
+        colours = self._sides_of_cells if broken_at_faces else self._colours
+        return broken_space(self.comm, mesh, element, colours, self.domain.facets(BONDED))
 
     # ---------------------------------------------------------------- where laws act
     def _clamped(self) -> tuple[str, ...]:
@@ -186,7 +188,7 @@ class Model:
         return faces.get(self.kind, ()) if self.joint.rigid_base else ()
 
     def _body_laws(self, body: Law | Mapping[str, Law]) -> dict[str, Law]:
-        regions = self.joint.lower + self.joint.upper
+        regions = self.joint.bodies
         laws = dict(body) if isinstance(body, Mapping) else dict.fromkeys(regions, body)
         for name in laws:
             if name not in regions:
@@ -208,9 +210,12 @@ class Model:
             return []
         mesh, law = self.domain.mesh, self.layer.real_law(self.domain.mesh, self.plane)
         if self.sides:
-            return forms.surface(law, self.sides, fem.Constant(mesh, float(self.layer.eps)), self.layer.order)
+            eps: Expr = fem.Constant(mesh, float(self.layer.eps))
+            if self.layer.profile is not None:
+                eps = eps * self.sides.upper(relative_thickness(self.domain, self.layer.profile))
+            return forms.surface(law, self.sides, eps, self.layer.order)
         laws = law.laws if isinstance(law, Stack) else (law,)
-        n = fem.Constant(mesh, self.joint.interface_normals.mean(axis=0))
+        n = director(self.domain)
         values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
         return [forms.band(one, self._dx(tags), n) for one, tags in zip(laws, values, strict=True)]
 
@@ -244,7 +249,7 @@ class Model:
         return checked
 
     def _check_body_forces(self, body_force: Load | Mapping[str, Load] | None) -> list[tuple[tuple[int, ...], Expr]]:
-        regions = self.joint.lower + self.joint.upper
+        regions = self.joint.bodies
         if body_force is None:
             return []
         forces = dict(body_force) if isinstance(body_force, Mapping) else dict.fromkeys(regions, body_force)

@@ -30,6 +30,11 @@ def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
             database.delValue(name)
 
 
+def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
+    """Whether the user has set an option, in a script or in PETSc's database."""
+    return name in given or PETSc.Options().hasName(PREFIX + name)
+
+
 def unread() -> list[str]:
     """Names under our prefix that are set and no solver has read, without the prefix."""
     library = ctypes.CDLL(PETSc.__file__)

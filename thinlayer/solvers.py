@@ -13,16 +13,27 @@ from petsc4py import PETSc
 
 from forms.work import work
 from thinlayer.model import Model
-from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read
+from thinlayer.options import PREFIX, OptionValue, defaults, is_set, require_all_read
 from thinlayer.rigid import rigid_motions
 from thinlayer.state import Report, State
 
-LINEAR: dict[str, OptionValue] = {
+DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
     "ksp_rtol": 1e-10,
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_7": 2,
 }
+MULTIGRID: dict[str, OptionValue] = {
+    **DIRECT,
+    "ksp_max_it": 200,
+    "pc_type": "gamg",
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_aggressive_coarsening": 2,
+    "pc_gamg_aggressive_square_graph": False,
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_pc_type": "jacobi",
+}
+MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # unknowns; below, factorising is faster
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "basic",
@@ -62,16 +73,34 @@ def solve(
     model.coordinates.t.value = t
     model.conditions.update()
     given = dict(options or {})
-    ours = {**linear_options(model), **(NEWTON if method == "newton" else {})}
-    with defaults({**ours, **given}):
-        u, iterations, residual = (_linear if method == "linear" else _newton)(model)
-        require_all_read(method, ours.keys() - given.keys())
-    return State(model, u, t, Report(method, iterations, residual, time.perf_counter() - start))
+    choices = linear_solvers(model)
+    if is_set("ksp_type", given) or is_set("pc_type", given):
+        choices = choices[:1]
+    while True:
+        ours = {**choices.pop(0), **(NEWTON if method == "newton" else {})}
+        try:
+            with defaults({**ours, **given}):
+                u, iterations, residual = (_linear if method == "linear" else _newton)(model)
+                require_all_read(method, ours.keys() - given.keys())
+        except SolveError:
+            if not choices:
+                raise
+        else:
+            return State(model, u, t, Report(method, iterations, residual, time.perf_counter() - start))
 
 
-def linear_options(model: Model) -> dict[str, OptionValue]:
-    """MUMPS: Cholesky where the tangent is symmetric, else LU; AMF ordering."""
-    return {**LINEAR, "pc_type": "cholesky" if model.symmetric else "lu"}
+def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
+    """PETSc options to try in turn.
+
+    Direct: MUMPS, Cholesky where the tangent is symmetric, else LU; AMF ordering. Large models start with conjugate
+    gradients (GMRES without symmetry) and algebraic multigrid that knows the rigid motions; very stiff layers slow it down
+    so much that factorising is faster.
+    """
+    direct = {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
+    unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
+    if unknowns < MULTIGRID_FROM[model.joint.dim]:
+        return [direct]
+    return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
 
 
 def _mark(A: PETSc.Mat, model: Model) -> None:

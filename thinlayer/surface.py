@@ -13,8 +13,9 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.kinematics import Expr
+from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
+from geometry.joint import BONDED
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.state import State, transfer
@@ -84,7 +85,7 @@ class Surface:
         """Traction t = stress n on S, (d,), a UFL expression of degree 1 on S. Collective.
 
         Mean over both faces of the bodies' reactions; components that a side support holds are left out (zero), because
-        the reaction there is the support's too.
+        the reaction there is the support's too. So are nodes where S ends inside the bodies: nothing jumps there.
         """
         r = transfer(reaction(state), state.model, self.trace_space, self.model)
         t = self._divide_by_mass(r, self._held)
@@ -99,11 +100,14 @@ class Surface:
         return self._divide_by_mass(r, np.empty(0, np.int32))
 
     def frame(self, f: Expr) -> Expr:
-        """A vector expression on S in the frame of S: (tangential, normal) in 2D; tangent (n_2, -n_1)."""
+        """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
+
+        The tangents are those of `forms.kinematics.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
+        """
         n = self.sides.n
-        if len(n) != 2:
-            raise NotImplementedError("the frame of S is defined in two dimensions")
-        return ufl.as_vector([f[0] * n[1] - f[1] * n[0], ufl.dot(f, n)])
+        axes = layer_frame(n)
+        tangential = [ufl.dot(lift(f), axes[:, column]) for column in (0, 2)[: len(n) - 1]]
+        return ufl.as_vector([*tangential, ufl.dot(f, n)])
 
     def profile(self, f: Expr) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Places (n, d) and values (n, d) of a vector expression, projected to degree 1, at the vertices of S. Collective.
@@ -140,6 +144,8 @@ class Surface:
         V = self.trace_space
         mark = fem.Function(V)
         mark.x.array[self.model.supports.held(V)] = 1.0
+        tip = fem.locate_dofs_topological(V, self.model.joint.dim - 1, self.model.domain.facets(BONDED))
+        mark.x.array.reshape(-1, self.model.joint.dim)[tip] = 1.0
         mark.x.scatter_forward()
         if self.model.joint.rigid_base:
             return np.flatnonzero(mark.x.array > 0)

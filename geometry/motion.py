@@ -1,0 +1,199 @@
+"""How nodes move when a layer opens: directions at the faces, harmonic motion of the bodies, room for the layer."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from geometry.joint import GeometryError, Joint, place
+from geometry.topology import FACET_TYPES, FloatArray, IntArray, facet_normals, is_tensor, lagrange
+
+SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
+EXACT = 1e-10  # likewise for the bodies' other vertices, which must not leave their outer faces
+STEEPEST = 0.1  # cosine of the angle between S's normal and the way its vertices can go, at least
+TOLERANCE = 1e-12  # of the harmonic motion, relative
+
+
+def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
+    """Directions d (n, d) in which the nodes of S leave it, scaled to d . n = 1, from the lower to the upper body.
+
+    Along the mean normal of the facets around a node; at the end of S along the outer faces of the body on that side.
+
+    Raises:
+        GeometryError: S branches or is folded; an outer face touches S nearly parallel to it.
+    """
+    surface, normals = joint.surface, joint.node_normals
+    index = np.searchsorted(nodes, surface)
+    total, count = np.zeros((len(nodes), joint.dim)), np.zeros(len(nodes))
+    np.add.at(total, index, normals)
+    np.add.at(count, index, 1.0)
+    _require_no_branches(joint)
+    length = np.linalg.norm(total, axis=1)
+    folded = np.flatnonzero(length < 0.3 * count)
+    if len(folded):
+        raise GeometryError(
+            f"S is folded at {place(joint.points[nodes[folded[0]]])}: a layer there would overlap itself"
+        )
+    mean = total / length[:, None]
+
+    moments, faces = _outer_moments(joint, side)
+    values, vectors = np.linalg.eigh(moments[nodes] / np.maximum(faces[nodes], 1)[:, None, None])
+    slip = vectors * (values < SMOOTH)[:, None, :]
+    along = np.einsum("nik,njk,nj->ni", slip, slip, mean)
+    projection = np.zeros(len(nodes))
+    np.add.at(projection, index, np.einsum("fkd,fkd->fk", along[index], normals))
+    projection /= count
+    steep = np.flatnonzero(projection < STEEPEST)
+    if len(steep):
+        raise GeometryError(
+            f"bodies='extended' cannot keep the shape: an outer face touches S at {place(joint.points[nodes[steep[0]]])} "
+            "and is nearly parallel to it, so the body cannot give way there; use bodies='kept' if S is planar"
+        )
+    return along / projection[:, None]
+
+
+def _require_no_branches(joint: Joint) -> None:
+    """Raise GeometryError where more than two facets of S meet at a ridge."""
+    local = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[joint.dim - 2]
+    ridges = np.sort(np.concatenate([joint.surface[:, ridge] for ridge in local]), axis=1)
+    found, counts = np.unique(ridges, axis=0, return_counts=True)
+    if (counts > 2).any():
+        raise GeometryError(
+            f"S branches at {place(joint.points[found[counts > 2][0]].mean(axis=0))}: layers would overlap"
+        )
+
+
+def _outer_moments(joint: Joint, side: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """For every node the sum of m m^T over the unit normals m of outer faces (S left out) there, and their number."""
+    table = joint.table
+    outer = np.setdiff1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
+    if side is not None:
+        outer = outer[joint.side[table.cells[outer, 0]] == side]
+    nodes = table.nodes(outer, joint.cells, joint.cell_type)
+    normals = facet_normals(joint.points, nodes, joint.cell_type)
+    moments, count = np.zeros((len(joint.points), joint.dim, joint.dim)), np.zeros(len(joint.points))
+    np.add.at(moments, nodes, normals[..., :, None] * normals[..., None, :])
+    np.add.at(count, nodes, 1.0)
+    return moments, count
+
+
+def extended_motion(
+    joint: Joint, body_cells: IntArray, n_nodes: int, known: IntArray, values: FloatArray
+) -> FloatArray:
+    """Motion (n_nodes, d) of the bodies' nodes: given at the layer's faces, harmonic inside, sliding along outer faces.
+
+    Args:
+        joint: the joint before inflating.
+        body_cells: (n_cells, k) nodes of its cells, numbered as in the inflated joint.
+        n_nodes: number of nodes of the inflated joint.
+        known: nodes of the faces.
+        values: (n, d) their motion.
+    """
+    d, k = joint.dim, joint.corners.shape[1]
+    corners = body_cells[:, :k]
+    motion = np.zeros((n_nodes, d))
+    motion[known] = values
+    free = np.setdiff1d(np.unique(corners), known)
+
+    moments, count = _outer_moments(joint)
+    eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
+    node, way = np.nonzero(eigenvalues < EXACT)
+    unknown = np.arange(len(node))
+    directions = scipy.sparse.csr_matrix(
+        (
+            vectors[node, :, way].ravel(),
+            ((node[:, None] * d + np.arange(d)).ravel(), np.repeat(unknown, d)),
+        ),
+        shape=(len(free) * d, len(node)),
+    )
+    if len(node):
+        laplacian = _laplacian(joint.points[joint.corners], corners, joint.cell_type, n_nodes)
+        load = -(laplacian[free] @ motion).ravel()
+        matrix = directions.T @ scipy.sparse.kron(laplacian[free][:, free], np.eye(d), format="csr") @ directions
+        motion[free] = (directions @ _solve(matrix.tocsr(), directions.T @ load)).reshape(-1, d)
+    if body_cells.shape[1] > k:
+        between = lagrange(joint.cell_type, 1).tabulate(0, lagrange(joint.cell_type, 2).points[k:])[0, :, :, 0]
+        motion[body_cells[:, k:]] = np.einsum("qn,cnd->cqd", between, motion[corners])
+        motion[known] = values
+    return motion
+
+
+def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scipy.sparse.csr_matrix:
+    """Stiffness matrix of -div grad on straight-sided cells x (n_cells, k, d), with quadrature at their vertices."""
+    element = lagrange(cell_type, 1)
+    at = element.points if is_tensor(cell_type) else element.points[:1]
+    reference = element.tabulate(1, at)[1:, :, :, 0]
+    jacobian = np.einsum("tqn,cnd->cqtd", reference, x)
+    gradients = np.einsum("cqdt,tqn->cqnd", np.linalg.inv(jacobian), reference)
+    weight = np.abs(np.linalg.det(jacobian)) / len(at)
+    local = np.einsum("cqnd,cqmd,cq->cnm", gradients, gradients, weight)
+    k = corners.shape[1]
+    rows, columns = np.repeat(corners, k, axis=1).ravel(), np.tile(corners, (1, k)).ravel()
+    return scipy.sparse.coo_matrix((local.ravel(), (rows, columns)), shape=(n, n)).tocsr()
+
+
+def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
+    """Conjugate gradients; the same on every rank, each for itself."""
+    if not np.any(b):
+        return np.zeros_like(b)
+    A = PETSc.Mat().createAIJ(
+        matrix.shape,
+        csr=(matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data),
+        comm=MPI.COMM_SELF,
+    )
+    ksp = PETSc.KSP().create(MPI.COMM_SELF)
+    ksp.setOperators(A)
+    ksp.setType("cg")
+    ksp.getPC().setType("icc")
+    ksp.setTolerances(rtol=TOLERANCE, atol=0.0, max_it=5000)
+    right, x = A.createVecLeft(), A.createVecRight()
+    right.array[:] = b
+    ksp.solve(right, x)
+    solution, reason = x.array.copy(), ksp.getConvergedReason()
+    for thing in (A, ksp, right, x):
+        thing.destroy()
+    if reason < 0:
+        raise GeometryError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
+    return solution
+
+
+def require_room(joint: Joint, n: FloatArray, eps: float) -> None:
+    """Raise GeometryError if what is below S (a body, or a layer on a rigid base), moved by -eps n, hits the upper body."""
+    table = joint.table
+    outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
+    on_s = np.isin(outer, joint.surface_rows)
+    below = on_s if joint.rigid_base else on_s | (joint.side[table.cells[outer, 0]] < 0)
+    moving, fixed = outer[below], outer[~below]
+    for rows, others, way in ((moving, fixed, -1.0), (fixed, moving, 1.0)):
+        x = _first_hit(joint, np.unique(table.vertices[rows]), others, way * n, eps)
+        if x is not None:
+            raise GeometryError(
+                f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
+            )
+
+
+def _first_hit(joint: Joint, vertices: IntArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
+    """The first of the vertices that meets one of the facets on its way, a length eps along a unit vector."""
+    nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
+    if is_tensor(joint.cell_type) and joint.dim == 3:
+        nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
+    x, facets = joint.points[vertices], joint.points[nodes]
+    tolerance = 1e-9 * float(np.ptp(joint.points, axis=0).max())
+    start, heights = x @ way, facets @ way
+    near = (heights.max(axis=1) > start.min(initial=np.inf) + tolerance) & (
+        heights.min(axis=1) < start.max(initial=-np.inf) + eps
+    )
+    plane = np.linalg.svd(way[None])[2][1:]
+    for facet, height in zip(facets[near] @ plane.T, heights[near], strict=True):
+        edges = (facet[1:] - facet[0]).T
+        if abs(np.linalg.det(edges)) < tolerance ** (joint.dim - 1):
+            continue  # seen edge-on
+        weights = np.linalg.solve(edges, (x @ plane.T - facet[0]).T).T
+        gap = height[0] + weights @ (height[1:] - height[0]) - start
+        inside = (weights > 1e-9).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-9)
+        hit = np.flatnonzero(inside & (gap > tolerance) & (gap < eps))
+        if len(hit):
+            return np.asarray(x[hit[0]], float)
+    return None

@@ -1,0 +1,45 @@
+"""Fields that come from the joint: the layer's thickness and director, the bodies' shifts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from forms.kinematics import Expr
+from geometry.domain import Domain
+from geometry.joint import Profile
+
+
+def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.float64]) -> fem.Function:
+    """A function given by its degrees of freedom on each cell of the joint, (n_cells, dofs per cell, components)."""
+    f = fem.Function(fem.functionspace(domain.mesh, element))
+    dofs = f.function_space.dofmap.list
+    f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = values[domain.original_cells].reshape(-1, values.shape[2])
+    return f
+
+
+def relative_thickness(domain: Domain, profile: Profile) -> fem.Function:
+    """The thickness profile on S, of degree 1 between vertices; what it is elsewhere has no meaning."""
+    joint = domain.joint
+    return cellwise(domain, ("Lagrange", 1), joint.relative_thickness(profile)[joint.corners][..., None])
+
+
+def director(domain: Domain) -> Expr:
+    """Unit normal of S in the cells of the meshed layer, (d,), from the lower to the upper body; zero elsewhere."""
+    joint, band = domain.joint, domain.joint.band
+    assert band is not None
+    values = np.zeros((*joint.corners.shape, joint.dim))
+    values[-len(band.director) :] = band.director
+    n = cellwise(domain, ("DG", 1, (joint.dim,)), values)
+    return n / ufl.sqrt(ufl.dot(n, n))
+
+
+def shift(domain: Domain) -> fem.Function:
+    """How far inflating moved each cell, (d,)."""
+    joint = domain.joint
+    moved = (joint.points - joint.reference)[joint.corners].mean(axis=1)
+    return cellwise(domain, ("DG", 0, (joint.dim,)), moved[:, None, :])
