@@ -1,8 +1,9 @@
 """Meshes with names: builders, joints, inflating S into a layer, distributing over MPI ranks."""
 
-from geometry.builders import block, sandwich
+from geometry.builders import block, disc, ring, sandwich
 from geometry.domain import Domain
 from geometry.inflation import inflate
 from geometry.joint import GeometryError, Joint
+from geometry.reading import read
 
-__all__ = ["Domain", "GeometryError", "Joint", "block", "inflate", "sandwich"]
+__all__ = ["Domain", "GeometryError", "Joint", "block", "disc", "inflate", "read", "ring", "sandwich"]

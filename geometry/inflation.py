@@ -226,7 +226,7 @@ def _split_prisms(cell_type: str, degree: int, order: IntArray) -> list[Pattern]
 
 def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: FloatArray, bodies: str) -> FloatArray:
     """(n_nodes, d) how far each node moves."""
-    motion = np.zeros((len(joint.points) + levels.top * len(levels.nodes), joint.dim))
+    motion: FloatArray = np.zeros((len(joint.points) + levels.top * len(levels.nodes), joint.dim))
     h = thickness[levels.nodes][:, None]
     if bodies == "kept":
         if not joint.planar or np.ptp(h) > 1e-12 * h.max():
@@ -236,7 +236,7 @@ def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: Floa
         n, eps = mean / np.linalg.norm(mean), float(h[0, 0])
         require_room(joint, n, eps)
         start = -1.0 if joint.rigid_base else -0.5
-        low = high = np.broadcast_to(n, (len(h), joint.dim))
+        low = high = np.tile(n, (len(h), 1))
         for side, end in ((-1, start), (1, start + 1)):
             motion[np.unique(body_cells[joint.side == side])] = end * eps * n
     else:

@@ -27,6 +27,7 @@ Profile = Callable[[FloatArray], FloatArray]
 S = "S"
 LAYER = "LAYER"
 LOWER_FACE, UPPER_FACE, BASE, BONDED = "LOWER_FACE", "UPPER_FACE", "BASE", "BONDED"
+RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, BONDED)
 FLAT = 1e-9  # S counts as planar when its unit normals differ by less
 
 
@@ -84,7 +85,8 @@ class Joint:
         cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
         region: (n_cells,) for each cell the position of its region in `regions`.
         regions: names of the cell regions.
-        facets: named sets of facets, each (n, k) vertices in any order; S is one of them.
+        facets: named sets of facets, each (n, k) vertices in any order; S is one of them, and what is in S is taken out
+            of the other sets.
         upper: names of the regions above S.
         lower: names of the regions below S; empty for a rigid base; the same as `upper` for S inside one body.
         direction: (d,) vector that points to the upper side, for S inside one body only.
@@ -119,12 +121,18 @@ class Joint:
         for name, facets in self.facets.items():
             if len(facets) == 0:
                 raise GeometryError(f"the facets named {name!r} are an empty set")
-            if (self.table.index(facets) < 0).any():
-                raise GeometryError(f"some facets named {name!r} are not facets of the mesh's cells")
+            missing = self.table.index(facets) < 0
+            if missing.any():
+                x = self.points[facets[missing][0]].mean(axis=0)
+                raise GeometryError(f"some facets named {name!r} are not facets of the mesh's cells, as at {place(x)}")
         if self.band is None:
             self._check_interface()
+            self._take_out_interface()
 
     def _check_regions(self) -> None:
+        for name in [*self.regions, *self.facets] if self.band is None else []:
+            if name in RESERVED or "/" in name:
+                raise GeometryError(f"{name!r} cannot be a name; not allowed: {', '.join(RESERVED)} and names with '/'")
         for name in self.lower + self.upper:
             if name not in self.regions:
                 raise GeometryError(unknown("region", name, self.regions))
@@ -154,9 +162,10 @@ class Joint:
                 )
             return
         if outer.any():
+            x = self.points[self.table.vertices[rows[outer][0]]].mean(axis=0)
             raise GeometryError(
-                f"{outer.sum()} facets of {S!r} lie on the outer boundary; between {'+'.join(self.lower)} and "
-                f"{'+'.join(self.upper)} each needs a cell on both sides"
+                f"{outer.sum()} facets of {S!r} lie on the outer boundary, the first at {place(x)}; between "
+                f"{'+'.join(self.lower)} and {'+'.join(self.upper)} each needs a cell on both sides"
             )
         side = self.side[self.table.cells[rows]]
         if (side[:, 0] == side[:, 1]).any():
@@ -165,6 +174,12 @@ class Joint:
                 f"{S!r} does not separate two bodies: some of its facets have the same body on both sides, the first at "
                 f"{place(x)}"
             )
+
+    def _take_out_interface(self) -> None:
+        rows = {name: self.table.index(facets) for name, facets in self.facets.items()}
+        kept = {name: facets[~np.isin(rows[name], self.surface_rows)] for name, facets in self.facets.items()}
+        kept[S] = self.facets[S]
+        object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
 
     @property
     def dim(self) -> int:
@@ -208,9 +223,14 @@ class Joint:
         rows = self.surface_rows
         if (self.table.cells[rows, 1] < 0).any():
             return -np.ones(len(self.cells), np.int64)
-        above = upper_cells(self.points, self.corners, self.table, rows, np.asarray(self.direction, float))
+        x, n = (
+            self.points[self.surface].mean(axis=1),
+            facet_normals(self.points, self.surface, self.cell_type).mean(axis=1),
+        )
+        centres = self.points[self.corners].mean(axis=1)
         try:
-            return sides_by_direction(self.corners, self.table, rows, above)
+            above = upper_cells(centres, self.table.cells[rows], x, n, np.asarray(self.direction, float))
+            return sides_by_direction(self.corners, self.cell_type, self.table, rows, above)
         except ValueError as error:
             raise GeometryError(f"direction {tuple(self.direction)} does not tell the sides of S: {error}") from None
 
@@ -286,20 +306,17 @@ class Joint:
         """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        turned = self._with_direction(turn)
-        return replace(turned, points=self.points @ turn.T)
+        return replace(self, points=self.points @ turn.T, direction=self._direction(turn))
 
     def swapped(self) -> Joint:
         """The joint with the roles of the lower and the upper body exchanged (n turns round, nothing moves)."""
         if self.rigid_base:
             raise GeometryError("a joint on a rigid base has no lower body to swap with")
-        turned = self._with_direction(-np.eye(self.dim))
-        return replace(turned, lower=self.upper, upper=self.lower)
+        return replace(self, lower=self.upper, upper=self.lower, direction=self._direction(-np.eye(self.dim)))
 
-    def _with_direction(self, turn: FloatArray) -> Joint:
-        if self.direction is None:
-            return self
-        return replace(self, direction=tuple(float(c) for c in turn @ np.array(self.direction)))
+    def _direction(self, turn: FloatArray) -> tuple[float, ...] | None:
+        """The direction of the upper side, turned."""
+        return None if self.direction is None else tuple(float(c) for c in turn @ np.array(self.direction))
 
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""

@@ -167,19 +167,21 @@ def require_room(joint: Joint, n: FloatArray, eps: float) -> None:
     below = on_s if joint.rigid_base else on_s | (joint.side[table.cells[outer, 0]] < 0)
     moving, fixed = outer[below], outer[~below]
     for rows, others, way in ((moving, fixed, -1.0), (fixed, moving, 1.0)):
-        x = _first_hit(joint, np.unique(table.vertices[rows]), others, way * n, eps)
+        corners = table.vertices[rows]
+        probes = np.concatenate([joint.points[np.unique(corners)], joint.points[corners].mean(axis=1)])
+        x = _first_hit(joint, probes, others, way * n, eps)
         if x is not None:
             raise GeometryError(
                 f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
             )
 
 
-def _first_hit(joint: Joint, vertices: IntArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
-    """The first of the vertices that meets one of the facets on its way, a length eps along a unit vector."""
+def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
+    """The first of the points (n, d) that meets one of the facets on its way, a length eps along a unit vector."""
     nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
     if is_tensor(joint.cell_type) and joint.dim == 3:
         nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
-    x, facets = joint.points[vertices], joint.points[nodes]
+    facets = joint.points[nodes]
     tolerance = 1e-9 * float(np.ptp(joint.points, axis=0).max())
     start, heights = x @ way, facets @ way
     near = (heights.max(axis=1) > start.min(initial=np.inf) + tolerance) & (

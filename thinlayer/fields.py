@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import dolfinx
 import dolfinx.plot
 import numpy as np
 import numpy.typing as npt
+import pyvista
 from dolfinx import fem
 
-from geometry.joint import BASE, S
-from thinlayer.model import Model
+from geometry.joint import BASE, Joint, S
+from geometry.topology import FACET_TYPES
 from thinlayer.state import State
+
+VTK_LAGRANGE = {"interval": 68, "triangle": 69, "quadrilateral": 70}  # VTK's numbers of cells of any degree
+SUBDIVISION = 3  # of curved cells
+SHARP = 30.0  # angle (degree) between faces whose common edge is drawn
+ALMOST = 0.999  # of the displacements: without any VTK would merge the two sides of S
+OFF_MIDDLE = 1e-3  # of a cut, in units of the structure: along the faces of a grid it would leave crumbs
+MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
 
 
 @dataclass(frozen=True)
@@ -22,19 +30,93 @@ class Grid:
     """A displacement field on VTK cells; the nodes on S are double where it jumps.
 
     Attributes:
+        dim: space dimension, 2 or 3; in 2D all third components are zero.
         points: (n, 3) places of the nodes.
         u: (n, 3) displacements.
         cells, types: VTK cells.
         region: (n_cells,) region number from 0; sublayers of the meshed layer are -1, -2, ...
-        base: (n, 2, 3) edges of the rigid base in 2D, which do not move; none between two bodies.
+        base: (n, k, 3) nodes of the facets of the rigid base, which do not move, in VTK's order; none between two bodies.
+        base_type: VTK type of these facets.
     """
 
+    dim: int
     points: npt.NDArray[np.float64]
     u: npt.NDArray[np.float64]
     cells: npt.NDArray[np.int64]
     types: npt.NDArray[np.uint8]
     region: npt.NDArray[np.int64]
     base: npt.NDArray[np.float64]
+    base_type: int
+
+    def component(self, name: str) -> npt.NDArray[np.float64]:
+        """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ValueError for another name."""
+        if name == "size":
+            return np.linalg.norm(self.u, axis=1)
+        if name not in ("x", "y", "z"):
+            raise ValueError(f"unknown component {name!r}; allowed: size, x, y, z")
+        return self.u[:, "xyz".index(name)]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A deformed structure to draw.
+
+    Attributes:
+        regions: region number -> its cells, the layer's last, with point data "u", a component of the displacement, and
+            "moved", (n, 3) how far the deformed points are from the undeformed ones.
+        base: facets of the rigid base; None between two bodies.
+    """
+
+    regions: dict[int, pyvista.UnstructuredGrid]
+    base: pyvista.UnstructuredGrid | None
+
+    @classmethod
+    def of(cls, grid: Grid, component: str, scale: float, cut: Sequence[float] | None = None) -> Shape:
+        """The structure with displacements times a scale; cut: without the half to which this unit vector points."""
+        mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
+        mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u})
+        parts = {int(number): mesh.extract_cells(grid.region == number) for number in np.unique(grid.region)[::-1]}
+        n, k = grid.base.shape[:2]
+        facets = np.insert(np.arange(n * k).reshape(n, k), 0, k, axis=1)
+        base = pyvista.UnstructuredGrid(facets, np.full(n, grid.base_type), grid.base.reshape(-1, 3)) if n else None
+        if base is not None:
+            base.point_data["moved"] = np.zeros(base.points.shape)
+        if cut is None:
+            return cls(parts, base)
+        low, high = grid.points.min(axis=0), grid.points.max(axis=0)
+        plane = {"normal": cut, "origin": (low + high) / 2 + OFF_MIDDLE * (high - low).max() * np.asarray(cut)}
+        behind = {number: part.clip(**plane) for number, part in parts.items()}
+        regions = {number: part for number, part in behind.items() if part.n_cells}
+        return cls(regions, base.clip(**plane) if base is not None else None)
+
+    @property
+    def points(self) -> npt.NDArray[np.float64]:
+        """(n, 3) nodes of the regions and then of the base."""
+        meshes = [*self.regions.values(), *([] if self.base is None else [self.base])]
+        return np.concatenate([mesh.points for mesh in meshes])
+
+    @property
+    def values(self) -> npt.NDArray[np.float64]:
+        """(n,) "u" at `points`; not a number on the base."""
+        values = np.concatenate([part["u"] for part in self.regions.values()])
+        return np.pad(values, (0, 0 if self.base is None else self.base.n_points), constant_values=np.nan)
+
+
+def surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
+    """Outer surface of a mesh (in 2D the mesh itself), curved cells subdivided."""
+    return mesh.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION)
+
+
+def edges(surface: pyvista.PolyData) -> pyvista.PolyData:
+    """Outlines of a surface, and where it has sharp edges before it deforms, at their deformed places."""
+    still = surface.copy()
+    still.points -= ALMOST * surface["moved"]
+    if not surface.n_lines:
+        still = still.compute_normals(point_normals=False)  # turns faces alike, for their angles
+    lines = still.extract_feature_edges(SHARP, manifold_edges=False, non_manifold_edges=False)
+    if lines.n_cells:
+        lines.points += ALMOST * lines["moved"]
+    return lines
 
 
 def nodal_displacement(state: State) -> fem.Function:
@@ -48,39 +130,47 @@ def nodal_displacement(state: State) -> fem.Function:
 
 
 def gather(state: State) -> Grid:
-    """The field of a state, on rank 0 (other ranks: empty). Collective."""
-    model = state.model
+    """The field of a state, on rank 0 (other ranks: no cells). Collective."""
+    model, joint = state.model, state.model.domain.joint
     u = nodal_displacement(state)
-    cells, types, points = dolfinx.plot.vtk_mesh(u.function_space)
-    d = model.joint.dim
-    values = np.zeros((len(points), 3))
-    values[:, :d] = u.x.array.reshape(-1, d)[: len(points)]
-    original = model.domain.original_cells[: len(types)]
-    region = model.domain.joint.region[original]
+    nodes = u.function_space.dofmap.index_map
+    cells, types, x = dolfinx.plot.vtk_mesh(u.function_space)
+    number = nodes.local_to_global(np.arange(len(x), dtype=np.int32))
+    rows = cells.reshape(len(types), cells.size // max(len(types), 1)).astype(np.int64)
+    if joint.cell_type == "tetrahedron" and len(rows):
+        _orient(x, rows[:, 1:])
+    rows[:, 1:] = number[rows[:, 1:]]
+    region = joint.region[model.domain.original_cells[: len(types)]]
     n_layers = len(model.domain.layer_regions)
-    first_layer = len(model.domain.joint.regions) - n_layers
+    first_layer = len(joint.regions) - n_layers
     region = np.where(region >= first_layer, first_layer - region - 1, region) if n_layers else region
-    rows = cells.reshape(len(types), -1) if len(types) else None
-    pieces = model.comm.gather((points, values, rows, types, region), root=0)
-    if pieces is None:
-        return Grid(points[:0], values[:0], cells[:0], types[:0], region[:0], np.empty((0, 2, 3)))
-    pieces = [piece for piece in pieces if piece[2] is not None]  # a rank may have no cells
-    shifted, offset = [], 0
-    for x, _, c, _, _ in pieces:
-        c = c.copy()
-        c[:, 1:] += offset
-        shifted.append(c)
-        offset += len(x)
-    joined: list[Any] = [np.concatenate([piece[k] for piece in pieces]) for k in (0, 1, 3, 4)]
-    return Grid(joined[0], joined[1], np.concatenate(shifted).ravel(), joined[2], joined[3], _base(model))
+    displacement = u.x.array.reshape(-1, joint.dim)[: len(x)]
+    piece = (number, x, displacement, rows.ravel(), types, region)
+    pieces = model.comm.gather(piece, root=0) or [tuple(array[:0] for array in piece)]
+    number, x, displacement, cells, types, region = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
+    points, values = np.zeros((2, number.max(initial=-1) + 1, 3))
+    points[number] = x
+    values[number, : joint.dim] = displacement
+    return Grid(joint.dim, points, values, cells, types, region, *_base(joint))
 
 
-def _base(model: Model) -> npt.NDArray[np.float64]:
-    joint = model.domain.joint
-    if not joint.rigid_base or joint.dim != 2:
-        return np.empty((0, 2, 3))
-    edges = joint.points[joint.facets[BASE if joint.band else S]]
-    return np.concatenate([edges, np.zeros((len(edges), 2, 1))], axis=2)
+def _orient(points: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> None:
+    """Turn tetrahedra (n, 4 or 10) right-handed, in place: VTK takes inner faces of others for outer ones."""
+    corners = points[cells[:, :4]]
+    left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+    cells[left] = cells[left][:, MIRRORED[: cells.shape[1]]]
+
+
+def _base(joint: Joint) -> tuple[npt.NDArray[np.float64], int]:
+    """Facets of the rigid base, (n, k, 3) in VTK's order of nodes, and their VTK type."""
+    kind = FACET_TYPES[joint.cell_type]
+    if not joint.rigid_base:
+        return np.empty((0, joint.dim, 3)), VTK_LAGRANGE[kind]
+    rows = np.unique(joint.table.index(joint.facets[BASE if joint.band else S]))
+    nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
+    order = np.argsort(dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(kind), nodes.shape[1]))
+    facets = joint.points[nodes[:, order]]
+    return np.pad(facets, ((0, 0), (0, 0), (0, 3 - joint.dim))), VTK_LAGRANGE[kind]
 
 
 def write(state: State, path: str | Path) -> None:

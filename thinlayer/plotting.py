@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,19 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from geometry.parallel import on_root
-from thinlayer.fields import Grid, gather
+from thinlayer.fields import Shape, edges, gather, surface
 from thinlayer.state import State
 from thinlayer.table import Table
 
 SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}
-SUBDIVISION = 3  # of curved cells, for drawing
 LARGEST = 0.05  # drawn displacement, in units of the structure
+VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # by dimension: where one looks from
+LIFT = 0.004  # of lines towards the viewer, in widths of the picture: surfaces would hide half of them
+PIXELS = 1400  # of the longer side of an image
+RED: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
+BLACK: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
+GREY: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
+BODY: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
 
@@ -121,63 +128,92 @@ def deformed(
     title: str = "",
     unit: str = "",
     zoom: Sequence[float] | None = None,
+    view: Sequence[float] | None = None,
+    cut: bool = False,
 ) -> None:
     """Deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
+
+    The meshed layer has red outlines, a rigid base is grey. Three-dimensional structures are seen in parallel projection.
 
     Args:
         states: label -> state, or one state. Collective.
         save: PNG file.
         component: "size", "x", "y" or "z".
         scale: factor of the displacements (default: the largest is a twentieth of the structure).
-        title: text over the picture.
-        unit: unit of the displacements, for the colour bar.
-        zoom: (x_min, x_max, y_min, y_max) part to show, in deformed coordinates.
+        title, unit: text over the picture; unit of the displacements, for the colour bar.
+        zoom: (left, right, bottom, top) part to show, in deformed coordinates: in 2D (x_min, x_max, y_min, y_max), in 3D
+            lengths to the right and up on the picture, from where the origin is.
+        view: in 3D the direction from the structure to the viewer, (3,) (default: the viewer stands in front, z > 0, to
+            the right and above). y points up on the picture; from right above, -z does.
+        cut: in 3D whether to leave out the half in front of the middle in z, to see S inside.
+
+    Raises:
+        ValueError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
     panels = {"": states} if isinstance(states, State) else dict(states)
     grids = {label: gather(state) for label, state in panels.items()}
     comm = next(iter(panels.values())).model.comm
-    on_root(comm, lambda: _draw_deformed(grids, component, scale, title, unit, zoom).savefig(_folder(save), **SAVED))
+
+    def draw() -> None:
+        first = next(iter(grids.values()))
+        camera = _View.of(first.dim, view, cut)
+        largest = max(np.linalg.norm(g.u, axis=1).max() for g in grids.values())
+        factor = scale or (LARGEST * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0)
+        front = (0.0, 0.0, np.copysign(1.0, camera.towards[2])) if cut else None
+        shown = {label: Shape.of(grid, component, factor, front) for label, grid in grids.items()}
+        name = ("|u|" if component == "size" else f"u_{component}") + (f" ({unit})" if unit else "")
+        figure = _side_by_side(shown, camera, zoom, f"{name}; drawn displacements x {factor:.3g}")
+        if title:
+            figure.suptitle(title)
+        figure.savefig(_folder(save), **SAVED)
+
+    on_root(comm, draw)
 
 
-def _draw_deformed(
-    grids: Mapping[str, Grid],
-    component: str,
-    scale: float | None,
-    title: str,
-    unit: str,
-    zoom: Sequence[float] | None,
-) -> Figure:
-    first = next(iter(grids.values()))
-    largest = max(np.linalg.norm(g.u, axis=1).max() for g in grids.values())
-    scale = scale or (LARGEST * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0)
-    values = {label: _component(grid, component) for label, grid in grids.items()}
-    places = np.concatenate([g.points + scale * g.u for g in grids.values()])
-    x0, x1, y0, y1 = zoom or (*_range(places[:, 0]), *_range(places[:, 1]))
-    x, y = places[:, 0], places[:, 1]
-    seen = np.concatenate(list(values.values()))[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)]
-    if not len(seen):
+@dataclass(frozen=True)
+class _View:
+    """Parallel projection: orthonormal directions on the screen, to the right, upwards and towards the viewer."""
+
+    right: npt.NDArray[np.float64]
+    up: npt.NDArray[np.float64]
+    towards: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, dim: int, view: Sequence[float] | None, cut: bool) -> _View:
+        """Where one looks from; raises ValueError where that cannot be chosen, or is no direction."""
+        if dim == 2 and (view is not None or cut):
+            raise ValueError("view and cut are for three-dimensional structures")
+        towards = np.array(VIEWS[dim] if view is None else view, float)
+        if towards.shape != (3,) or not np.isfinite(towards).all() or not towards.any():
+            raise ValueError(f"view is {view}; it needs three components, not all zero")
+        towards /= np.linalg.norm(towards)
+        right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
+        right /= np.linalg.norm(right)
+        return cls(right, np.cross(towards, right), towards)
+
+    def on_screen(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """(n, 3) coordinates of points along the three directions."""
+        return points @ np.array([self.right, self.up, self.towards]).T
+
+
+def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float] | None, label: str) -> Figure:
+    """Picture of structures in a common window, with a common colour bar."""
+    x, y, _ = view.on_screen(np.concatenate([shape.points for shape in shapes.values()])).T
+    x0, x1, y0, y1 = window = zoom or (*_range(x), *_range(y))
+    inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+    seen = np.concatenate([shape.values for shape in shapes.values()])[inside]
+    if np.isnan(seen).all():
         raise ValueError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
-    limits = (float(seen.min()), float(seen.max()))
-    height_per_width = (y1 - y0) / (x1 - x0)
-    panel_width = 4.6
-    figure = Figure(figsize=(panel_width * len(grids), panel_width * height_per_width + 1.3), layout="constrained")
-    axes = list(figure.subplots(1, len(grids), squeeze=False)[0])
-    for one, (label, grid) in zip(axes, grids.items(), strict=True):
-        one.imshow(_render(grid, values[label], limits, scale, (x0, x1, y0, y1)), extent=(x0, x1, y0, y1))
+    limits = (float(np.nanmin(seen)), float(np.nanmax(seen)))
+    panel_width, height_per_width = 4.6, (y1 - y0) / (x1 - x0)
+    figure = Figure(figsize=(panel_width * len(shapes), panel_width * height_per_width + 1.3), layout="constrained")
+    axes = list(figure.subplots(1, len(shapes), squeeze=False)[0])
+    for one, (name, shape) in zip(axes, shapes.items(), strict=True):
+        one.imshow(_render(shape, limits, view, window), extent=(x0, x1, y0, y1))
         one.set_axis_off()
-        one.set_title(label, fontsize=11)
-    name = ("|u|" if component == "size" else f"u_{component}") + (f" ({unit})" if unit else "")
+        one.set_title(name, fontsize=11)
     colours = ScalarMappable(Normalize(*limits), "viridis")
-    figure.colorbar(
-        colours,
-        ax=axes,
-        orientation="horizontal",
-        aspect=40,
-        pad=0.02,
-        label=f"{name}; drawn displacements x {scale:.3g}",
-    )
-    if title:
-        figure.suptitle(title)
+    figure.colorbar(colours, ax=axes, orientation="horizontal", aspect=40, pad=0.02, label=label)
     return figure
 
 
@@ -187,40 +223,28 @@ def _range(x: npt.NDArray[np.float64]) -> tuple[float, float]:
     return float(x.min() - margin), float(x.max() + margin)
 
 
-def _component(grid: Grid, component: str) -> npt.NDArray[np.float64]:
-    if component == "size":
-        return np.linalg.norm(grid.u, axis=1)
-    if component not in ("x", "y", "z"):
-        raise ValueError(f"unknown component {component!r}; allowed: size, x, y, z")
-    return grid.u[:, "xyz".index(component)]
-
-
-def _render(
-    grid: Grid, values: npt.NDArray[np.float64], limits: tuple[float, float], scale: float, window: Sequence[float]
-) -> npt.NDArray[np.uint8]:
-    """Image of a deformed structure in its plane; outlines of bodies black, of the layer's parts red, the base grey."""
+def _render(shape: Shape, limits: tuple[float, float], view: _View, window: Sequence[float]) -> npt.NDArray[np.uint8]:
+    """Image of a structure; edges and outlines of bodies black, of the layer's parts red, the base grey."""
     x0, x1, y0, y1 = window
-    pixels = 1400 / max(x1 - x0, y1 - y0)
-    plotter = pyvista.Plotter(off_screen=True, window_size=[round(pixels * (x1 - x0)), round(pixels * (y1 - y0))])
-    mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
-    mesh.point_data["u"] = values
-    for number in np.unique(grid.region)[::-1]:
-        part = mesh.extract_cells(grid.region == number)
-        surface = part.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION).clean()
-        plotter.add_mesh(surface, scalars="u", clim=limits, cmap="viridis", show_scalar_bar=False, lighting=False)
-        outline = surface.extract_feature_edges(
-            boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
-        )
-        outline.points[:, 2] += 0.01 * (x1 - x0)  # in front of the base, which would cover a very thin layer
-        plotter.add_mesh(outline, color="crimson" if number < 0 else "black", line_width=4 if number < 0 else 3)
-    if len(grid.base):
-        plotter.add_lines(grid.base.reshape(-1, 3), color="dimgrey", width=8)
+    size = [round(PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
+    plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
+    plotter.add_light(pyvista.Light(light_type="headlight"))
+    body = BODY | {"clim": limits}
+    parts = [(region, body, *((RED, 2) if number < 0 else (BLACK, 1))) for number, region in shape.regions.items()]
+    for mesh, look, pen, lift in parts + ([] if shape.base is None else [(shape.base, GREY, GREY, 0)]):
+        outside = surface(mesh)
+        plotter.add_mesh(outside, **look)
+        lines = edges(outside)
+        lines.points += lift * LIFT * (x1 - x0) * view.towards
+        if lines.n_cells:
+            plotter.add_mesh(lines, **pen)
+    depth = view.on_screen(shape.points)[:, 2]
+    near, far = depth.max() + (x1 - x0), depth.min() - (x1 - x0)
+    centre = (x0 + x1) / 2 * view.right + (y0 + y1) / 2 * view.up
     plotter.enable_parallel_projection()
-    plotter.camera.focal_point = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0)
-    plotter.camera.position = ((x0 + x1) / 2, (y0 + y1) / 2, 10 * (x1 - x0))
-    plotter.camera.up = (0.0, 1.0, 0.0)
+    plotter.camera_position = [centre + near * view.towards, centre + far * view.towards, view.up]
     plotter.camera.parallel_scale = (y1 - y0) / 2
-    plotter.camera.clipping_range = (0.1 * (x1 - x0), 100 * (x1 - x0))
+    plotter.camera.clipping_range = (0.0, near - far)
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return image

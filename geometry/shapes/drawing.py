@@ -1,0 +1,203 @@
+"""One gmsh session: drawing a shape with named parts, sizing its cells, meshing, taking the arrays over."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import dolfinx
+import gmsh
+import numpy as np
+
+from geometry.joint import Joint, S
+from geometry.shapes.sizing import CELLS, Cells, Grading
+from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
+
+FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's words, where they differ
+GROWTH = 0.3  # cell size gained per unit of distance from a refined place
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """gmsh's entities by name, and the grid they can have.
+
+    Attributes:
+        bodies: tags of the entities of the shape's dimension, the lower body first.
+        facets: tags of the entities of one dimension less.
+        floor: tags of the surfaces that a grid fills, in 3D those that were swept; four-sided.
+        gradings: of the curves around them, by tag.
+    """
+
+    bodies: dict[str, list[int]]
+    facets: dict[str, list[int]]
+    floor: list[int]
+    gradings: dict[int, Grading]
+
+
+@dataclass(frozen=True)
+class Shape(ABC):
+    """A joint that gmsh can draw and mesh."""
+
+    cells: Cells
+
+    def __post_init__(self) -> None:
+        self.cells.check(self.lengths, self.dim)
+
+    @property
+    @abstractmethod
+    def dim(self) -> int:
+        """Space dimension."""
+
+    @property
+    @abstractmethod
+    def lengths(self) -> dict[str, float]:
+        """The lengths that must be > 0, by what messages call them; cells are not larger than the largest."""
+
+    @property
+    @abstractmethod
+    def thinnest(self) -> float:
+        """The length that the default cell size divides."""
+
+    @property
+    @abstractmethod
+    def span(self) -> float:
+        """Length of S in 2D, of the longest curve around it in 3D."""
+
+    @property
+    @abstractmethod
+    def distance(self) -> str:
+        """Distance from S, a formula in x, y and z."""
+
+    @property
+    def limits(self) -> list[str]:
+        """Further bounds of the cell size, formulas in x, y and z."""
+        return []
+
+    @abstractmethod
+    def draw(self) -> Drawing:
+        """Draw with gmsh's built-in kernel."""
+
+    def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
+        """The final places (n_points, d) of a mesh's points, the vertices as they are."""
+        return points
+
+    @property
+    def kind(self) -> str:
+        """Type of the cells."""
+        return self.cells.kind or CELLS[self.dim][0]
+
+    @property
+    def gridded(self) -> bool:
+        """Whether the mesh is a grid, split or not."""
+        return self.cells.structured or is_tensor(self.kind)
+
+    @property
+    def curved_grid(self) -> bool:
+        """Whether the mesh is a grid of cells of degree 2."""
+        return is_tensor(self.kind) and self.cells.degree == 2
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """(h, h_S, h_ends) with their defaults."""
+        return self.cells.sizes(self.thinnest, self.dim)
+
+    def build(self) -> Joint:
+        """Mesh with gmsh and take the arrays over."""
+        gmsh.initialize(interruptible=False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            gmsh.model.add("joint")
+            drawing = self.draw()
+            if self.gridded:
+                self._set_grid(drawing)
+            else:
+                self._set_sizes(drawing.facets[S])
+            gmsh.model.mesh.generate(self.dim)
+            if self.cells.degree > 1:
+                gmsh.model.mesh.setOrder(self.cells.degree)
+            return self._read(drawing)
+        finally:
+            gmsh.finalize()
+
+    def sweep(self, surfaces: Sequence[int], way: tuple[float, float, float], grading: Grading) -> dict[int, list[int]]:
+        """Extrude surfaces (in graded layers for a grid); for each of them the volume and the surface at its far end."""
+        kernel, layers = gmsh.model.geo, grading.layers
+        grid = dict(numElements=[1] * len(layers), heights=layers, recombine=is_tensor(self.kind))
+        swept = kernel.extrude([(2, tag) for tag in surfaces], *way, **(grid if self.gridded else {}))
+        kernel.synchronize()
+        volumes = [k for k, (dim, _) in enumerate(swept) if dim == 3]
+        return {tag: [swept[k][1], swept[k - 1][1]] for tag, k in zip(surfaces, volumes, strict=True)}
+
+    def _set_grid(self, drawing: Drawing) -> None:
+        """A grid of quadrilaterals, or of triangles that halve them, on surfaces; layers on it are part of the drawing."""
+        for curve, grading in drawing.gradings.items():
+            grading.put(curve)
+        for surface in drawing.floor:
+            gmsh.model.mesh.setTransfiniteSurface(surface, self.cells.arrangement)
+            if is_tensor(self.kind):
+                gmsh.model.mesh.setRecombine(2, surface)
+
+    def _set_sizes(self, s: Sequence[int]) -> None:
+        """Size fields: h_ends at the ends of S, h_S on it, growing to h."""
+        h, h_S, h_ends = self.sizes
+        field = gmsh.model.mesh.field
+        ends = [tag for _, tag in gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s], oriented=False)]
+        formulas = []
+        for dim, where, size in ((self.dim - 1, s, h_S), (self.dim - 2, ends, h_ends)):
+            distance = f"({self.distance})"
+            if dim < 2:  # gmsh measures the distance from curves and points of its built-in kernel, not from surfaces
+                nearest = field.add("Distance")
+                field.setNumbers(nearest, ("PointsList", "CurvesList")[dim], where)
+                field.setNumber(nearest, "Sampling", min(20000, int(4 * self.span / size)))
+                distance = f"F{nearest}"
+            if where:
+                formulas.append(f"{size!r} + {GROWTH!r} * {distance}")
+        bounds = []
+        for formula in formulas + self.limits:
+            bounds.append(field.add("MathEval"))
+            field.setString(bounds[-1], "F", formula)
+        smallest = field.add("Min")
+        field.setNumbers(smallest, "FieldsList", bounds)
+        field.setAsBackgroundMesh(smallest)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", h)
+        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
+            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+
+    def _read(self, drawing: Drawing) -> Joint:
+        nodes, x, _ = gmsh.model.mesh.getNodes()
+        bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
+        facet_type = FACET_TYPES[self.kind]
+        facets = {name: self._elements(facet_type, tags) for name, tags in drawing.facets.items()}
+        used = np.unique(np.concatenate(bodies))
+        points = x.reshape(-1, 3)[np.argsort(nodes), : self.dim][np.searchsorted(np.sort(nodes), used)]
+        order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(self.kind), bodies[0].shape[1])
+
+        def number(rows: Any) -> IntArray:
+            return np.searchsorted(used, rows).astype(np.int64)
+
+        names = tuple(drawing.bodies)
+        cells = number(np.concatenate(bodies)[:, order])
+        return Joint(
+            self.settle(points, cells),
+            cells,
+            self.kind,
+            np.repeat(np.arange(len(bodies)), [len(body) for body in bodies]),
+            names,
+            {name: number(rows[:, : corner_count(facet_type)]) for name, rows in facets.items()},
+            upper=names[-1:],
+            lower=names[:-1],
+        )
+
+    def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
+        """Nodes (n, k) of the elements of one type on the entities with these tags, in gmsh's order."""
+        mesh = gmsh.model.mesh
+        number = mesh.getElementType(FAMILIES.get(kind, kind), self.cells.degree)
+        rows = np.concatenate([mesh.getElementsByType(number, tag)[1] for tag in tags])
+        return rows.reshape(-1, mesh.getElementProperties(number)[3])
+
+
+def walls(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
+    """The surfaces that sweeping `surfaces` has made of some of their curves."""
+    return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]

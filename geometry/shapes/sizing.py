@@ -1,0 +1,116 @@
+"""The cells that a shape is asked for, and how their sizes change along a line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gmsh
+import numpy as np
+
+from geometry.joint import GeometryError, unknown
+
+CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
+PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
+ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
+RANGE = 1e-5  # smallest cell size allowed, in units of the shape's own size
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What cells a shape is asked for.
+
+    Attributes:
+        h, h_S, h_ends: largest size, size at S and at the ends of S, lengths; None for the default.
+        kind: "triangle", "quadrilateral", "tetrahedron" or "hexahedron"; None for the dimension's simplex.
+        degree: of the cells' geometry, 1 (straight) or 2 (curved).
+        structured: whether simplices split a grid.
+        arrangement: which diagonals halve a grid's rectangles.
+    """
+
+    h: float | None
+    h_S: float | None
+    h_ends: float | None
+    kind: str | None = None
+    degree: int = 1
+    structured: bool = False
+    arrangement: str = "Right"
+
+    def check(self, lengths: Mapping[str, float], dim: int) -> None:
+        """Raise GeometryError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
+        for what, value in lengths.items():
+            if not np.isfinite(value) or value <= 0:
+                raise GeometryError(f"{what} is {value}; it must be > 0")
+        largest = max(lengths.values())
+        smallest = RANGE * largest
+        for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
+            if size is not None and not (np.isfinite(size) and smallest <= size <= largest):
+                raise GeometryError(f"cell size {what} is {size}; allowed: {smallest:g} to {largest:g}")
+        if self.kind in CELLS[5 - dim]:
+            raise GeometryError(f"cell {self.kind!r} does not exist in {dim}D; allowed: {', '.join(CELLS[dim])}")
+        if self.kind is not None and self.kind not in CELLS[dim]:
+            raise GeometryError(unknown("cell", self.kind, CELLS[dim]))
+        if self.degree not in (1, 2):
+            raise GeometryError(f"degree is {self.degree}; allowed: 1 (straight cells), 2 (curved cells)")
+        if self.arrangement not in ARRANGEMENTS:
+            raise GeometryError(unknown("arrangement", self.arrangement, ARRANGEMENTS))
+
+    def sizes(self, thinnest: float, dim: int) -> tuple[float, float, float]:
+        """(h, h_S, h_ends) with their defaults for a shape whose thinnest part has this length."""
+        h = float(self.h or thinnest / PARTS[dim])
+        h_S = float(self.h_S or h)
+        return h, h_S, float(self.h_ends or h_S)
+
+
+@dataclass(frozen=True)
+class Grading:
+    """Cells along a line, each larger than the one before by the same factor.
+
+    Attributes:
+        n: number of cells.
+        first, last: sizes of the first and of the last cell, lengths; if symmetric, at both ends and in the middle.
+        symmetric: whether the sizes grow from both ends to the middle.
+        backwards: whether the first cell is at the line's end.
+    """
+
+    n: int
+    first: float
+    last: float
+    symmetric: bool = False
+    backwards: bool = False
+
+    @classmethod
+    def of(
+        cls, length: float, first: float, last: float, *, symmetric: bool = False, backwards: bool = False
+    ) -> Grading:
+        """The grading of a line of a length that comes nearest to these sizes."""
+        if first == last:
+            return cls(max(1, round(length / first)), first, last, symmetric, backwards)
+        graded = length / 2 if symmetric else length
+        if max(first, last) >= graded:
+            first, last = min(first, graded / 2), min(last, graded / 2)
+        ratio = last / first
+        n = 2 if ratio == 1 else max(2, round(1 + np.log(ratio) / np.log((graded - first) / (graded - last))))
+        return cls(2 * n if symmetric else n, first, last, symmetric, backwards)
+
+    @property
+    def growth(self) -> float:
+        """Ratio of the sizes of neighbouring cells."""
+        steps = (self.n // 2 if self.symmetric else self.n) - 1
+        return float((self.last / self.first) ** (1 / steps)) if self.first != self.last else 1.0
+
+    @property
+    def layers(self) -> list[float]:
+        """Where the cells end, as fractions of the line that grow to 1."""
+        k = np.arange(self.n)
+        sizes = self.growth ** (np.minimum(k, k[::-1]) if self.symmetric else k[::-1] if self.backwards else k)
+        ends = np.cumsum(sizes) / sizes.sum()
+        return [*ends[:-1].tolist(), 1.0]
+
+    def put(self, curve: int) -> None:
+        """Prescribe the cells of a curve of the gmsh model."""
+        if self.symmetric and self.first != self.last:
+            law = ("Bump", self.first / self.last)
+        else:
+            law = ("Progression", 1 / self.growth if self.backwards else self.growth)
+        gmsh.model.mesh.setTransfiniteCurve(curve, self.n + 1, *law)

@@ -1,0 +1,58 @@
+"""Curved S: a glued shaft and hub; the bodies give up room for the layer, error O(eps)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import ufl
+
+from forms import LinearElastic
+from geometry import ring
+from thinlayer import Model, ThinLayer, compare, plotting, solve, sweep
+from thinlayer.record import Record
+
+EPS = (0.8, 0.4, 0.2, 0.1)  # mm
+SHAFT = LinearElastic.young(E=210e3, nu=0.3)  # MPa
+HUB = LinearElastic.young(E=70e3, nu=0.33)
+GLUE = LinearElastic.young(E=2e3, nu=0.4).per_thickness(0.2)  # 2 GPa where the layer is 0.2 mm thick
+RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
+
+
+def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
+    """A hollow shaft, held inside, glued into a hub that is pushed down on its upper half.
+
+    Args:
+        record: where to write.
+        eps: thicknesses (mm), half of it taken from each body.
+        quick: coarser mesh.
+    """
+    joint = ring(*RADII, h=2.0 if quick else 1.0, degree=2)
+    setup = {
+        "body": {"INNER": SHAFT, "OUTER": HUB},
+        "supports": {"INSIDE": 0.0},
+        "tractions": {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))},
+    }
+    record.parameters = {"radii_mm": RADII, "shaft": str(SHAFT), "hub": str(HUB), "glue_per_mm": str(GLUE)}
+    pictured = max(eps)
+
+    def compare_at(e: float) -> dict[str, float]:
+        layer = ThinLayer(GLUE, e)
+        full = record.solved(solve(Model.full(joint, layer=layer, bodies="extended", **setup)))
+        limit = record.solved(solve(Model.interface(joint, layer=layer, **setup)))
+        if e == pictured:
+            states = {f"meshed layer, {e:g} mm": full, "interface law": limit}
+            plotting.deformed(states, save=record.path("deformed.png"), unit="mm", title="glued shaft and hub")
+        return compare(full, limit)
+
+    table = sweep(compare_at, eps, record.path("table.csv"))
+    draw(record)
+    record.say(table)
+    if len(eps) > 1:
+        for name in ("traction", "jump"):
+            record.check(f"last observed order of the {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
+
+
+def draw(record: Record) -> None:
+    """Draw the rates from table.csv."""
+    if record.root:
+        plotting.rates(record.path("table.csv"), save=record.path("rates.png"), title="glued shaft and hub")

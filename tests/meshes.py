@@ -1,0 +1,119 @@
+"""Mesh files for tests, drawn with gmsh or written cell by cell."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import basix
+import gmsh
+import meshio
+import numpy as np
+
+from geometry import Joint
+from geometry.topology import lagrange
+
+CELLS = {"triangle": (2, False), "quadrilateral": (2, True), "tetrahedron": (3, False), "hexahedron": (3, True)}
+GRID = np.array([[x, y] for y in (-1.0, 0.0, 1.0) for x in (0.0, 1.0, 2.0)])
+QUADS = np.array([[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]])
+LINES = np.array([[3, 4], [4, 5], [6, 7], [7, 8]])
+SPACE = np.vstack([np.pad(GRID, ((0, 0), (0, 1))), [[0, 0, 1]]])
+NAMES = {"LOW": (1, 2), "UP": (2, 2), "S": (1, 1), "TOP": (2, 1)}
+
+
+@contextmanager
+def drawing():
+    """gmsh's OpenCASCADE kernel, in a session of its own."""
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        yield gmsh.model.occ
+    finally:
+        gmsh.finalize()
+
+
+def save(path, dim, groups, h=0.6, version=4.1, binary=1, **options):
+    """Mesh what was drawn and write it; groups: (dim, name) -> tags."""
+    gmsh.model.occ.synchronize()
+    for (d, name), tags in groups.items():
+        gmsh.model.addPhysicalGroup(d, tags, name=name)
+    for name, value in {"MeshSizeMax": h, "MshFileVersion": version, "Binary": binary, **options}.items():
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    gmsh.model.mesh.generate(dim)
+    gmsh.write(str(path))
+    return path
+
+
+def boxes(occ, *shapes, dim=2, shared=True):
+    """Rectangles or boxes (x, y, width, height), of thickness 1 in 3D, that share their sides or not; their tags."""
+    add = occ.addRectangle if dim == 2 else occ.addBox
+    tags = [add(x, y, 0, w, h, *([] if dim == 2 else [1])) for x, y, w, h in shapes]
+    if shared and len(tags) > 1:
+        occ.fragment([(dim, tags[0])], [(dim, tag) for tag in tags[1:]])
+    occ.synchronize()
+    return tags
+
+
+def sides(x, y, w, h, dim=2):
+    """Tags of the curves or surfaces in a rectangle (x, y, width, height)."""
+    low, high = (x - 1e-3, y - 1e-3, -1e-3), (x + w + 1e-3, y + h + 1e-3, 1 + 1e-3)
+    return [tag for _, tag in gmsh.model.getEntitiesInBoundingBox(*low, *high, dim - 1)]
+
+
+def stack(occ, path, dim=2, **options):
+    """LOWER (0, 2) x (-1, 0), UPPER (0, 2) x (0, 1), S between, TOP above."""
+    low, up = boxes(occ, (0, -1, 2, 1), (0, 0, 2, 1), dim=dim)
+    groups = {(dim, "LOWER"): [low], (dim, "UPPER"): [up]}
+    return save(
+        path,
+        dim,
+        groups | {(dim - 1, "S"): sides(0, 0, 2, 0, dim), (dim - 1, "TOP"): sides(0, 1, 2, 0, dim)},
+        **options,
+    )
+
+
+def rings(occ, path, cell, degree, **options):
+    """A disc CORE of radius 1 in a RING of radius 2, S between, in 3D of height 1."""
+    dim, tensor = CELLS[cell]
+    discs = [(2, occ.addDisk(0, 0, 0, radius, radius)) for radius in (1, 2)]
+    occ.fragment(discs[:1], discs[1:])
+    bodies = [tag for _, tag in occ.getEntities(2)]
+    if dim == 3:
+        drawn = occ.extrude([(2, tag) for tag in bodies], 0, 0, 1, numElements=[2], recombine=tensor)
+        bodies = [tag for d, tag in drawn if d == 3]
+    occ.synchronize()
+    core = min(bodies, key=lambda tag: occ.getMass(dim, tag))
+    (ring,) = set(bodies) - {core}
+    around = [{tag for _, tag in gmsh.model.getBoundary([(dim, body)], oriented=False)} for body in (core, ring)]
+    groups = {(dim, "CORE"): [core], (dim, "RING"): [ring], (dim - 1, "S"): sorted(around[0] & around[1])}
+    if tensor:
+        options |= {"RecombineAll": 1, "SubdivisionAlgorithm": 1 if dim == 2 else 0, "RecombinationAlgorithm": 2}
+    return save(path, dim, groups, ElementOrder=degree, **options)
+
+
+def write(path, points, blocks, tags, names):
+    """A file of gmsh, version 2.2, with these physical groups; names: name -> (number, dimension)."""
+    data = {"gmsh:physical": [np.asarray(t) for t in tags], "gmsh:geometrical": [np.asarray(t) for t in tags]}
+    points = np.pad(points, ((0, 0), (0, 3 - np.shape(points)[1])))
+    names = {name: np.array(value) for name, value in names.items()}
+    mesh = meshio.Mesh(points, blocks, cell_data=data, field_data=names)
+    meshio.write(path, mesh, file_format="gmsh22", binary=False)
+    return path
+
+
+def squares(path, points=GRID, cells=QUADS, lines=LINES, regions=(1, 1, 2, 2), more=(), names=NAMES, kind="quad"):
+    """Two squares LOW below two squares UP, in between S, above TOP."""
+    blocks, tags = [("line", lines), (kind, cells)], [[1, 1, 2, 2][: len(lines)], regions]
+    for name, rows, tag in more:
+        blocks.append((name, np.array(rows)))
+        tags.append([tag] * len(rows))
+    return write(path, points, blocks, tags, names)
+
+
+def volume(joint: Joint) -> float:
+    """By quadrature that is exact enough for curved cells; no Jacobian may differ in sign."""
+    degree = 1 if joint.cells.shape[1] == joint.corners.shape[1] else 2
+    x, weights = basix.make_quadrature(basix.CellType[joint.cell_type], 6)
+    gradients = lagrange(joint.cell_type, degree).tabulate(1, x)[1:, :, :, 0]
+    jacobian = np.linalg.det(np.einsum("tqn,cnd->cqtd", gradients, joint.points[joint.cells]))
+    assert ((jacobian > 0).all(axis=1) | (jacobian < 0).all(axis=1)).all()
+    return float(np.abs(jacobian @ weights).sum())

@@ -1,0 +1,205 @@
+"""Three dimensions: columns, the Fourier box, extended bodies, solvers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from scipy.spatial.transform import Rotation
+
+from forms import LinearElastic, limits
+from geometry import Joint, block, sandwich
+from tests import reference
+from tests.test_fourier import ABOVE, BELOW
+from thinlayer import Model, SolveError, Surface, ThinLayer, compare, observed_orders, solve, solvers
+
+TRACTION = np.array([0.3, -0.8, 0.2])
+LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)
+GLUE = LinearElastic(lmbda=15.0, mu=7.0)
+TURN = Rotation.from_rotvec([0.7, -0.4, 0.5]).as_matrix()
+EXACT = 1e-9  # relative: MUMPS on cells as flat as 1e-4
+ELEMENTS = [
+    ("tetrahedron", "P1"),
+    ("tetrahedron", "P2"),
+    ("hexahedron", "Q1"),
+    ("hexahedron", "Q2"),
+    ("hexahedron", "S2"),
+]
+SIDES = {"LEFT": [-1, 0, 0], "RIGHT": [1, 0, 0], "BACK": [0, 0, -1], "FRONT": [0, 0, 1]}
+
+
+def turned(joint: Joint) -> Joint:
+    return Joint(
+        joint.points @ TURN.T,
+        joint.cells,
+        joint.cell_type,
+        joint.region,
+        joint.regions,
+        joint.facets,
+        joint.upper,
+        joint.lower,
+    )
+
+
+def uniform_stress(law: LinearElastic, t: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """Stress (3, 3) of the strain sym(a (x) n) whose traction on n is t."""
+    a = np.linalg.solve(limits.elastic_stiffness(law.lmbda, law.mu, n), t)
+    e = (np.outer(a, n) + np.outer(n, a)) / 2
+    return law.lmbda * np.trace(e) * np.eye(3) + 2 * law.mu * e
+
+
+def check_column(joint: Joint, bodies: dict[str, LinearElastic], eps: float, **options) -> None:
+    """Uniform strain in each part: both models and the closed form agree to solver tolerance."""
+    n, t = TURN @ [0.0, 1.0, 0.0], TURN @ TRACTION
+    tractions = {"TOP": tuple(t)}
+    for name, side in SIDES.items():
+        m = TURN @ side
+        for part, law in (bodies | {"LAYER": GLUE}).items():
+            tractions[f"{name}/{part}"] = tuple(uniform_stress(law, t, n) @ m)
+    supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
+    setup = dict(body=bodies, supports=supports, tractions=tractions, layer=ThinLayer(GLUE, eps), **options)
+    interface, full = solve(Model.interface(joint, **setup)), solve(Model.full(joint, **setup))
+    surface = Surface(interface.model)
+    jump = ufl.as_vector(np.linalg.solve(limits.elastic_stiffness(GLUE.lmbda, GLUE.mu, n), t).tolist())
+    for state in (interface, full):
+        assert surface.norm(surface.jump(state) - jump) < EXACT * surface.norm(jump), state.model
+        assert surface.norm(surface.traction(state) - ufl.as_vector(t.tolist())) < EXACT * np.linalg.norm(t)
+    u, v = surface.displacement(full), surface.displacement(interface)
+    assert np.abs(u.x.array - v.x.array).max() < EXACT * np.abs(v.x.array).max()
+
+
+@pytest.mark.parametrize("eps", [0.3, 1e-2, 1e-4])
+@pytest.mark.parametrize(("cell", "element"), ELEMENTS)
+def test_column_of_two_bodies(cell, element, eps):
+    joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8, cell=cell)
+    check_column(turned(joint), {"LOWER": LOWER, "UPPER": UPPER}, eps, element=element)
+
+
+@pytest.mark.parametrize(("cell", "element"), [("tetrahedron", "P2"), ("hexahedron", "Q1")])
+def test_column_on_rigid_base(cell, element):
+    check_column(turned(block(1.0, 0.7, 0.5, depth=0.8, cell=cell)), {"BODY": UPPER}, 1e-3, element=element)
+
+
+@pytest.mark.parametrize(("cell", "element"), ELEMENTS)
+def test_patch(cell, element):
+    """A linear displacement of bonded bodies is reproduced on any cells."""
+    joint = turned(sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8, cell=cell))
+    gradient = np.array([[0.1, 0.3, -0.2], [0.05, -0.2, 0.4], [0.25, 0.15, 0.3]])
+    sides = ("LEFT", "RIGHT", "TOP", "BOTTOM", "FRONT", "BACK")
+    rows = {
+        axis: (lambda x, t, row=row: sum(float(c) * x[k] for k, c in enumerate(row)))
+        for axis, row in zip("xyz", gradient, strict=True)
+    }
+    state = solve(Model.bonded(joint, body=LOWER, supports=dict.fromkeys(sides, rows), element=element))
+    exact = ufl.dot(ufl.as_matrix(gradient.tolist()), ufl.SpatialCoordinate(state.model.domain.mesh))
+    assert np.sqrt(state.integral(ufl.inner(state.u - exact, state.u - exact) * ufl.dx)) < 1e-12
+
+
+# ------------------------------------------------------------------------------------------------ the Fourier box
+K1, K3 = 0.6 * np.pi, 0.8 * np.pi  # k = pi, so that the numbers are those of the plane problem
+
+
+def fourier_box(n: int, cell: str) -> tuple[Joint, dict]:
+    joint = sandwich(np.pi / K1, 0.5, 0.5, 1 / n, depth=np.pi / K3, cell=cell, structured=True)
+    k = np.hypot(K1, K3)
+
+    def top(x, t):
+        s1, c1, s3, c3 = ufl.sin(K1 * x[0]), ufl.cos(K1 * x[0]), ufl.sin(K3 * x[2]), ufl.cos(K3 * x[2])
+        return (0.5 * K1 / k * s1 * c3, c1 * c3, 0.5 * K3 / k * c1 * s3)
+
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}
+    body = LinearElastic(*reference.BODY)
+    return joint, {"body": body, "supports": {"BOTTOM": 0.0, **rollers}, "tractions": {"TOP": top}}
+
+
+def mode(x, z: tuple[float, ...]):
+    """Displacement (or traction) with the amplitudes (U, V) of the plane problem."""
+    k = np.hypot(K1, K3)
+    s1, c1, s3, c3 = ufl.sin(K1 * x[0]), ufl.cos(K1 * x[0]), ufl.sin(K3 * x[2]), ufl.cos(K3 * x[2])
+    return ufl.as_vector([K1 / k * z[0] * s1 * c3, z[1] * c1 * c3, K3 / k * z[0] * c1 * s3])
+
+
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+def test_fourier_box(cell):
+    """Errors of u-, u+ and K [u] against the plane problem's amplitudes fall with order 3 (faster on coarse meshes)."""
+    lmbda, mu = reference.LAYER
+    errors = []
+    for n in (4, 8):
+        joint, setup = fourier_box(n, cell)
+        state = solve(Model.interface(joint, layer=ThinLayer(LinearElastic(lmbda, mu), 0.1), **setup))
+        surface = Surface(state.model)
+        x = ufl.SpatialCoordinate(state.model.domain.mesh)
+        w = surface.jump(state)
+        pairs = [
+            (surface.sides.lower(state.u), mode(x, BELOW[:2])),
+            (surface.sides.upper(state.u), mode(x, ABOVE[:2])),
+            (ufl.as_vector([mu * w[0], (lmbda + 2 * mu) * w[1], mu * w[2]]), mode(x, BELOW[2:])),
+        ]
+        errors.append([surface.norm(found - wanted) / surface.norm(wanted) for found, wanted in pairs])
+    assert max(errors[1]) < 2e-3
+    assert np.log2(np.array(errors[0]) / errors[1]).min() > 2.9
+
+
+@pytest.mark.parametrize("bodies", ["kept", "extended"])
+def test_sweep_of_the_fourier_box(bodies):
+    """Errors of the interface law as the transfer matrices have them, to 1 %, and of first order in eps."""
+    joint, setup = fourier_box(6, "hexahedron")
+    eps, rows = (1 / 8, 1 / 16, 1 / 32), []
+    for e in eps:
+        layer = ThinLayer(LinearElastic(*reference.LAYER), e)
+        limit = solve(Model.interface(joint, layer=layer, **setup))
+        row = compare(solve(Model.full(joint, layer=layer, bodies=bodies, **setup)), limit)
+        assert (row["error_traction"], row["error_jump"]) == pytest.approx(reference.sweep_errors(e, bodies), rel=1e-2)
+        rows.append(row)
+    for name in ("error_traction", "error_jump"):
+        assert observed_orders(eps, [row[name] for row in rows])[-1] == pytest.approx(1.0, abs=0.05)
+
+
+def test_order_1_on_the_fourier_box():
+    joint, setup = fourier_box(6, "hexahedron")
+    eps, errors = (1 / 8, 1 / 16), []
+    for e in eps:
+        layer = ThinLayer(LinearElastic(*reference.LAYER), e, order=1)
+        limit = solve(Model.interface(joint, layer=layer, **setup))
+        errors.append(compare(solve(Model.full(joint, layer=layer, **setup)), limit)["error_traction"])
+    assert errors == pytest.approx([5.43e-3, 1.486e-3], rel=5e-2)  # the plane problem's, by transfer matrices
+    assert observed_orders(eps, errors)[-1] == pytest.approx(1.87, abs=0.1)
+
+
+def test_frame():
+    """Tangential components, then the normal one, of the same length as the vector."""
+    joint = turned(sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8))
+    model = Model.interface(joint, body=LOWER, supports={"BOTTOM": 0.0}, layer=ThinLayer(GLUE, 0.1))
+    surface = Surface(model)
+    f = ufl.as_vector((TURN @ [0.3, -0.7, 0.5]).tolist())
+    framed = surface.frame(f)
+    area = surface.integral(fem.Constant(model.domain.mesh, 1.0))
+    assert area == pytest.approx(0.8)
+    assert surface.integral(framed[2]) == pytest.approx(-0.7 * area)
+    assert surface.integral(framed[0] ** 2 + framed[1] ** 2) == pytest.approx((0.3**2 + 0.5**2) * area)
+
+
+# ------------------------------------------------------------------------------------------------ solvers
+def test_multigrid_is_the_default_of_large_models(monkeypatch):
+    joint, setup = fourier_box(4, "hexahedron")
+    model = Model.interface(joint, layer=ThinLayer(LinearElastic(*reference.LAYER), 0.1), **setup)
+    direct = solve(model)
+    monkeypatch.setitem(solvers.MULTIGRID_FROM, 3, 1000)
+    iterative = solve(model)
+    assert direct.report.iterations == 1
+    assert 10 < iterative.report.iterations < 80
+    difference = np.abs(direct.u.x.array - iterative.u.x.array).max()
+    assert difference < 1e-7 * np.abs(direct.u.x.array).max()
+
+
+def test_stiff_layers_fall_back_on_factorising(monkeypatch):
+    """A layer so stiff that multigrid stalls is factorised; who chose multigrid hears of it instead."""
+    joint, setup = fourier_box(4, "hexahedron")
+    layer = ThinLayer(LinearElastic(lmbda=1.5e9, mu=1e9), 0.1)
+    model = Model.full(joint, layer=layer, **setup)
+    monkeypatch.setitem(solvers.MULTIGRID_FROM, 3, 1000)
+    monkeypatch.setitem(solvers.MULTIGRID, "ksp_max_it", 30)
+    assert solve(model).report.iterations == 1
+    with pytest.raises(SolveError, match="DIVERGED"):
+        solve(model, options={"pc_type": "gamg", "ksp_type": "cg"})

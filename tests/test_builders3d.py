@@ -1,0 +1,242 @@
+"""Builders in 3D and of round joints: shapes, names, normals, sizes, curved cells."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import pi, tau
+
+import basix
+import numpy as np
+import pytest
+
+from geometry import GeometryError, Joint, block, disc, ring, sandwich
+from geometry.shapes.sizing import Grading
+from geometry.topology import geometry_degree, lagrange, node_jacobians
+
+SIDES = {"S", "TOP", "LEFT", "RIGHT", "BACK", "FRONT"}
+SOLIDS = ("tetrahedron", "hexahedron")
+BOXES = [("tetrahedron", False), ("tetrahedron", True), ("hexahedron", False)]
+SECTORS = [tau, 4.0, 1.0]
+
+
+def volumes(joint: Joint) -> dict[str, float]:
+    """Of each region, by quadrature that is exact for cells of degree 2."""
+    element = lagrange(joint.cell_type, geometry_degree(joint.cell_type, joint.cells.shape[1]))
+    x, weights = basix.make_quadrature(basix.CellType[joint.cell_type], 6)
+    jacobians = np.einsum("tqn,cnd->cqtd", element.tabulate(1, x)[1:, :, :, 0], joint.points[joint.cells])
+    cells = np.abs(np.linalg.det(jacobians)) @ weights
+    return {name: cells[joint.region == k].sum() for k, name in enumerate(joint.regions)}
+
+
+def check(joint: Joint, names: set[str]) -> None:
+    """No folded cells; the named facets, S between bodies apart, are the outer boundary, each of them once."""
+    jacobians = node_jacobians(joint.points, joint.cells, joint.cell_type)
+    assert (jacobians * np.sign(jacobians[:, :1]) > 0).all()
+    assert set(joint.facets) == names
+    outer = [facets for name, facets in joint.facets.items() if name != "S" or joint.rigid_base]
+    rows = np.sort(np.concatenate([joint.table.index(facets) for facets in outer]))
+    assert np.array_equal(rows, np.flatnonzero(joint.table.cells[:, 1] < 0))
+
+
+def on(joint: Joint, name: str) -> np.ndarray:
+    """Coordinates of the vertices of named facets."""
+    return joint.points[np.unique(joint.facets[name])]
+
+
+def edge_lengths(joint: Joint, where: np.ndarray) -> np.ndarray:
+    """Lengths of the sides of facets of S all of whose corners are marked."""
+    facets = joint.facets["S"]
+    pairs = np.concatenate([facets[:, [i, j]] for i, j in pairwise([*range(facets.shape[1]), 0])])
+    pairs = pairs[where[pairs].all(axis=1)]
+    return np.linalg.norm(joint.points[pairs[:, 1]] - joint.points[pairs[:, 0]], axis=1)
+
+
+@pytest.mark.parametrize(("cell", "structured"), BOXES)
+def test_boxes(cell, structured):
+    joint = block(2.0, 1.5, 0.5, depth=1.0, cell=cell, structured=structured)
+    check(joint, SIDES)
+    assert joint.cell_type == cell
+    assert volumes(joint) == pytest.approx({"BODY": 3.0})
+    assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
+
+    joint = sandwich(2.0, 0.8, 1.1, 0.4, depth=1.0, h_S=0.2, h_ends=0.1, cell=cell, structured=structured)
+    check(joint, SIDES | {"BOTTOM"})
+    assert volumes(joint) == pytest.approx({"LOWER": 1.6, "UPPER": 2.2})
+    assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
+    planes = {"S": (1, 0), "BOTTOM": (1, -0.8), "TOP": (1, 1.1), "LEFT": (0, 0), "RIGHT": (0, 2), "BACK": (2, 0)}
+    for name, (axis, value) in (planes | {"FRONT": (2, 1)}).items():
+        assert on(joint, name)[:, axis] == pytest.approx(value, abs=1e-12), name
+
+
+def test_default_cells():
+    assert block(1.0, 1.0).cell_type == "triangle"
+    assert block(1.0, 1.0, depth=1.0).cell_type == disc(1.0, 1.0, 1.0).cell_type == "tetrahedron"
+    assert len(block(1.0, 2.0, depth=3.0, cell="hexahedron").cells) == 5 * 10 * 15
+
+
+@pytest.mark.parametrize("arrangement", ["Left", "Right", "AlternateLeft", "AlternateRight"])
+def test_structured_tetrahedra_split_a_grid(arrangement):
+    joint = sandwich(1.0, 0.6, 1.0, 0.2, depth=0.6, structured=True, arrangement=arrangement)
+    check(joint, SIDES | {"BOTTOM"})
+    assert len(joint.cells) == 6 * 5 * (3 + 5) * 3
+    assert volumes(joint) == pytest.approx({"LOWER": 0.36, "UPPER": 0.6})
+
+
+@pytest.mark.parametrize(("cell", "structured"), BOXES)
+def test_grading_of_boxes(cell, structured):
+    """Sizes at the edges of S, on it and away from it are what was asked for, to half."""
+    joint = sandwich(2.0, 1.0, 1.0, 0.5, depth=2.0, h_S=0.2, h_ends=0.05, cell=cell, structured=structured)
+    x, y, z = joint.points.T
+    along_edge = np.diff(np.sort(z[(np.abs(x) < 1e-9) & (np.abs(y) < 1e-9)]))
+    if cell == "tetrahedron" and not structured:
+        assert along_edge.mean() == pytest.approx(0.05, rel=0.5)
+        inside = (np.abs(x - 1) < 0.5) & (np.abs(z - 1) < 0.5)
+        assert np.median(edge_lengths(joint, inside)) == pytest.approx(0.2, rel=0.5)
+    else:  # graded in one direction each
+        assert along_edge[[0, -1]] == pytest.approx(0.05, rel=0.5)
+        assert along_edge.max() == pytest.approx(0.2, rel=0.5)
+        upwards = np.diff(np.sort(y[(np.abs(x) < 1e-9) & (np.abs(z) < 1e-9)]))
+        assert upwards[[0, -1]] == pytest.approx(0.5, rel=0.5)
+        assert upwards.min() == pytest.approx(0.2, rel=0.5)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("hole", [0.0, 0.3])
+@pytest.mark.parametrize("cell", SOLIDS)
+def test_disc(cell, hole, degree):
+    joint = disc(1.0, 0.5, 0.4, 0.3, hole=hole, h_S=0.2, h_ends=0.1, cell=cell, degree=degree)
+    check(joint, {"S", "BOTTOM", "TOP", "SIDE"} | ({"HOLE"} if hole else set()))
+    area = pi * (1 - hole**2)
+    exact = {"LOWER": 0.5 * area, "UPPER": 0.4 * area}
+    error = max(abs(volume / exact[name] - 1) for name, volume in volumes(joint).items())
+    assert error < 1e-5 if degree == 2 else 5e-4 < error < 0.01  # polygons of about 30 sides lose 0.7 %
+    assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
+    assert np.hypot(*on(joint, "SIDE")[:, [0, 2]].T) == pytest.approx(1.0)
+    assert [np.unique(on(joint, name)[:, 1]) for name in ("BOTTOM", "S", "TOP")] == [
+        pytest.approx(y, abs=1e-12) for y in (-0.5, 0.0, 0.4)
+    ]
+    if hole:
+        assert np.hypot(*on(joint, "HOLE")[:, [0, 2]].T) == pytest.approx(hole)
+
+
+@pytest.mark.parametrize("cell", SOLIDS)
+def test_grading_of_discs(cell):
+    joint = disc(1.0, 0.6, 0.6, 0.4, h_S=0.2, h_ends=0.05, cell=cell)
+    radius = np.hypot(*joint.points[:, [0, 2]].T)
+    assert np.median(edge_lengths(joint, radius < 0.5)) == pytest.approx(0.2, rel=0.5)
+    below_rim = np.sort(radius[np.unique(joint.facets["S"])])
+    gap = 1 - below_rim[below_rim < 1 - 1e-9].max()
+    assert 0.025 < gap < 0.1
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("angle", SECTORS)
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", *SOLIDS])
+def test_ring(cell, angle, degree):
+    depth = 0.5 if cell in SOLIDS else None
+    joint = ring(0.5, 1.0, 2.0, 0.4, angle=angle, depth=depth, h_S=0.2, cell=cell, degree=degree)
+    names = {"S", "INSIDE", "OUTSIDE"}
+    names |= set() if angle == tau else {"START", "END"}
+    check(joint, names | ({"BACK", "FRONT"} if depth else set()))
+    assert joint.regions == ("INNER", "OUTER") == joint.lower + joint.upper
+    exact = {"INNER": angle / 2 * 0.75 * (depth or 1), "OUTER": angle / 2 * 3 * (depth or 1)}
+    error = max(abs(volume / exact[name] - 1) for name, volume in volumes(joint).items())
+    assert error < 1e-4 if degree == 2 else 1e-3 < error < 0.02  # about 20 to 30 sides to a circle
+    for name, radius in (("S", 1.0), ("INSIDE", 0.5), ("OUTSIDE", 2.0)):
+        assert np.hypot(*on(joint, name)[:, :2].T) == pytest.approx(radius), name
+    corners = joint.table.vertices[joint.surface_rows]
+    radial = joint.points[corners].mean(axis=1) * [1.0, 1.0, 0.0][: joint.dim]
+    radial /= np.linalg.norm(radial, axis=1)[:, None]
+    # exact but for triangles of a cylinder, whose centres are not amid their arcs
+    assert (joint.interface_normals * radial).sum(axis=1).min() > (0.99 if cell == "tetrahedron" else 1 - 1e-9)
+    if angle < tau:
+        assert on(joint, "START")[:, 1] == pytest.approx(0.0, abs=1e-12)
+        assert np.arctan2(*on(joint, "END")[:, 1::-1].T) % tau == pytest.approx(angle)
+    if depth:
+        assert on(joint, "BACK")[:, 2] == pytest.approx(0.0)
+        assert on(joint, "FRONT")[:, 2] == pytest.approx(depth)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_curved_cells_meet_circles_to_fourth_order(cell):
+    errors = []
+    for h in (0.2, 0.1, 0.05):
+        joint = ring(0.5, 1.0, 2.0, h, angle=2.0, cell=cell, degree=2)
+        errors.append(abs(volumes(joint)["OUTER"] / 3 - 1))
+    assert all(coarse / fine == pytest.approx(16, rel=0.1) for coarse, fine in pairwise(errors))
+    assert errors[-1] < 1e-7
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_grading_of_rings(cell):
+    joint = ring(0.5, 1.0, 3.0, 0.6, angle=2.0, h_S=0.1, h_ends=0.02, cell=cell)
+    turn = np.sort(np.arctan2(*on(joint, "S")[:, ::-1].T))
+    assert np.diff(turn)[[0, -1]] == pytest.approx(0.02, rel=0.5)
+    assert np.diff(turn).max() == pytest.approx(0.1, rel=0.5)
+    radius = np.unique(np.round(np.hypot(*on(joint, "START").T), 9))
+    assert np.diff(radius).max() == pytest.approx(0.6, rel=0.5)
+    if cell == "quadrilateral":
+        assert np.diff(radius).min() == pytest.approx(0.1, rel=0.5)
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_thin_curved_cells_do_not_fold(cell):
+    """Cells much thinner than the arcs' height over their chords, at circles and next to them."""
+    if cell == "hexahedron":
+        for hole in (0.0, 0.2):
+            joint = disc(1.0, 0.5, 0.5, 0.5, hole=hole, h_S=0.3, h_ends=0.003, cell=cell, degree=2)
+            check(joint, {"S", "BOTTOM", "TOP", "SIDE"} | ({"HOLE"} if hole else set()))
+    else:
+        check(ring(0.9, 1.0, 1.1, 0.01, h_S=0.3, cell=cell, degree=2), {"S", "INSIDE", "OUTSIDE"})
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_small_holes_stay_round(cell):
+    """However large h is, cells are small enough to follow a circle, and not many more than that."""
+    joint = ring(0.02, 0.5, 1.0, 0.3, cell=cell)
+    assert 18 <= len(joint.facets["INSIDE"]) <= 30
+    assert len(joint.cells) < 2000
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+@pytest.mark.parametrize(("first", "last"), [(0.1, 0.1), (0.01, 0.2), (0.2, 0.01), (0.05, 3.0), (3.0, 3.0)])
+def test_layers(first, last, symmetric):
+    """Layers fill their length and are as large as asked for where they begin, or half of the length if that is less."""
+    grading = Grading.of(1.0, first, last, symmetric=symmetric)
+    sizes = np.diff([0.0, *grading.layers])
+    assert sizes.min() > 0
+    assert sizes.sum() == pytest.approx(1.0)
+    assert sizes[0] == pytest.approx(min(first, 1.0), rel=0.5)
+    assert sizes[-1] == pytest.approx(sizes[0]) if symmetric else sizes[-1] == pytest.approx(min(last, 0.7), rel=0.5)
+    assert Grading.of(1.0, 0.01, 0.2, backwards=True).layers[0] == pytest.approx(0.2, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: block(1.0, 1.0, depth=0.0), "depth is 0.0; it must be > 0"),
+        (lambda: block(1.0, 1.0, cell="hexahedron"), "'hexahedron' does not exist in 2D; allowed: triangle, quadril"),
+        (lambda: sandwich(1.0, 1.0, 1.0, depth=1.0, cell="triangle"), "in 3D; allowed: tetrahedron, hexahedron"),
+        (lambda: block(1.0, 1.0, depth=1.0, cell="hexahedra"), "did you mean 'hexahedron'"),
+        (lambda: block(1.0, 1.0, depth=2.0, h=2.5), "cell size h is 2.5; allowed: 2e-05 to 2"),
+        (lambda: disc(1.0, 0.0, 1.0), "height of LOWER is 0.0"),
+        (lambda: disc(float("nan"), 1.0, 1.0), "radius is nan"),
+        (lambda: disc(1.0, 1.0, 1.0, hole=1.0), r"hole is 1.0; it must be 0 \(no hole\) or a radius less than 1.0"),
+        (lambda: disc(1.0, 1.0, 1.0, hole=-0.1), "hole is -0.1"),
+        (lambda: disc(1.0, 1.0, 1.0, h_S=1e-6), "cell size h_S"),
+        (lambda: disc(1.0, 1.0, 1.0, cell="quadrilateral"), "allowed: tetrahedron, hexahedron"),
+        (lambda: disc(1.0, 1.0, 1.0, degree=3), "degree is 3; allowed: 1"),
+        (lambda: ring(0.0, 1.0, 2.0), "inner is 0.0"),
+        (lambda: ring(1.0, 1.0, 2.0), "inner = 1.0, interface = 1.0, outer = 2.0 must grow"),
+        (lambda: ring(0.5, 2.0, 1.0), "must grow"),
+        (lambda: ring(0.5, 1.0, 2.0, angle=0.0), "angle is 0.0; it must be > 0 and at most 2 pi"),
+        (lambda: ring(0.5, 1.0, 2.0, angle=6.3), "angle is 6.3"),
+        (lambda: ring(0.5, 1.0, 2.0, angle=float("nan")), "angle is nan"),
+        (lambda: ring(0.5, 1.0, 2.0, depth=-1.0), "depth is -1.0"),
+        (lambda: ring(0.5, 1.0, 2.0, cell="tetrahedron"), "allowed: triangle, quadrilateral"),
+        (lambda: ring(0.5, 1.0, 2.0, degree=0), "degree is 0"),
+    ],
+)
+def test_errors(build, message):
+    with pytest.raises(GeometryError, match=message):
+        build()

@@ -1,0 +1,228 @@
+"""Curved S and thickness varying along S."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, LawError, LinearElastic, Stack
+from geometry import GeometryError, block, ring, sandwich
+from studies.problems import FOURIER_LAYER, fourier
+from thinlayer import Model, ModelError, Surface, ThinLayer, compare, observed_orders, solve
+
+INNER, OUTER = LinearElastic.young(200.0, 0.3), LinearElastic.young(70.0, 0.33)
+GLUE = LinearElastic(lmbda=3.0, mu=2.0)
+RADII = (1.0, 1.5, 2.0)
+PRESSURE, SHEAR = 1.3, 0.7
+EPS = (0.1, 0.05, 0.025)
+
+
+def radial(x):
+    return ufl.as_vector([x[0], x[1]]) / ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+
+
+def pressed(joint) -> dict:
+    """A quarter of a tube, free inside, under pressure from outside."""
+    load = lambda x, t: tuple(-PRESSURE * radial(x)[k] for k in range(2))
+    supports = {"START": {"y": 0.0}, "END": {"x": 0.0}}
+    return {"body": {"INNER": INNER, "OUTER": OUTER}, "supports": supports, "tractions": {"OUTSIDE": load}}
+
+
+def twisted(joint) -> dict:
+    """A tube held inside, under a torque from outside."""
+    load = lambda x, t: (-SHEAR * radial(x)[1], SHEAR * radial(x)[0])
+    return {"body": {"INNER": INNER, "OUTER": OUTER}, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": load}}
+
+
+def lame(stiffness: float) -> tuple[float, float]:
+    """Radial traction on S and jump of u_r for two tubes (u_r = A r + B / r) with traction = stiffness jump on S."""
+    a, R, b = RADII
+    rows, right = [], []
+
+    def u(law, r):
+        return np.array([r, 1 / r])
+
+    def stress(law, r):
+        return np.array([2 * (law.lmbda + law.mu), -2 * law.mu / r**2])
+
+    zero = np.zeros(2)
+    rows.append(np.concatenate([stress(INNER, a), zero]))
+    right.append(0.0)
+    rows.append(np.concatenate([zero, stress(OUTER, b)]))
+    right.append(-PRESSURE)
+    rows.append(np.concatenate([stress(INNER, R), -stress(OUTER, R)]))
+    right.append(0.0)
+    rows.append(np.concatenate([stress(INNER, R) + stiffness * u(INNER, R), -stiffness * u(OUTER, R)]))
+    right.append(0.0)
+    A = np.linalg.solve(rows, right)
+    traction = stress(INNER, R) @ A[:2]
+    return float(traction), float(u(OUTER, R) @ A[2:] - u(INNER, R) @ A[:2])
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_pressed_tube(cell):
+    """Interface model against Lame's solution; curved cells are needed for that, straight ones have another S."""
+    traction, jump = lame(GLUE.lmbda + 2 * GLUE.mu)
+    errors = []
+    for degree in (1, 2):
+        joint = ring(*RADII, 0.125, angle=np.pi / 2, cell=cell, degree=degree)
+        state = solve(Model.interface(joint, layer=ThinLayer(GLUE, 0.1), **pressed(joint)))
+        surface = Surface(state.model)
+        r = radial(ufl.SpatialCoordinate(state.model.domain.mesh))
+        found = surface.norm(surface.jump(state) - jump * r) / surface.norm(jump * r)
+        errors.append(found)
+        assert surface.norm(surface.traction(state) - traction * r) < 1e-2 * abs(traction)
+    assert errors[0] < 1e-2
+    assert errors[1] < 2e-5
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("load", [pressed, twisted])
+def test_error_is_of_first_order(load, cell, degree):
+    joint = ring(*RADII, 0.25, angle=np.pi / 2 if load is pressed else 2 * np.pi, cell=cell, degree=degree)
+    rows = []
+    for eps in EPS:
+        layer = ThinLayer(GLUE, eps)
+        limit = solve(Model.interface(joint, layer=layer, **load(joint)))
+        rows.append(compare(solve(Model.full(joint, layer=layer, bodies="extended", **load(joint))), limit))
+    for name in (
+        ("error_traction", "error_jump") if load is pressed else ("error_jump",)
+    ):  # statics fix the torque's traction
+        assert observed_orders(EPS, [row[name] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+def test_wrong_law_leaves_a_floor_on_a_ring():
+    joint = ring(*RADII, 0.25, angle=np.pi / 2, degree=2)
+    wrong = LinearElastic(lmbda=GLUE.lmbda - GLUE.mu, mu=GLUE.mu)
+    errors = []
+    for eps in EPS:
+        full = solve(Model.full(joint, layer=ThinLayer(GLUE, eps), bodies="extended", **pressed(joint)))
+        limit = solve(Model.interface(joint, layer=ThinLayer(wrong, eps), **pressed(joint)))
+        errors.append(compare(full, limit)["error_jump"])
+    assert errors[0] < errors[1] < errors[2]
+    assert errors[2] > 0.09
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_material_frame_follows_s(degree):
+    """In torsion a layer with K_N = 50 K_T gives t_T / K_T all around, in the meshed layer too."""
+    joint = ring(*RADII, 0.25, degree=degree)
+    layer = ThinLayer(Anisotropic.springs(K_N=100.0, K_T=2.0), 1e-3)
+    limit = solve(Model.interface(joint, layer=layer, **twisted(joint)))
+    full = solve(Model.full(joint, layer=layer, bodies="extended", **twisted(joint)))
+    surface = Surface(limit.model)
+    r = radial(ufl.SpatialCoordinate(limit.model.domain.mesh))
+    around = ufl.as_vector([-r[1], r[0]])
+    traction = SHEAR * RADII[2] ** 2 / RADII[1] ** 2
+    assert compare(full, limit)["error_jump"] < 2e-2
+    if degree == 2:  # a polygon has corners where springs of such different stiffness feel the kink
+        for state in (limit, full):
+            difference = surface.jump(state) - traction / 2.0 * around
+            assert surface.norm(difference) < 2e-3 * surface.norm(traction / 2.0 * around), state.model
+
+
+def test_rigid_base_takes_all_of_eps():
+    """A layer between a hub and a rigid shaft: the base stays on S."""
+    whole = ring(*RADII, 0.25)
+    keep = whole.region == whole.regions.index("OUTER")
+    nodes, cells = np.unique(whole.cells[keep], return_inverse=True)
+    facets = {name: np.searchsorted(nodes, whole.facets[name]) for name in ("S", "OUTSIDE")}
+    hub = replace(
+        whole,
+        points=whole.points[nodes],
+        cells=cells.reshape(-1, whole.cells.shape[1]),
+        region=np.zeros(keep.sum(), np.int64),
+        regions=("OUTER",),
+        facets=facets,
+        lower=(),
+    )
+    setup = {"body": OUTER, "supports": {}, "tractions": twisted(hub)["tractions"]}
+    rows = []
+    for eps in EPS:
+        layer = ThinLayer(GLUE, eps)
+        limit = solve(Model.interface(hub, layer=layer, **setup))
+        rows.append(compare(solve(Model.full(hub, layer=layer, bodies="extended", **setup)), limit))
+    assert observed_orders(EPS, [row["error_jump"] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+# ---------------------------------------------------------------------------------------------- varying thickness
+def wedge(x):
+    return 0.5 + x[0]
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_wedge(cell):
+    joint, setup = fourier(1 / 16, cell=cell)
+    eps, rows, uniform = (1 / 16, 1 / 32, 1 / 64), [], []
+    for e in eps:
+        layer = ThinLayer(FOURIER_LAYER, e, profile=wedge)
+        full = solve(Model.full(joint, layer=layer, bodies="extended", **setup))
+        rows.append(compare(full, solve(Model.interface(joint, layer=layer, **setup))))
+        other = solve(Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, e), **setup))
+        uniform.append(compare(full, other)["error_jump"])
+    for name in ("error_traction", "error_jump"):
+        assert observed_orders(eps, [row[name] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)
+    assert min(uniform) > 0.2  # the mean thickness alone is another law
+
+
+def test_wedge_between_stiff_bodies():
+    """Bodies a million times stiffer move as one: the layer stores K/2 [u]^2 int dx / (0.5 + x) = K/2 [u]^2 log 3."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.1)
+    stiff = LinearElastic.young(1e9, 0.3)
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}}
+    layer = ThinLayer(GLUE, 1e-3, profile=wedge)
+    exact = (GLUE.lmbda + 2 * GLUE.mu) / 2 * 0.01**2 * np.log(3)
+    for build, options in ((Model.interface, {}), (Model.full, {"bodies": "extended"})):
+        state = solve(build(joint, layer=layer, body=stiff, supports=supports, **options))
+        assert state.energies()["layer"] == pytest.approx(exact, rel=2e-3), state.model
+
+
+def test_wedge_in_three_dimensions():
+    joint = block(1.0, 0.5, 0.25, depth=0.6, cell="hexahedron")
+    stiff = LinearElastic.young(1e9, 0.3)
+    profile = lambda x: (0.5 + x[0]) * (1 + x[2])
+    exact = GLUE.mu / 2 * 0.01**2 * np.log(3) * np.log(1.6)
+    for build, options in ((Model.interface, {}), (Model.full, {"bodies": "extended"})):
+        layer = ThinLayer(GLUE, 1e-3, profile=profile)
+        state = solve(
+            build(joint, layer=layer, body=stiff, supports={"TOP": {"x": 0.01, "y": 0.0, "z": 0.0}}, **options)
+        )
+        assert state.energies()["layer"] == pytest.approx(exact, rel=1e-2), state.model
+
+
+@pytest.mark.parametrize(
+    ("profile", "message"),
+    [
+        (lambda x: x[0] - 0.5, r"profile is -0.5 at \(0, 0\); it must be > 0"),
+        (lambda x: np.full(x.shape[1], np.nan), "profile is nan"),
+        (lambda x: np.ones(3), r"returns shape \(3,\) for"),
+    ],
+)
+def test_profiles_are_checked(profile, message):
+    joint, setup = fourier(1 / 4)
+    for build in (Model.interface, Model.full):
+        with pytest.raises(GeometryError, match=message):
+            build(joint, layer=ThinLayer(GLUE, 0.01, profile=profile), **{**setup, "bodies": "extended"})
+
+
+def test_what_curved_and_varying_layers_cannot_do():
+    joint, setup = fourier(1 / 4)
+    with pytest.raises(GeometryError, match=r"thickness varies along S.*use bodies='extended'"):
+        Model.full(joint, layer=ThinLayer(GLUE, 0.01, profile=wedge), **setup)
+    with pytest.raises(LawError, match="order=1 needs a uniform thickness"):
+        ThinLayer(GLUE, 0.01, order=1, profile=wedge)
+    with pytest.raises(LawError, match="order=1 of a Stack"):
+        ThinLayer(Stack((0.5, GLUE), (0.5, GLUE)), 0.01, order=1)
+    with pytest.raises(LawError, match="must be a function"):
+        ThinLayer(GLUE, 0.01, profile=2.0)
+    round_joint = ring(*RADII, 0.25)
+    with pytest.raises(GeometryError, match=r"S is not planar.*use bodies='extended'"):
+        Model.full(round_joint, layer=ThinLayer(GLUE, 0.01), **twisted(round_joint))
+    with pytest.raises(ModelError, match="order=1 needs a planar S"):
+        Model.interface(round_joint, layer=ThinLayer(GLUE, 0.01, order=1), **twisted(round_joint))
+    with pytest.raises(GeometryError, match=r"turn inside out, the first at \("):
+        Model.full(round_joint, layer=ThinLayer(GLUE, 1.5), bodies="extended", **twisted(round_joint))

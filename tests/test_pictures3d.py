@@ -1,0 +1,130 @@
+"""Pictures of three-dimensional structures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from forms import LinearElastic
+from geometry import block, sandwich
+from thinlayer import Model, ThinLayer, fields, plotting, solve
+
+BODY = LinearElastic.young(E=100.0, nu=0.3)
+EPS = 0.015
+LAYER = ThinLayer(LinearElastic.young(E=1.0, nu=0.3).per_thickness(EPS), EPS)
+SIZE = (1.5, 0.4, 0.8)  # of a body: width, height, depth
+
+
+def both(joint, **setup):
+    options = dict(layer=LAYER, body=BODY, sublayers=1, **setup)
+    return {"meshed": solve(Model.full(joint, **options)), "law": solve(Model.interface(joint, **options))}
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    joint = sandwich(1.5, 0.4, 0.4, 0.4, depth=0.8, cell="hexahedron")
+    return both(joint, supports={"BOTTOM": 0}, tractions={"TOP": (0, 2, 0)})
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    joint = block(1.5, 0.4, 0.4, depth=0.8)
+    return both(joint, supports={}, tractions={"TOP": (-1, 0.5, -1)})
+
+
+def picture(path, states, **options):
+    plotting.deformed(states, save=path, **options)
+    return imread(path)[..., :3]
+
+
+def halves(image):
+    return np.split(image[:, : image.shape[1] // 2 * 2], 2, axis=1)
+
+
+def near(image, colour):
+    return np.abs(image - colour).max(axis=2) < 0.1
+
+
+def red(image):
+    return (image[..., 0] > 0.7) & (image[..., 1] < 0.35) & (image[..., 2] < 0.45)
+
+
+def test_thin_layer_is_red_where_it_is_meshed(pulled, pushed, tmp_path):
+    for states in (pulled, pushed):
+        full, law = halves(picture(tmp_path / "a.png", states, title="t", unit="mm"))
+        assert red(full).sum() > 1000
+        assert red(law).sum() == 0
+        assert red(full).any(axis=0).sum() > 0.8 * full.shape[1]  # all around, not at one corner
+
+
+def test_jump_opens_as_a_gap(pulled, tmp_path):
+    image = picture(tmp_path / "a.png", pulled["law"], view=(0, 0, 1), scale=1.0)
+    column = near(image, (1, 1, 1))[:, image.shape[1] // 2]
+    changes = np.flatnonzero(np.diff(column.astype(int)))
+    gap = column[changes[1] + 1 : changes[2] + 1]  # changes: into the upper body, out of it, into the lower body
+    assert gap.all()
+    assert len(gap) > 0.02 * (changes[2] - changes[0])
+
+
+def test_rigid_base_is_grey_and_stays(pushed, tmp_path):
+    _, law = halves(picture(tmp_path / "a.png", pushed))
+    grey = (0.412, 0.412, 0.412)  # dimgrey
+    assert near(law, grey).sum() > 2000
+    for state, y in zip(pushed.values(), (-EPS, 0.0), strict=True):
+        base = fields.gather(state).base
+        assert base.shape[1:] == (3, 3)
+        np.testing.assert_allclose(base[..., 1], y, atol=1e-12)
+        area = np.linalg.norm(np.cross(base[:, 1] - base[:, 0], base[:, 2] - base[:, 0]), axis=1).sum() / 2
+        assert area == pytest.approx(1.5 * 0.8)
+
+
+def test_view_zoom_and_cut(pulled, tmp_path):
+    law = pulled["law"]
+    default = picture(tmp_path / "a.png", law)
+    same = picture(tmp_path / "b.png", law, view=2 * np.array(plotting.VIEWS[3]))
+    np.testing.assert_array_equal(default, same)
+    options = [{"view": (-1, 0.5, 1)}, {"view": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]
+    for k, option in enumerate(options):
+        other = picture(tmp_path / f"{k}.png", law, **option)
+        assert other.shape != default.shape or np.abs(other - default).max() > 0.5
+
+
+def check_box(region, *size):
+    surface = fields.surface(region)
+    a, b, c = size
+    assert surface.area == pytest.approx(2 * (a * b + b * c + a * c), rel=0.02)
+    assert fields.edges(surface).compute_cell_sizes()["Length"].sum() == pytest.approx(4 * (a + b + c), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["pulled", "pushed"])
+def test_bodies_have_twelve_edges_and_no_inner_faces(request, name):
+    w, h, d = SIZE
+    for state in request.getfixturevalue(name).values():
+        for number, region in fields.Shape.of(fields.gather(state), "size", 0.01).regions.items():
+            check_box(region, w, h if number >= 0 else EPS, d)
+
+
+def test_cut_leaves_the_half_behind(pulled):
+    w, h, d = SIZE
+    grid = fields.gather(pulled["meshed"])
+    for front in (1.0, -1.0):
+        shape = fields.Shape.of(grid, "size", 0.01, (0.0, 0.0, front))
+        assert front * (shape.points[:, 2].mean() - d / 2) < 0
+        for number, region in shape.regions.items():  # the lower one's fixed nodes are in the middle of the cut
+            check_box(region, w, h if number >= 0 else EPS, d / 2)
+
+
+def test_errors(pulled, tmp_path):
+    law, path = pulled["law"], tmp_path / "e.png"
+    for view in ((0, 0, 0), (1, 0), (1, np.nan, 0)):
+        with pytest.raises(ValueError, match="three components"):
+            plotting.deformed(law, save=path, view=view)
+    with pytest.raises(ValueError, match="nothing to draw"):
+        plotting.deformed(law, save=path, zoom=(5, 6, 5, 6))
+    plane = sandwich(1.0, 0.4, 0.4, 0.4)
+    model = Model.interface(plane, layer=LAYER, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (1, 0)})
+    for option in ({"view": (0, 0, 1)}, {"cut": True}):
+        with pytest.raises(ValueError, match="for three-dimensional structures"):
+            plotting.deformed(solve(model), save=path, **option)
+    assert not path.exists()

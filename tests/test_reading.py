@@ -1,0 +1,257 @@
+"""Meshes from files: names, S, curved cells, and what is refused."""
+
+from __future__ import annotations
+
+import gmsh
+import meshio
+import numpy as np
+import pytest
+
+from geometry import GeometryError, block, inflate, read, sandwich
+from geometry.topology import lagrange
+from tests.meshes import CELLS, GRID, LINES, QUADS, boxes, drawing, rings, save, sides, stack, volume, write
+
+FORMATS = [(2.2, 0), (2.2, 1), (4.1, 0), (4.1, 1)]
+
+
+@pytest.fixture
+def draw():
+    with drawing() as occ:
+        yield occ
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("version", "binary"), FORMATS)
+def test_gmsh_formats(draw, tmp_path, dim, version, binary, capfd):
+    joint = read(stack(draw, tmp_path / "a.msh", dim, version=version, binary=binary), upper="UPPER")
+    assert (joint.dim, joint.upper, joint.lower) == (dim, ("UPPER",), ("LOWER",))
+    assert volume(joint) == pytest.approx(4.0)
+    assert set(joint.facets) == {"S", "TOP"}
+    assert joint.points[joint.facets["TOP"]][..., 1] == pytest.approx(1.0)
+    assert joint.interface_normals == pytest.approx(np.tile(np.eye(dim)[1], (len(joint.facets["S"]), 1)))
+    assert capfd.readouterr() == ("", "")
+    whole = read(tmp_path / "a.msh", S="S", upper="LOWER", scale=10.0)
+    assert whole.points == pytest.approx(10 * joint.points)
+    assert whole.interface_normals[0] == pytest.approx(-joint.interface_normals[0])
+
+
+@pytest.mark.parametrize("suffix", ["msh", "vtu"])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_cells(draw, tmp_path, cell, degree, suffix):
+    """Curved cells keep their shape: the order of their nodes is right."""
+    path, names = rings(draw, tmp_path / "a.msh", cell, degree), ("S", "CORE", "RING")
+    if suffix == "vtu":
+        mesh = meshio.read(path)
+        numbers = {name: str(tag) for name, (tag, _) in mesh.field_data.items()}
+        names = tuple(numbers[name] for name in names)
+        data = {"tags": mesh.cell_data["gmsh:physical"]}
+        path = tmp_path / "a.vtu"
+        meshio.Mesh(mesh.points, mesh.cells, cell_data=data).write(path)
+    s, core, ring = names
+    joint = read(path, S=s, upper=ring)
+    assert (joint.cell_type, joint.lower, set(joint.facets)) == (cell, (core,), {"S"})
+    assert joint.cells.shape[1] == lagrange(cell, degree).dim
+    assert volume(joint) == pytest.approx(4 * np.pi, rel=0.1 if degree == 1 else 3e-3)
+    radial = joint.points[joint.surface] * ([1, 1, 0][: joint.dim])
+    assert np.linalg.norm(radial, axis=2) == pytest.approx(1.0, abs=1e-6)
+    assert (joint.node_normals * radial).sum(axis=2) == pytest.approx(1.0, abs=0.2 if degree == 1 else 0.01)
+
+
+@pytest.mark.parametrize("suffix", ["msh", "inp", "vtu", "vtk", "mesh"])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(
+    "shape", [lambda **kw: block(2.0, 1.5, 0.5, **kw), lambda **kw: sandwich(2.0, 0.8, 1.1, 0.4, **kw)]
+)
+def test_round_trip(tmp_path, shape, cell, suffix):
+    """What a builder made comes back from a file with the same cells, names and normals."""
+    joint = shape(cell=cell)
+    blocks = [("triangle", joint.cells)] if cell == "triangle" else [("quad", joint.cells[:, [0, 1, 3, 2]])]
+    tags = [joint.region + 1]
+    for number, rows in enumerate(joint.facets.values()):
+        blocks.append(("line", rows))
+        tags.append(np.full(len(rows), number + 1))
+    path, facets, regions = tmp_path / f"a.{suffix}", tuple(joint.facets), joint.regions
+    if suffix == "msh":
+        names = {name: [k + 1, 1] for k, name in enumerate(facets)} | {
+            name: [k + 1, 2] for k, name in enumerate(regions)
+        }
+        write(path, joint.points, blocks, tags, names)
+    elif suffix == "inp":
+        sets = {
+            name: [*([[]] * (k + 1)), np.arange(len(rows)), *([[]] * (len(facets) - k - 1))]
+            for k, (name, rows) in enumerate(joint.facets.items())
+        }
+        sets |= {name: [np.flatnonzero(joint.region == k), *([[]] * len(facets))] for k, name in enumerate(regions)}
+        meshio.Mesh(joint.points, blocks, cell_sets=sets).write(path)
+    else:
+        meshio.Mesh(np.pad(joint.points, ((0, 0), (0, 1))), blocks, cell_data={"tags": tags}).write(path)
+        facets, regions = (tuple(str(k + 1) for k in range(len(names))) for names in (facets, regions))
+    upper = None if joint.rigid_base else regions[-1]
+    back = read(path, S=facets[list(joint.facets).index("S")], upper=upper)
+    assert (back.rigid_base, len(back.regions)) == (joint.rigid_base, len(joint.regions))
+    assert back.points == pytest.approx(joint.points, abs=1e-12)
+    assert (back.cells == joint.cells).all()
+    assert [back.regions[k] for k in back.region] == [regions[k] for k in joint.region]
+    for name, other in zip(joint.facets, facets, strict=True):
+        rows = back.facets["S" if name == "S" else other]
+        assert (rows == np.unique(np.sort(joint.facets[name], axis=1), axis=0)).all()
+    assert back.interface_normals == pytest.approx(joint.interface_normals)
+
+
+def test_whole_boundary_between_bodies(draw, tmp_path):
+    """S=None; three regions, two of them one body."""
+    low, left, right = boxes(draw, (0, -1, 2, 1), (0, 0, 1, 1), (1, 0, 1, 1))
+    groups = {(2, "LOW"): [low], (2, "LEFT"): [left], (2, "RIGHT"): [right]}
+    path = save(tmp_path / "a.msh", 2, groups)
+    joint = read(path, S=None, upper=["LEFT", "RIGHT"], lower="LOW")
+    assert np.ptp(joint.points[joint.facets["S"]][..., 0]) == pytest.approx(2.0)
+    assert len(joint.bonded) == 0
+    inflate(joint, 0.1)
+    joint = read(path, S=None, upper="LEFT", lower=["LOW", "RIGHT"])  # an angle
+    assert np.abs(joint.interface_normals).min(axis=1) == pytest.approx(0.0, abs=1e-12)
+    assert {tuple(n) for n in np.rint(joint.interface_normals).astype(int)} == {(0, 1), (-1, 0)}
+    with pytest.raises(GeometryError, match=r"region 'RIGHT' belongs to no body"):
+        read(path, S=None, upper="LEFT", lower="LOW")
+    with pytest.raises(GeometryError, match=r"S=None .*give upper and lower; regions: LOW, LEFT, RIGHT"):
+        read(path, S=None, upper="LEFT")
+    with pytest.raises(GeometryError, match=r"did you mean 'RIGHT'\?; known: LEFT, LOW, RIGHT \(physical names\)"):
+        read(path, S=None, upper="RIHT", lower="LOW")
+    with pytest.raises(GeometryError, match="no facets are named 'S' or anything else"):
+        read(path, upper="LEFT")
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rigid_base(draw, tmp_path, dim):
+    one, two = boxes(draw, (0, 0, 1, 1), (1, 0, 1, 1), dim=dim)
+    groups = {(dim, "ONE"): [one], (dim, "TWO"): [two], (dim - 1, "FOOT"): sides(0, 0, 2, 0, dim)}
+    path = save(tmp_path / "a.msh", dim, groups)
+    joint = read(path, S="FOOT")
+    assert joint.rigid_base
+    assert (joint.upper, set(joint.facets)) == (("ONE", "TWO"), {"S"})
+    assert joint.interface_normals[:, 1] == pytest.approx(1.0)
+    inflate(joint, 0.1)
+    with pytest.raises(GeometryError, match="direction is for S inside one body; 'FOOT' lies on the outer boundary"):
+        read(path, S="FOOT", direction=(0, 1, 0))
+    with pytest.raises(
+        GeometryError, match=r"facets of 'S' lie on the outer boundary, the first at .*; between ONE and TWO"
+    ):
+        read(path, S="FOOT", upper="TWO", lower="ONE")
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_s_inside_one_body(draw, tmp_path, dim):
+    """S cuts a body in two, or ends inside it."""
+    parts = boxes(draw, (0, -1, 1, 1), (0, 0, 1, 1), (1, -1, 1, 1), (1, 0, 1, 1), dim=dim)
+    groups = {
+        (dim, "BODY"): parts,
+        (dim - 1, "CUT"): sides(0, 0, 2, 0, dim),
+        (dim - 1, "CRACK"): sides(0, 0, 1, 0, dim),
+    }
+    path, up = save(tmp_path / "a.msh", dim, groups), np.eye(dim)[1]
+    joint = read(path, S="CUT", direction=up)
+    assert joint.upper == joint.lower == ("BODY",)
+    assert joint.interface_normals @ up == pytest.approx(1.0)
+    assert joint.points[joint.corners[joint.side > 0]].mean(axis=1)[:, 1].min() > 0
+    assert len(joint.bonded) == 0
+    assert volume(inflate(joint, 0.1)) == pytest.approx(4.2)
+    crack = read(path, S="CRACK", direction=-up)
+    assert crack.interface_normals @ up == pytest.approx(-1.0)
+    assert len(crack.facets["CUT"]) == len(joint.facets["S"]) - len(crack.facets["S"])  # what is S is S alone
+    with pytest.raises(GeometryError, match=r"'CUT' lies inside BODY; name the regions above it .*direction"):
+        read(path, S="CUT")
+    with pytest.raises(GeometryError, match="nothing is left below it; give the direction"):
+        read(path, S="CUT", upper="BODY")
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_s_ends_between_two_bodies(draw, tmp_path, dim):
+    parts = boxes(draw, (0, -1, 1, 1), (1, -1, 1, 1), (0, 0, 1, 1), (1, 0, 1, 1), dim=dim)
+    groups = {(dim, "LOW"): parts[:2], (dim, "UP"): parts[2:], (dim - 1, "S"): sides(0, 0, 1, 0, dim)}
+    joint = read(save(tmp_path / "a.msh", dim, groups), upper="UP")
+    assert len(joint.bonded)
+    assert joint.points[joint.table.vertices[joint.bonded]][..., 0].min() == pytest.approx(1.0)
+    with pytest.raises(GeometryError, match=r"ends inside the bodies \(near \(1, 0"):
+        inflate(joint, 0.1)
+
+
+def test_names_of_gmsh(draw, tmp_path):
+    """Facets with several names, groups without one, a name for two groups, cells without a group."""
+    low, up = boxes(draw, (0, -1, 2, 1), (0, 0, 2, 1))
+    s, top = sides(0, 0, 2, 0), sides(0, 1, 2, 0)
+    gmsh.model.addPhysicalGroup(2, [up], 7)
+    path = save(tmp_path / "a.msh", 2, {(2, "LOW"): [low], (1, "S"): s, (1, "BOTH"): s + top})
+
+    def saved(**options):
+        for name, value in options.items():
+            gmsh.option.setNumber(f"Mesh.{name}", value)
+        gmsh.write(str(path))
+        return path
+
+    for version, _ in FORMATS[1:3]:
+        joint = read(saved(MshFileVersion=version), upper="7")
+        assert (joint.lower, set(joint.facets)) == (("LOW",), {"S", "BOTH"})
+        assert len(joint.facets["BOTH"]) == len(joint.facets["S"])  # the top; what is S is S alone
+    gmsh.model.addPhysicalGroup(2, [up], name="S")
+    with pytest.raises(GeometryError, match=r"physical name 'S' stands for the groups \d+ of dimension 1 and \d+ of"):
+        read(saved(), upper="7")
+    gmsh.model.removePhysicalGroups()
+    gmsh.model.removePhysicalName("S")
+    gmsh.model.addPhysicalGroup(2, [low], name="LOW")
+    with pytest.raises(GeometryError, match=r"meshio cannot read this \.msh file .*Mesh\.SaveAll = 0"):
+        read(saved(SaveAll=1))
+    gmsh.model.removePhysicalGroups()
+    for version, _ in FORMATS[1:3]:
+        with pytest.raises(
+            GeometryError, match=r'no named groups of cells .* Physical Surface\("BODY"\) .*SaveAll = 0'
+        ):
+            read(saved(MshFileVersion=version))
+
+
+def test_inp_of_gmsh_names_cells_twice(draw, tmp_path):
+    """By physical group and by surface: upper and lower choose."""
+    path = stack(draw, tmp_path / "a.msh").with_suffix(".inp")
+    gmsh.write(str(path))
+    joint = read(path, upper="UPPER", lower="LOWER")
+    assert set(joint.regions) == {"LOWER", "UPPER"}
+    with pytest.raises(GeometryError, match="are in none of UPPER; name every region in upper or lower"):
+        read(path, upper="UPPER")
+    with pytest.raises(
+        GeometryError, match=r"several of the groups LOWER, UPPER, Surface1, Surface2; name the regions in"
+    ):
+        read(path)
+
+
+def test_arrays_of_numbers(tmp_path):
+    """Without names the only array of integers counts; several are ambiguous; negative numbers are no group."""
+    points, blocks = np.pad(GRID, ((0, 0), (0, 1))), [("quad", QUADS), ("line", LINES)]
+    tags = [np.array([1, 1, 2, 2]), np.array([5, 5, -1, -1])]
+    mesh = meshio.Mesh(points, blocks, cell_data={"part": tags, "size": [t * 0.5 for t in tags]})
+    mesh.write(tmp_path / "a.vtu")
+    assert set(read(tmp_path / "a.vtu", S="5", upper="2").facets) == {"S"}
+    with pytest.raises(GeometryError, match=r"unknown set of facets 'S'; known: 5 \(numbers in the cell data 'part'\)"):
+        read(tmp_path / "a.vtu", upper="2")
+    mesh.cell_data["other"] = tags
+    mesh.write(tmp_path / "a.vtu")
+    with pytest.raises(
+        GeometryError, match=r"several arrays of integers could number the groups: part, other; keep one"
+    ):
+        read(tmp_path / "a.vtu", S="5", upper="2")
+
+
+def test_xdmf(tmp_path):
+    pytest.importorskip("h5py")
+
+    def item(values, kind):
+        text, shape = " ".join(map(str, np.ravel(values))), " ".join(map(str, np.shape(values)))
+        return f'<DataItem DataType="{kind}" Dimensions="{shape}" Format="XML" Precision="8">{text}</DataItem>'
+
+    (tmp_path / "a.xdmf").write_text(
+        '<Xdmf Version="3.0"><Domain><Grid Name="Grid">'
+        f'<Geometry GeometryType="XY">{item(GRID, "Float")}</Geometry>'
+        f'<Topology TopologyType="Quadrilateral" NumberOfElements="4">{item(QUADS, "Int")}</Topology>'
+        f'<Attribute Name="part" AttributeType="Scalar" Center="Cell">{item([1, 1, 2, 2], "Int")}</Attribute>'
+        "</Grid></Domain></Xdmf>"
+    )
+    joint = read(tmp_path / "a.xdmf", S=None, upper="2", lower="1")
+    assert joint.points[joint.facets["S"]][..., 1] == pytest.approx(0.0)

@@ -1,0 +1,165 @@
+"""Meshes from files that are refused, each with its reason and place."""
+
+from __future__ import annotations
+
+import gmsh
+import numpy as np
+import pytest
+
+from geometry import GeometryError, inflate, read
+from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, save, sides, squares, volume
+
+
+@pytest.fixture
+def draw():
+    with drawing() as occ:
+        yield occ
+
+
+def test_unconnected_bodies(draw, tmp_path):
+    low, up = boxes(draw, (0, -1, 2, 1), (0, 0, 2, 1), shared=False)
+    path = save(tmp_path / "a.msh", 2, {(2, "LOW"): [low], (2, "UP"): [up], (1, "S"): sides(0, 0, 2, 0)[:1]}, h=0.5)
+    with pytest.raises(
+        GeometryError, match=r"^\S*a\.msh: \d+ pairs of nodes at the same place, .* \(.*BooleanFragments"
+    ):
+        read(path, upper="UP")
+
+
+@pytest.mark.parametrize(
+    ("dim", "options", "message"),
+    [
+        (2, {"ElementOrder": 3}, "triangle10; allowed: triangle, triangle6, quad, .*ElementOrder"),
+        (2, {"RecombineAll": 1, "ElementOrder": 2, "SecondOrderIncomplete": 1}, "quad8; .*SecondOrderIncomplete = 0"),
+        (3, {}, "2D mesh in 3D: .* triangle at z = 0 to 1.*Physical Volume"),
+    ],
+)
+def test_cells_that_are_not_allowed(draw, tmp_path, dim, options, message):
+    (body,) = boxes(draw, (0, 0, 1, 1), dim=dim)
+    groups = {(2, "SKIN"): sides(0, 0, 1, 1, 3)} if dim == 3 else {(2, "BODY"): [body]}
+    if "RecombineAll" in options:
+        gmsh.model.mesh.setTransfiniteSurface(body)
+    with pytest.raises(GeometryError, match=message):
+        read(save(tmp_path / "a.msh", 2, groups, h=1.0, **options))
+
+
+def moved(point, *x):
+    points = GRID.copy()
+    points[point] = x
+    return points
+
+
+FLAT = dict(points=moved(8, 1, 0.5), kind="triangle", cells=[[4, 7, 8], [0, 1, 4]], lines=[[0, 1], [1, 4]])
+TETRAHEDRON = dict(points=SPACE, kind="tetra", cells=[[0, 1, 4, 9]], regions=[1], names={"UP": (1, 3), "S": (1, 2)})
+BROKEN = [
+    (FLAT | dict(regions=[2, 1]), r"1 of 2 cells are degenerate \(no volume\); the first is at \(1, 0\.5\)"),
+    (dict(points=moved(8, 1.2, 0.2)), r"1 of 4 cells are folded .*; the first is at \(1\.3, 0\.3\)"),
+    (dict(points=moved(8, 1.5, 0.5)), "1 of 4 cells are folded"),
+    (dict(points=moved(8, np.nan, 0.5)), "nodes without coordinates"),
+    (dict(more=[("quad", [[7, 4, 5, 8]], 1)]), "1 of 5 cells have the vertices of another cell"),
+    (dict(more=[("quad", [[3, 4, 8, 6]], 2)]), "1 facets belong to more than two cells"),
+    (dict(more=[("triangle", [[5, 8, 7]], 2)]), "mixed cell types: 4 quad, 1 triangle"),
+    (
+        dict(points=SPACE, more=[("wedge", [[0, 1, 2, 3, 4, 5]], 2)]),
+        "1 wedge; allowed: triangle, .*with hexahedra alone",
+    ),
+    (dict(kind="line", cells=[[0, 1], [1, 2]], regions=[1, 2]), "6 line; .*save the bodies' cells too"),
+    (dict(points=np.column_stack([GRID, GRID[:, 1]])), "2D mesh in 3D: 4 quad at z = -1 to 1"),
+    (dict(names=NAMES | {"S": (9, 1), "SS": (1, 1)}), "'S', did you mean 'SS'.; known: SS, TOP"),
+    (dict(lines=[[3, 4], [7, 8]]), r"1 of 2 facets named 'S' lie on the outer boundary.* is at \(1\.5, 1\)"),
+    (dict(lines=[[3, 4], [4, 8]]), r"1 of 2 facets named 'S' are not facets .* is at \(1\.5, 0\.5\)"),
+    (dict(points=[*GRID, (1, 0.1)], lines=[[3, 9], [9, 5]]), r"not part of the bodies' mesh, .* at \(0\.5, 0\.05\)"),
+    (dict(regions=[1, 2, 1, 2]), r"same body on both sides, the first at \(0\.5, 0\)"),
+    (
+        TETRAHEDRON | dict(more=[("quad", [[0, 1, 4, 3]], 1)]),
+        "quad facets, but its tetrahedron cells have triangle facets",
+    ),
+    (
+        dict(regions=[1, 1, 2, 0]),
+        r"1 of 4 cells are in no named group \(physical names: LOW, UP\); the first is at \(1.5, 0.5\)",
+    ),
+    (dict(names=NAMES | {"LAYER": (1, 2), "LOW": (9, 2)}), "'LAYER' cannot be a name; not allowed: LAYER, LOWER_FACE"),
+    (dict(names=NAMES | {"A/B": (2, 1), "TOP": (9, 1)}), "'A/B' cannot be a name; .*names with '/'"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BROKEN)
+def test_broken_meshes(tmp_path, change, message):
+    assert read(squares(tmp_path / "a.msh"), upper="UP").planar
+    with pytest.raises(GeometryError, match=message):
+        read(squares(tmp_path / "a.msh", **change), upper="UP")
+
+
+def test_arguments(tmp_path):
+    path = squares(tmp_path / "a.msh")
+    for arguments, message in [
+        (dict(), "'S' lies inside LOW and UP; name the regions above it in upper.*regions: LOW, UP"),
+        (dict(upper="UP", scale=0.0), "scale is 0.0; it must be > 0"),
+        (dict(upper="UP", S="TOPP"), "unknown set of facets 'TOPP', did you mean 'TOP'"),
+        (dict(upper="UP", lower="LOW", S=None), "the file names other facets 'S'"),
+        (dict(upper="UP", S="TOP"), "the file names other facets 'S'"),
+        (dict(upper="UP", lower="TOP"), "unknown region 'TOP'"),
+        (dict(upper=["LOW", "UP"], direction=(0, 0, 1)), "it needs 2 components"),
+    ]:
+        with pytest.raises(GeometryError, match=message):
+            read(path, **arguments)
+
+
+def test_files_that_cannot_be_read(tmp_path, capfd):
+    for name, text, message in [
+        ("a.msh", None, "there is no such file"),
+        ("a.mhs", "", r"unknown suffix '\.mhs', did you mean '\.msh'"),
+        ("a.vtu", "nothing", r"meshio cannot read this \.vtu file"),
+        ("a.msh", "nothing", r"meshio cannot read this \.msh file"),
+        ("a.med", "nothing", r"meshio cannot read this \.med file|\.med files need the Python package h5py"),
+        ("a.off", "OFF\n0 0 0\n", "the file has no cells|cannot read"),
+    ]:
+        if text is not None:
+            (tmp_path / name).write_text(text)
+        with pytest.raises(GeometryError, match=message):
+            read(tmp_path / name)
+    assert capfd.readouterr() == ("", "")
+
+
+def plate(occ, path, lower, upper):
+    """Two polygons LOW and UP, S between them."""
+
+    def polygon(corners):
+        points = [occ.addPoint(x, y, 0) for x, y in corners]
+        lines = [occ.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+        return occ.addPlaneSurface([occ.addCurveLoop(lines)])
+
+    low, up = polygon(lower), polygon(upper)
+    occ.fragment([(2, low)], [(2, up)])
+    return read(save(path, 2, {(2, "LOW"): [low], (2, "UP"): [up]}, h=0.3), S=None, upper="UP", lower="LOW")
+
+
+def test_folded_interface(draw, tmp_path):
+    """A needle of the lower body in the upper one."""
+    s = [(0, 0), (0.99, 0), (1, 0.7), (1.01, 0), (2, 0)]
+    joint = plate(draw, tmp_path / "a.msh", [(0, -1), (2, -1), *s[::-1]], [*s, (2, 1), (0, 1)])
+    with pytest.raises(GeometryError, match=r"S is folded at \(1, 0\.7\)"):
+        inflate(joint, 0.001, bodies="extended")
+
+
+def test_branching_interface(tmp_path):
+    """A checkerboard."""
+    path = squares(
+        tmp_path / "a.msh", lines=LINES[2:], regions=[1, 2, 2, 1], names=NAMES | {"S": (9, 1), "TOP": (1, 1)}
+    )
+    joint = read(path, S=None, upper="UP", lower="LOW")
+    assert len(joint.facets["S"]) == 4
+    for bodies in ("kept", "extended"):
+        with pytest.raises(GeometryError, match=r"S branches at \(1, 0\)|not planar"):
+            inflate(joint, 0.01, bodies=bodies)
+
+
+@pytest.mark.parametrize("width", [2.0, 1.7])
+def test_no_room_for_the_layer(draw, tmp_path, width):
+    """A C on a rigid base at the lower face of its upper arm: the layer grows down into the lower arm."""
+    parts = boxes(draw, (0, 0, 1, 4), (1, 0, width, 1), (1, 2, 2, 2))
+    groups = {(2, "C"): parts, (1, "S"): sides(1, 2, 2, 0)}
+    joint = read(save(tmp_path / "a.msh", 2, groups), scale=10.0)
+    assert joint.rigid_base
+    assert volume(inflate(joint, 9.0)) == pytest.approx(100 * (8 + width) + 20 * 9)
+    with pytest.raises(GeometryError, match=r"no room for a layer of thickness 11 at \([\d.]+, [\d.]+\)"):
+        inflate(joint, 11.0)
