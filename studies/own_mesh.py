@@ -10,7 +10,8 @@ import ufl
 from forms import LinearElastic
 from forms.kinematics import Expr
 from geometry import read
-from thinlayer import Model, ThinLayer, compare, plotting, solve, sweep
+from studies.sweeping import Sweep
+from thinlayer import ThinLayer, plotting
 from thinlayer.record import Record
 
 MESH = Path(__file__).parent / "data" / "arch.msh"  # curved cells; arch.geo is its drawing
@@ -38,23 +39,9 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         "element": "P1" if quick else "P2",
     }
     record.parameters = {"mesh": MESH.name, "stone": str(STONE), "mortar_per_m": str(MORTAR)}
-    pictured = sorted(eps)[len(eps) // 2]
-
-    def compare_at(e: float) -> dict[str, float]:
-        layer = ThinLayer(MORTAR, e)
-        full = record.solved(solve(Model.full(joint, layer=layer, bodies="extended", **setup)))
-        limit = record.solved(solve(Model.interface(joint, layer=layer, **setup)))
-        if e == pictured:
-            states = {f"meshed joints, {1e3 * e:g} mm": full, "interface law": limit}
-            plotting.deformed(states, save=record.path("deformed.png"), unit="m", title="masonry arch")
-        return compare(full, limit, where=middle)
-
-    table = sweep(compare_at, eps, record.path("table.csv"))
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(MORTAR, e), bodies="extended", where=middle)
+    sweep.run(eps, (0.9, 1.1), pictured=sorted(eps)[len(eps) // 2], unit="m", title="masonry arch")
     draw(record)
-    record.say(table)
-    if len(eps) > 1:
-        for name in ("traction", "jump"):
-            record.check(f"last observed order of the {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
 
 
 def middle(x: Expr) -> Expr:

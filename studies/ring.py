@@ -8,7 +8,8 @@ import ufl
 
 from forms import LinearElastic
 from geometry import ring
-from thinlayer import Model, ThinLayer, compare, plotting, solve, sweep
+from studies.sweeping import Sweep
+from thinlayer import ThinLayer, plotting
 from thinlayer.record import Record
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
@@ -33,23 +34,9 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         "tractions": {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))},
     }
     record.parameters = {"radii_mm": RADII, "shaft": str(SHAFT), "hub": str(HUB), "glue_per_mm": str(GLUE)}
-    pictured = max(eps)
-
-    def compare_at(e: float) -> dict[str, float]:
-        layer = ThinLayer(GLUE, e)
-        full = record.solved(solve(Model.full(joint, layer=layer, bodies="extended", **setup)))
-        limit = record.solved(solve(Model.interface(joint, layer=layer, **setup)))
-        if e == pictured:
-            states = {f"meshed layer, {e:g} mm": full, "interface law": limit}
-            plotting.deformed(states, save=record.path("deformed.png"), unit="mm", title="glued shaft and hub")
-        return compare(full, limit)
-
-    table = sweep(compare_at, eps, record.path("table.csv"))
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(GLUE, e), bodies="extended")
+    sweep.run(eps, (0.9, 1.1), pictured=max(eps), unit="mm", title="glued shaft and hub")
     draw(record)
-    record.say(table)
-    if len(eps) > 1:
-        for name in ("traction", "jump"):
-            record.check(f"last observed order of the {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
 
 
 def draw(record: Record) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, Table, ThinLayer, compare, plotting, solve, sweep
+from studies.sweeping import Sweep
+from thinlayer import Table, ThinLayer, plotting
 from thinlayer.record import Record
 
 
@@ -29,25 +30,10 @@ def run(
     h = (1 / 8, 1 / 16)[order] if quick else 1 / 32
     joint, setup = fourier(h)
     record.parameters = {"h": h, "layer": str(FOURIER_LAYER), "bodies": bodies, "order": order}
-    pictured = sorted(eps)[len(eps) // 2]
-
-    def compare_at(e: float) -> dict[str, float]:
-        layer = ThinLayer(FOURIER_LAYER, e, order=order)
-        full = record.solved(solve(Model.full(joint, layer=layer, bodies=bodies, **setup)))
-        limit = record.solved(solve(Model.interface(joint, layer=layer, **setup)))
-        row = compare(full, limit)
-        if e == pictured:
-            states = {f"meshed layer, eps = {e:g}": full, "interface law": limit}
-            plotting.deformed(states, save=record.path("deformed.png"))
-        return row
-
-    table = sweep(compare_at, eps, record.path("table.csv"))
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, order=order), bodies=bodies)
+    ends = ((0.95, 1.05), (1.9, 2.1))[order]
+    sweep.run(eps, ends, pictured=sorted(eps)[len(eps) // 2])
     draw(record)
-    record.say(table)
-    if len(eps) > 1:
-        for name in ("traction", "jump"):
-            ends = (0.95, 1.05) if order == 0 else (1.9, 2.1)
-            record.check(f"last observed order of the {name}", table[f"order_{name}"][-1], low=ends[0], high=ends[1])
 
 
 def draw(record: Record) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, ThinLayer, compare, plotting, solve, sweep
+from studies.sweeping import Sweep
+from thinlayer import ThinLayer, plotting
 from thinlayer.record import Record
 
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
@@ -32,23 +33,9 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     h = 1 / 8 if quick else 1 / 32
     joint, setup = fourier(h)
     record.parameters = {"h": h, "layer": str(FOURIER_LAYER), "thickness": "eps (0.5 + x)"}
-    pictured = max(eps)
-
-    def compare_at(e: float) -> dict[str, float]:
-        layer = ThinLayer(FOURIER_LAYER, e, profile=wedge)
-        full = record.solved(solve(Model.full(joint, layer=layer, bodies="extended", **setup)))
-        limit = record.solved(solve(Model.interface(joint, layer=layer, **setup)))
-        if e == pictured:
-            states = {f"meshed wedge, mean thickness {e:g}": full, "interface law": limit}
-            plotting.deformed(states, save=record.path("deformed.png"))
-        return compare(full, limit)
-
-    table = sweep(compare_at, eps, record.path("table.csv"))
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, profile=wedge), bodies="extended")
+    sweep.run(eps, (0.9, 1.1), pictured=max(eps), title="wedge between two blocks")
     draw(record)
-    record.say(table)
-    if len(eps) > 1:
-        for name in ("traction", "jump"):
-            record.check(f"last observed order of the {name}", table[f"order_{name}"][-1], low=0.9, high=1.1)
 
 
 def draw(record: Record) -> None:

@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 
 from geometry import Joint
-from geometry.topology import lagrange
+from geometry.topology import geometry_degree, lagrange
 
 CELLS = {"triangle": (2, False), "quadrilateral": (2, True), "tetrahedron": (3, False), "hexahedron": (3, True)}
 GRID = np.array([[x, y] for y in (-1.0, 0.0, 1.0) for x in (0.0, 1.0, 2.0)])
@@ -109,11 +109,16 @@ def squares(path, points=GRID, cells=QUADS, lines=LINES, regions=(1, 1, 2, 2), m
     return write(path, points, blocks, tags, names)
 
 
-def volume(joint: Joint) -> float:
-    """By quadrature that is exact enough for curved cells; no Jacobian may differ in sign."""
-    degree = 1 if joint.cells.shape[1] == joint.corners.shape[1] else 2
+def volumes(joint: Joint) -> np.ndarray:
+    """(n_cells,) by quadrature that is exact enough for curved cells; no Jacobian may differ in sign within a cell."""
+    element = lagrange(joint.cell_type, geometry_degree(joint.cell_type, joint.cells.shape[1]))
     x, weights = basix.make_quadrature(basix.CellType[joint.cell_type], 6)
-    gradients = lagrange(joint.cell_type, degree).tabulate(1, x)[1:, :, :, 0]
+    gradients = element.tabulate(1, x)[1:, :, :, 0]
     jacobian = np.linalg.det(np.einsum("tqn,cnd->cqtd", gradients, joint.points[joint.cells]))
     assert ((jacobian > 0).all(axis=1) | (jacobian < 0).all(axis=1)).all()
-    return float(np.abs(jacobian @ weights).sum())
+    return np.abs(jacobian @ weights)
+
+
+def volume(joint: Joint) -> float:
+    """Of all cells."""
+    return float(volumes(joint).sum())

@@ -4,18 +4,74 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 
 import ufl
 from mpi4py import MPI
 
-from forms import LinearElastic, Stack
-from geometry import block, sandwich
+from forms import Anisotropic, LinearElastic, Stack
+from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from thinlayer import Model, Surface, ThinLayer, compare, solve
 
 
+def structures_in_space() -> dict[str, tuple]:
+    """Tetrahedra and hexahedra, both ways to make room."""
+    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
+    setup = {
+        "body": body,
+        "supports": {"BOTTOM": 0.0, "BACK": {"z": 0.0}},
+        "tractions": {"TOP": lambda x, t: (0.3, -1.0, 0.1 * x[0])},
+    }
+    tetrahedra = sandwich(1.0, 0.4, 0.5, 0.3, depth=0.8)
+    base = {"body": body, "supports": {}, "tractions": {"TOP": (0.3, -1.0, 0.2)}}
+    hexahedra = block(1.0, 0.5, 0.25, depth=0.7, cell="hexahedron")
+    return {
+        "tetrahedra P2": (tetrahedra, setup, glue, {}),
+        "hexahedra Q1 extended wedge": (
+            hexahedra,
+            base,
+            glue,
+            {"element": "Q1", "bodies": "extended", "profile": lambda x: 1 + 0.5 * x[0] * x[2]},
+        ),
+    }
+
+
+def structures_with_curved_layers() -> dict[str, tuple]:
+    """Curved cells with a law that has a material frame; a wedge."""
+    body = LinearElastic.young(30.0, 0.1)
+    setup = {"body": body, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.3, -0.2)}}
+    return {
+        "curved ring": (
+            ring(1.0, 1.5, 2.0, 0.3, degree=2),
+            setup,
+            Anisotropic.springs(K_N=9.0, K_T=2.0),
+            {"bodies": "extended"},
+        ),
+        "wedge": (*fourier(1 / 8), FOURIER_LAYER, {"bodies": "extended", "profile": lambda x: 0.5 + x[0]}),
+    }
+
+
+def crack() -> dict[str, float]:
+    """S that ends inside."""
+    whole = sandwich(1.0, 0.5, 0.5, 0.125)
+    centres = whole.points[whole.facets["S"]].mean(axis=1)
+    joint = replace(whole, facets={**whole.facets, "S": whole.facets["S"][centres[:, 0] < 0.5]})
+    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
+    layer = ThinLayer(glue, 0.04)
+    state = solve(
+        Model.interface(joint, layer=layer, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, 1.0)})
+    )
+    surface = Surface(state.model)
+    return {
+        "crack jump": surface.norm(surface.jump(state)),
+        "crack traction": surface.norm(surface.traction(state)),
+        "crack u": state.integral(ufl.inner(state.u, state.u) * ufl.dx),
+    }
+
+
 def norms() -> dict[str, float]:
-    """Norms of both models of four structures."""
+    """Norms of both models of all structures."""
     found = {}
     soft, hard = LinearElastic.young(30.0, 0.1), LinearElastic.young(12.0, 0.4)
     rotated = sandwich(1.0, 0.5, 0.7, 0.15, h_S=0.05).rotated(0.4)
@@ -51,8 +107,9 @@ def norms() -> dict[str, float]:
             {"plane": "stress"},
         ),
     }
+    structures |= structures_in_space() | structures_with_curved_layers()
     for name, (joint, setup, law, options) in structures.items():
-        layer = ThinLayer(law, 0.04)
+        layer = ThinLayer(law, 0.04, profile=options.pop("profile", None))
         limit = solve(Model.interface(joint, layer=layer, **setup, **options))
         full = solve(Model.full(joint, layer=layer, **setup, **options))
         for key, value in compare(full, limit).items():
@@ -66,7 +123,7 @@ def norms() -> dict[str, float]:
         found[f"{name} profile"] = float(abs(values).sum())
     newton = solve(limit.model, method="newton")
     found["newton u"] = newton.integral(ufl.inner(newton.u, newton.u) * ufl.dx)
-    return found
+    return found | crack()
 
 
 if __name__ == "__main__":

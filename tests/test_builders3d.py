@@ -5,13 +5,13 @@ from __future__ import annotations
 from itertools import pairwise
 from math import pi, tau
 
-import basix
 import numpy as np
 import pytest
 
 from geometry import GeometryError, Joint, block, disc, ring, sandwich
 from geometry.shapes.sizing import Grading
-from geometry.topology import geometry_degree, lagrange, node_jacobians
+from geometry.topology import node_jacobians
+from tests.meshes import volumes
 
 SIDES = {"S", "TOP", "LEFT", "RIGHT", "BACK", "FRONT"}
 SOLIDS = ("tetrahedron", "hexahedron")
@@ -19,12 +19,8 @@ BOXES = [("tetrahedron", False), ("tetrahedron", True), ("hexahedron", False)]
 SECTORS = [tau, 4.0, 1.0]
 
 
-def volumes(joint: Joint) -> dict[str, float]:
-    """Of each region, by quadrature that is exact for cells of degree 2."""
-    element = lagrange(joint.cell_type, geometry_degree(joint.cell_type, joint.cells.shape[1]))
-    x, weights = basix.make_quadrature(basix.CellType[joint.cell_type], 6)
-    jacobians = np.einsum("tqn,cnd->cqtd", element.tabulate(1, x)[1:, :, :, 0], joint.points[joint.cells])
-    cells = np.abs(np.linalg.det(jacobians)) @ weights
+def region_volumes(joint: Joint) -> dict[str, float]:
+    cells = volumes(joint)
     return {name: cells[joint.region == k].sum() for k, name in enumerate(joint.regions)}
 
 
@@ -56,12 +52,12 @@ def test_boxes(cell, structured):
     joint = block(2.0, 1.5, 0.5, depth=1.0, cell=cell, structured=structured)
     check(joint, SIDES)
     assert joint.cell_type == cell
-    assert volumes(joint) == pytest.approx({"BODY": 3.0})
+    assert region_volumes(joint) == pytest.approx({"BODY": 3.0})
     assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
 
     joint = sandwich(2.0, 0.8, 1.1, 0.4, depth=1.0, h_S=0.2, h_ends=0.1, cell=cell, structured=structured)
     check(joint, SIDES | {"BOTTOM"})
-    assert volumes(joint) == pytest.approx({"LOWER": 1.6, "UPPER": 2.2})
+    assert region_volumes(joint) == pytest.approx({"LOWER": 1.6, "UPPER": 2.2})
     assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
     planes = {"S": (1, 0), "BOTTOM": (1, -0.8), "TOP": (1, 1.1), "LEFT": (0, 0), "RIGHT": (0, 2), "BACK": (2, 0)}
     for name, (axis, value) in (planes | {"FRONT": (2, 1)}).items():
@@ -79,7 +75,7 @@ def test_structured_tetrahedra_split_a_grid(arrangement):
     joint = sandwich(1.0, 0.6, 1.0, 0.2, depth=0.6, structured=True, arrangement=arrangement)
     check(joint, SIDES | {"BOTTOM"})
     assert len(joint.cells) == 6 * 5 * (3 + 5) * 3
-    assert volumes(joint) == pytest.approx({"LOWER": 0.36, "UPPER": 0.6})
+    assert region_volumes(joint) == pytest.approx({"LOWER": 0.36, "UPPER": 0.6})
 
 
 @pytest.mark.parametrize(("cell", "structured"), BOXES)
@@ -108,7 +104,7 @@ def test_disc(cell, hole, degree):
     check(joint, {"S", "BOTTOM", "TOP", "SIDE"} | ({"HOLE"} if hole else set()))
     area = pi * (1 - hole**2)
     exact = {"LOWER": 0.5 * area, "UPPER": 0.4 * area}
-    error = max(abs(volume / exact[name] - 1) for name, volume in volumes(joint).items())
+    error = max(abs(volume / exact[name] - 1) for name, volume in region_volumes(joint).items())
     assert error < 1e-5 if degree == 2 else 5e-4 < error < 0.01  # polygons of about 30 sides lose 0.7 %
     assert joint.interface_normals == pytest.approx(np.tile([0.0, 1.0, 0.0], (len(joint.facets["S"]), 1)))
     assert np.hypot(*on(joint, "SIDE")[:, [0, 2]].T) == pytest.approx(1.0)
@@ -140,7 +136,7 @@ def test_ring(cell, angle, degree):
     check(joint, names | ({"BACK", "FRONT"} if depth else set()))
     assert joint.regions == ("INNER", "OUTER") == joint.lower + joint.upper
     exact = {"INNER": angle / 2 * 0.75 * (depth or 1), "OUTER": angle / 2 * 3 * (depth or 1)}
-    error = max(abs(volume / exact[name] - 1) for name, volume in volumes(joint).items())
+    error = max(abs(volume / exact[name] - 1) for name, volume in region_volumes(joint).items())
     assert error < 1e-4 if degree == 2 else 1e-3 < error < 0.02  # about 20 to 30 sides to a circle
     for name, radius in (("S", 1.0), ("INSIDE", 0.5), ("OUTSIDE", 2.0)):
         assert np.hypot(*on(joint, name)[:, :2].T) == pytest.approx(radius), name
@@ -162,7 +158,7 @@ def test_curved_cells_meet_circles_to_fourth_order(cell):
     errors = []
     for h in (0.2, 0.1, 0.05):
         joint = ring(0.5, 1.0, 2.0, h, angle=2.0, cell=cell, degree=2)
-        errors.append(abs(volumes(joint)["OUTER"] / 3 - 1))
+        errors.append(abs(region_volumes(joint)["OUTER"] / 3 - 1))
     assert all(coarse / fine == pytest.approx(16, rel=0.1) for coarse, fine in pairwise(errors))
     assert errors[-1] < 1e-7
 

@@ -1,0 +1,167 @@
+"""Inflation in three dimensions, of curved S and of curved cells: volumes, counts, names, room."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from geometry import GeometryError, Joint, block, disc, inflate, ring, sandwich
+from geometry.topology import node_jacobians
+from tests.meshes import volumes
+
+SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
+BOX, TUBE = dict(depth=0.8, h_S=0.2), dict(angle=np.pi / 2, depth=0.6)
+JOINTS = {
+    "box, tetrahedra": lambda: sandwich(1.0, 0.5, 0.6, 0.4, **BOX),
+    "box, hexahedra": lambda: sandwich(1.0, 0.5, 0.6, 0.4, cell="hexahedron", **BOX),
+    "base, tetrahedra": lambda: block(1.0, 0.6, 0.3, depth=0.8),
+    "disc, tetrahedra": lambda: disc(1.0, 0.5, 0.4, 0.4),
+    "disc, curved tetrahedra": lambda: disc(1.0, 0.5, 0.4, 0.4, degree=2),
+    "disc, curved hexahedra": lambda: disc(1.0, 0.5, 0.4, 0.4, cell="hexahedron", degree=2, hole=0.3),
+    "ring": lambda: ring(1.0, 1.5, 2.0, 0.3),
+    "ring, curved": lambda: ring(1.0, 1.5, 2.0, 0.3, degree=2),
+    "ring, curved quadrilaterals": lambda: ring(1.0, 1.5, 2.0, 0.3, cell="quadrilateral", degree=2),
+    "tube, curved tetrahedra": lambda: ring(1.0, 1.5, 2.0, 0.4, degree=2, **TUBE),
+    "tube, curved hexahedra": lambda: ring(1.0, 1.5, 2.0, 0.3, degree=2, cell="hexahedron", **TUBE),
+    "tube, hexahedra": lambda: ring(1.0, 1.5, 2.0, 0.3, cell="hexahedron", **TUBE),
+}
+PLANAR = [name for name in JOINTS if name.split(",")[0] in ("box", "base", "disc")]
+
+
+@cache
+def joint_of(name: str) -> Joint:
+    return JOINTS[name]()
+
+
+def check(base: Joint, opened: Joint, eps: float, area: float, kept_volume: float) -> None:
+    """What holds for every layer of uniform thickness: nothing folded, volumes, faces, names."""
+    n = len(base.cells)
+    jacobians = node_jacobians(opened.points, opened.cells, opened.cell_type)
+    assert (np.sign(jacobians) == np.sign(jacobians[:, :1])).all()
+    assert (np.sign(jacobians[:n, 0]) == np.sign(node_jacobians(base.points, base.cells, base.cell_type)[:, 0])).all()
+    found = volumes(opened)
+    assert found[n:].sum() == pytest.approx(eps * area, rel=0.02)
+    extra = found[n:].sum() if opened.band.bodies == "kept" else 0.0
+    assert found.sum() == pytest.approx(volumes(base).sum() + extra, rel=kept_volume)
+    low = opened.facets["BASE" if base.rigid_base else "LOWER_FACE"]
+    assert len(low) == len(opened.facets["UPPER_FACE"]) == len(base.surface)
+    sides = [rows for name, rows in opened.facets.items() if name.endswith("/LAYER")]
+    outer = opened.table.cells[:, 1] < 0
+    named = [rows for name, rows in opened.facets.items() if name not in ("LOWER_FACE", "UPPER_FACE")]
+    assert np.array_equal(
+        np.unique(opened.table.index(np.concatenate(named))), np.flatnonzero(outer)
+    )  # all, and no other
+    assert sum(map(len, named)) == outer.sum()  # each once
+    for rows in sides:
+        cells = opened.table.cells[opened.table.index(rows), 0]
+        assert (opened.side[cells] == 0).all()
+
+
+@pytest.mark.parametrize(("name", "bodies"), [*((n, "kept") for n in PLANAR), *((n, "extended") for n in JOINTS)])
+def test_any_joint(name, bodies):
+    base = joint_of(name)
+    size = 0.8 if base.dim == 3 and "box" in name else 1.0
+    area = {"box": 0.8, "base": 0.8, "disc": np.pi * (0.91 if "hexa" in name else 1.0), "ring": 3 * np.pi}.get(
+        name.split(",")[0], 0.75 * np.pi * 0.6
+    )
+    smooth_only = name in ("disc, tetrahedra", "disc, curved tetrahedra")  # facets of their sides incline to the axis
+    counts = set()
+    for eps in SIZES:
+        opened = inflate(base, eps * size, layers=2, bodies=bodies)
+        check(base, opened, eps * size, area, 1e-4 if smooth_only else 1e-9)
+        counts.add((len(opened.cells), len(opened.points)))
+    assert len(counts) == 1
+
+
+def test_side_faces_continue_their_names():
+    opened = inflate(joint_of("box, tetrahedra"), 0.05, layers=3)
+    for name, axis, value in (("LEFT", 0, 0.0), ("RIGHT", 0, 1.0), ("BACK", 2, 0.0), ("FRONT", 2, 0.8)):
+        x = opened.points[opened.facets[f"{name}/LAYER"]]
+        assert x[..., axis] == pytest.approx(value)
+        assert np.ptp(x[..., 1]) == pytest.approx(0.05)
+    opened = inflate(joint_of("tube, hexahedra"), 0.05, layers=3, bodies="extended")
+    assert opened.points[opened.facets["START/LAYER"]][..., 1] == pytest.approx(0.0, abs=1e-12)
+    assert opened.points[opened.facets["END/LAYER"]][..., 0] == pytest.approx(0.0, abs=1e-12)
+    assert "INSIDE/LAYER" not in opened.facets
+
+
+@pytest.mark.parametrize("name", ["ring, curved", "ring, curved quadrilaterals", "tube, curved hexahedra"])
+def test_curved_cells_stay_curved(name):
+    """All nodes of the layer lie on circles, those half-way too, and the outer sides do not move."""
+    base, eps = joint_of(name), 0.1
+    opened = inflate(base, eps, layers=2, bodies="extended")
+    radius = np.hypot(*opened.points[:, :2].T)
+    layer = opened.cells[opened.side == 0]
+    levels = np.unique(np.round((radius[layer] - 1.5) / eps, 3))
+    assert levels == pytest.approx([-0.5, -0.25, 0.0, 0.25, 0.5], abs=2e-3)  # P2 circles: fourth order in the cell size
+    for side, value in (("INSIDE", 1.0), ("OUTSIDE", 2.0)):
+        nodes = opened.table.nodes(opened.table.index(opened.facets[side]), opened.cells, opened.cell_type)
+        assert radius[nodes] == pytest.approx(value, abs=1e-6)
+
+
+def test_kept_bodies_are_moved_in_one_piece():
+    base = joint_of("disc, curved tetrahedra")
+    opened = inflate(base, 0.01)
+    for side, shift in ((-1, -0.005), (1, 0.005)):
+        nodes = np.unique(opened.cells[opened.side == side])
+        moved = opened.points[nodes] - opened.reference[nodes]
+        assert moved == pytest.approx(np.tile([0.0, shift, 0.0], (len(nodes), 1)), abs=1e-15)
+
+
+def test_each_facet_of_a_polygon_gets_its_thickness():
+    base = joint_of("ring")
+    opened = inflate(base, 0.05, layers=1, bodies="extended")
+    low, high = (opened.points[opened.facets[face]] for face in ("LOWER_FACE", "UPPER_FACE"))
+    n = base.interface_normals
+    rows = np.argsort(base.table.index(base.facets["S"]))
+    distance = ((high.mean(axis=1) - low.mean(axis=1)) * n).sum(axis=1)
+    assert len(rows) == len(distance)
+    assert distance == pytest.approx(0.05)
+
+
+def test_inclined_sides_are_followed():
+    """A layer between inclined sides keeps the total shape: its ends slide along them."""
+    straight = sandwich(1.0, 0.5, 0.5, 0.25)
+    slanted = Joint(
+        straight.points + np.outer(straight.points[:, 1], [0.6, 0.0]),
+        straight.cells,
+        straight.cell_type,
+        straight.region,
+        straight.regions,
+        straight.facets,
+        straight.upper,
+        straight.lower,
+    )
+    opened = inflate(slanted, 0.1, bodies="extended")
+    assert volumes(opened).sum() == pytest.approx(1.0)
+    x = opened.points[opened.facets["LEFT/LAYER"]]
+    assert x[..., 0] == pytest.approx(0.6 * x[..., 1])
+    assert np.ptp(x[..., 1]) == pytest.approx(0.1)
+
+
+def test_no_room_at_a_face_in_the_plane_of_s():
+    """The lower plate goes on beyond S: extended bodies cannot give way at its end, kept ones need not."""
+    joint = sandwich(2.0, 0.5, 0.5, 0.25, cell="quadrilateral")
+    keep = (joint.side < 0) | (joint.points[joint.cells].mean(axis=1)[:, 0] < 1.0)
+    nodes, cells = np.unique(joint.cells[keep], return_inverse=True)
+    number = np.full(len(joint.points), -1)
+    number[nodes] = np.arange(len(nodes))
+    facets = {name: number[rows] for name, rows in joint.facets.items()}
+    s = facets["S"]
+    on_both = joint.points[nodes][s].mean(axis=1)[:, 0] < 1.0
+    facets = {"S": s[on_both], "BOTTOM": facets["BOTTOM"], "REST": s[~on_both]}
+    lap = Joint(
+        joint.points[nodes],
+        cells.reshape(-1, 4),
+        joint.cell_type,
+        joint.region[keep],
+        joint.regions,
+        facets,
+        joint.upper,
+        joint.lower,
+    )
+    inflate(lap, 0.1)
+    with pytest.raises(GeometryError, match=r"touches S at \(1, 0\) and is nearly parallel.*bodies='kept'"):
+        inflate(lap, 0.1, bodies="extended")
