@@ -28,7 +28,6 @@ from geometry.topology import (
     FacetTable,
     FloatArray,
     IntArray,
-    geometry_degree,
     is_tensor,
     lagrange,
     node_jacobians,
@@ -161,7 +160,7 @@ def _tip(joint: Joint) -> FloatArray:
 
 
 def _levels(joint: Joint, layers: int, strata: Sequence[float]) -> _Levels:
-    degree = geometry_degree(joint.cell_type, joint.cells.shape[1])
+    degree = joint.degree
     fractions = np.asarray(strata if len(strata) else [1.0])
     counts = degree * np.maximum(1, np.rint(layers * fractions).astype(int))
     edges = np.concatenate([[0.0], np.cumsum(fractions)])
@@ -172,7 +171,7 @@ def _levels(joint: Joint, layers: int, strata: Sequence[float]) -> _Levels:
 
 def _band_cells(joint: Joint, levels: _Levels, strata: Sequence[float]) -> tuple[IntArray, IntArray, FloatArray]:
     """Cells between the levels, their stratum, and the normal of S at each of their corners."""
-    surface, degree = joint.surface, geometry_degree(joint.cell_type, joint.cells.shape[1])
+    surface, degree = joint.surface, joint.degree
     if is_tensor(joint.cell_type):
         patterns = _extruded(joint.cell_type, degree, len(surface))
     else:

@@ -186,6 +186,11 @@ class Joint:
         """Space dimension, 2 or 3."""
         return self.points.shape[1]
 
+    @property
+    def degree(self) -> int:
+        """Degree of the cells' geometry: 1 straight, 2 curved."""
+        return geometry_degree(self.cell_type, self.cells.shape[1])
+
     @cached_property
     def corners(self) -> IntArray:
         """(n_cells, k) vertices of each cell."""

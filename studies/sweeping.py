@@ -40,13 +40,19 @@ class Sweep:
         return self.record.solved(solve(full)), self.record.solved(solve(limit))
 
     def run(
-        self, eps: Sequence[float], order: tuple[float, float], pictured: float, *, title: str = "", unit: str = ""
+        self,
+        eps: Sequence[float],
+        order: tuple[float, float | None],
+        pictured: float,
+        *,
+        title: str = "",
+        unit: str = "",
     ) -> Table:
         """Sweep, print the table, draw one thickness, check the last observed orders.
 
         Args:
             eps: thicknesses, lengths.
-            order: range that the last observed orders of traction and jump must lie in.
+            order: range that the last observed orders of traction and jump must lie in; None for an open end.
             pictured: the thickness to draw the deformed structures of.
             title, unit: of that picture.
         """

@@ -132,10 +132,21 @@ def test_every_study_can_be_drawn_again(name):
     }
 
 
+@pytest.mark.parametrize("name", ["ring", "tapered", "own_mesh", "butt_joint"])
+def test_studies_of_any_joint(tmp_path, name):
+    """First order in eps on curved S, under a wedge, on a mesh file, in 3D; their pictures are drawn."""
+    eps = {"tapered": ("0.0625", "0.03125"), "own_mesh": ("0.01", "0.005")}.get(name, ("0.2", "0.1"))
+    done = thinlayer("run", name, "--quick", "--eps", *eps, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("ok   last observed order") == 2
+    assert [float(row["eps"]) for row in rows(tmp_path / "table.csv")] == [float(e) for e in eps]
+    assert {path.name for path in tmp_path.glob("*.png")} == {"deformed.png", "rates.png"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "fig7"], "unknown study 'fig7'; known: fig6_stratified, hard_layer"),
+        (["run", "fig7"], "unknown study 'fig7'; known: butt_joint, fig6_stratified, hard_layer"),
         (["run", "limits", "--eps", "0.1"], "study limits does not use --eps; it uses: --quick"),
         (["run", "fig6_stratified", "--bodies", "kept"], "does not use --bodies"),
         (["run", "sweep_elastic", "--order", "2"], "invalid choice"),
@@ -164,7 +175,7 @@ def test_bad_input_writes_nothing(tmp_path, arguments, message):
 
 
 def test_failed_solve_keeps_what_was_done(tmp_path, monkeypatch, capsys):
-    import studies.sweep_elastic
+    import studies.sweeping
     from thinlayer import SolveError, cli, solve
 
     def fails_for_thin_layers(model):
@@ -172,7 +183,7 @@ def test_failed_solve_keeps_what_was_done(tmp_path, monkeypatch, capsys):
             raise SolveError("linear solve failed: DIVERGED_MAX_IT")
         return solve(model)
 
-    monkeypatch.setattr(studies.sweep_elastic, "solve", fails_for_thin_layers)
+    monkeypatch.setattr(studies.sweeping, "solve", fails_for_thin_layers)
     status = cli.main(["run", "sweep_elastic", "--quick", "--eps", "0.01", "0.1", "--out", str(tmp_path)])
     assert status == 3
     assert "DIVERGED_MAX_IT" in capsys.readouterr().err
