@@ -226,7 +226,7 @@ class Model:
             if self.layer.profile is not None:
                 eps = eps * self.sides.upper(relative_thickness(self.domain, self.layer.profile))
             return forms.surface(
-                law, replace(self.sides, measure=self.sides.measure(**self._rule)), eps, self.layer.order
+                law, replace(self.sides, measure=self.sides.measure.reconstruct(**self._rule)), eps, self.layer.order
             )
         laws = law.laws if isinstance(law, Stack) else (law,)
         n = director(self.domain)
