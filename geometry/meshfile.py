@@ -7,7 +7,7 @@ import re
 import warnings
 from collections import Counter
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 
@@ -169,4 +169,4 @@ class Cells:
             table = FacetTable.of(self.corners[near], self.type)
         except ValueError as error:
             raise GeometryError(str(error)) from None
-        return FacetTable(table.vertices, np.where(table.cells < 0, -1, near[table.cells]), table.local)
+        return replace(table, cells=np.where(table.cells < 0, -1, near[table.cells]))

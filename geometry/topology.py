@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import basix
@@ -12,6 +12,7 @@ import numpy.typing as npt
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 
+BITS = 31  # of a vertex number in a key
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 FACET_TYPES = {
     "triangle": "interval",
@@ -58,37 +59,44 @@ class FacetTable:
         vertices: (n_facets, k) sorted vertex numbers, rows unique and in lexicographic order.
         cells: (n_facets, 2) the cells that meet there; -1 in the second column on the outer boundary.
         local: (n_facets,) which facet of the first of these cells it is.
+
+    Rows are found vertex by vertex: `_keys[k]` are the different beginnings of k + 1 vertices, each a number for the
+    beginning of k vertices and the last vertex.
     """
 
     vertices: IntArray
     cells: IntArray
     local: IntArray
+    _keys: tuple[IntArray, ...] = field(repr=False)
 
     @classmethod
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
         """The table of a mesh given by its cells' vertices; raises ValueError if more than two cells share a facet."""
-        facets = local_facets(cell_type)
-        rows = np.sort(np.concatenate([corners[:, f] for f in facets]), axis=1)
-        vertices, index, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+        rows = np.sort(np.concatenate([corners[:, f] for f in local_facets(cell_type)]), axis=1)
+        keys, number = [], np.zeros(len(rows), np.int64)
+        for column in rows.T:
+            key, number = np.unique((number << BITS) + column, return_inverse=True)
+            keys.append(key)
+        counts = np.bincount(number)
         if counts.max(initial=0) > 2:
             raise ValueError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
-        order = np.argsort(index.ravel(), kind="stable")
+        order = np.argsort(number, kind="stable")
         start = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
         local, owner = np.divmod(order, max(len(corners), 1))
-        pairs = np.full((len(vertices), 2), -1, np.int64)
+        pairs = np.full((len(counts), 2), -1, np.int64)
         pairs[:, 0] = owner[start]
         double = counts == 2
         pairs[double, 1] = owner[start[double] + 1]
-        return cls(vertices, pairs, local[start])
+        return cls(rows[order[start]], pairs, local[start], tuple(keys))
 
     def index(self, facets: IntArray) -> IntArray:
         """Rows of this table for facets given by vertices in any order; -1 where the mesh has no such facet."""
-        wanted = np.sort(facets, axis=1)
-        both, inverse = np.unique(np.concatenate([self.vertices, wanted]), axis=0, return_inverse=True)
-        row = np.full(len(both), -1, np.int64)
-        inverse = inverse.ravel()
-        row[inverse[: len(self.vertices)]] = np.arange(len(self.vertices))
-        return row[inverse[len(self.vertices) :]]
+        number, found = np.zeros(len(facets), np.int64), np.ones(len(facets), bool)
+        for column, key in zip(np.sort(facets, axis=1).T, self._keys, strict=True):
+            wanted = (number << BITS) + column
+            number = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+            found &= (key[number] == wanted) & (column >= 0) & (column < 1 << BITS)
+        return np.where(found, number, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
         """Nodes of facets, (n, nodes per facet), in the order of the facet's own element; `cells`: all nodes of cells."""
