@@ -101,6 +101,19 @@ def test_curved_cells_stay_curved(name):
         assert radius[nodes] == pytest.approx(value, abs=1e-6)
 
 
+@pytest.mark.parametrize("name", ["ring, curved", "ring, curved quadrilaterals", "tube, curved hexahedra"])
+def test_thickness_varies_linearly_between_vertices_of_curved_cells(name):
+    """Nodes half-way between two vertices of S get the mean of their thicknesses, as the interface model has it."""
+    base, eps = joint_of(name), 1e-3
+    profile = lambda x: 1 + 0.5 * np.sin(x[0] + 0.3)
+    opened = inflate(base, eps, layers=1, bodies="extended", profile=profile)
+    corners = base.surface[:, : len(opened.facets["UPPER_FACE"][0])]
+    out = np.hypot(*opened.points[:, :2].T)[: len(base.points)] - np.hypot(*base.points[:, :2].T)  # S's nodes go up
+    assert 2 * out[corners] == pytest.approx(eps * profile(np.moveaxis(base.points[corners], -1, 0)), rel=1e-3)
+    along = base.surface[:, 2] if base.dim == 2 else base.surface[:, 4]  # half-way along the facet's first edge
+    assert out[along] == pytest.approx(out[corners[:, :2]].mean(axis=1), rel=1e-3)
+
+
 def test_kept_bodies_are_moved_in_one_piece():
     base = joint_of("disc, curved tetrahedra")
     opened = inflate(base, 0.01)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import ufl
 
 from forms import LinearElastic
 from geometry import GeometryError, Joint, block, inflate, ring, sandwich
@@ -85,6 +86,19 @@ def test_closes_at_the_tip():
     x, jump = surface.profile(surface.jump(state))
     assert np.abs(jump[np.isclose(x[:, 0], 1.0)]).max() < 0.2 * np.abs(jump).max()  # projected to degree 1
     assert len(state.model.domain.facets(BONDED)) == len(joint.bonded) > 0
+
+
+def test_traction_up_to_the_tip():
+    """The reaction is K [u], to first order in h, the element at the tip included."""
+    errors = []
+    for h in (0.2, 0.1):
+        joint = partly(sandwich(2.0, 1.0, 1.0, h, structured=True), lambda x: x[:, 0] < 1.0)
+        state, surface = pulled(joint, ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01))
+        w = surface.jump(state)
+        law = ufl.as_vector([20 * w[0], 70 * w[1]])
+        errors.append(surface.norm(surface.traction(state) - law) / surface.norm(law))
+    assert errors[1] < 0.02
+    assert np.log2(errors[0] / errors[1]) > 0.9
 
 
 def test_cut_through_one_body_is_a_layer_like_any():

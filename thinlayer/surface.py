@@ -15,7 +15,6 @@ from petsc4py import PETSc
 
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
-from geometry.joint import BONDED
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.state import State, transfer
@@ -85,7 +84,7 @@ class Surface:
         """Traction t = stress n on S, (d,), a UFL expression of degree 1 on S. Collective.
 
         Mean over both faces of the bodies' reactions; components that a side support holds are left out (zero), because
-        the reaction there is the support's too. So are nodes where S ends inside the bodies: nothing jumps there.
+        the reaction there is the support's too. It is zero at nodes where S ends inside the bodies: nothing jumps there.
         """
         r = transfer(reaction(state), state.model, self.trace_space, self.model)
         t = self._divide_by_mass(r, self._held)
@@ -144,8 +143,6 @@ class Surface:
         V = self.trace_space
         mark = fem.Function(V)
         mark.x.array[self.model.supports.held(V)] = 1.0
-        tip = fem.locate_dofs_topological(V, self.model.joint.dim - 1, self.model.domain.facets(BONDED))
-        mark.x.array.reshape(-1, self.model.joint.dim)[tip] = 1.0
         mark.x.scatter_forward()
         if self.model.joint.rigid_base:
             return np.flatnonzero(mark.x.array > 0)
