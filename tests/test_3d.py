@@ -8,9 +8,11 @@ import ufl
 from dolfinx import fem
 from scipy.spatial.transform import Rotation
 
-from forms import LinearElastic, limits
+from forms import Anisotropic, Law, LinearElastic, limits
+from forms.elastic import VOIGT
 from geometry import Joint, block, sandwich
 from tests import reference
+from tests.test_columns import OneSided
 from tests.test_fourier import ABOVE, BELOW
 from thinlayer import Model, SolveError, Surface, ThinLayer, compare, observed_orders, solve, solvers
 
@@ -49,19 +51,34 @@ def uniform_stress(law: LinearElastic, t: np.ndarray, n: np.ndarray) -> np.ndarr
     return law.lmbda * np.trace(e) * np.eye(3) + 2 * law.mu * e
 
 
-def check_column(joint: Joint, bodies: dict[str, LinearElastic], eps: float, **options) -> None:
-    """Uniform strain in each part: both models and the closed form agree to solver tolerance."""
+def check_column(
+    joint: Joint,
+    bodies: dict[str, LinearElastic],
+    eps: float,
+    glue: Law = GLUE,
+    tensor: np.ndarray | None = None,
+    **options,
+) -> None:
+    """Uniform strain in each part: both models and the closed form agree to solver tolerance.
+
+    `tensor`: the glue's stiffness (3, 3, 3, 3) in global axes (default: GLUE's).
+    """
     n, t = TURN @ [0.0, 1.0, 0.0], TURN @ TRACTION
+    if tensor is None:
+        K, layer_stress = limits.elastic_stiffness(GLUE.lmbda, GLUE.mu, n), uniform_stress(GLUE, t, n)
+        w = np.linalg.solve(K, t)
+    else:
+        w = np.linalg.solve(limits.acoustic_tensor(tensor, n), t)
+        layer_stress = np.einsum("ijkl,k,l->ij", tensor, w, n)
+    stresses = {name: uniform_stress(law, t, n) for name, law in bodies.items()} | {"LAYER": layer_stress}
     tractions = {"TOP": tuple(t)}
     for name, side in SIDES.items():
-        m = TURN @ side
-        for part, law in (bodies | {"LAYER": GLUE}).items():
-            tractions[f"{name}/{part}"] = tuple(uniform_stress(law, t, n) @ m)
+        tractions |= {f"{name}/{part}": tuple(stress @ TURN @ side) for part, stress in stresses.items()}
     supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
-    setup = dict(body=bodies, supports=supports, tractions=tractions, layer=ThinLayer(GLUE, eps), **options)
+    setup = dict(body=bodies, supports=supports, tractions=tractions, layer=ThinLayer(glue, eps), **options)
     interface, full = solve(Model.interface(joint, **setup)), solve(Model.full(joint, **setup))
     surface = Surface(interface.model)
-    jump = ufl.as_vector(np.linalg.solve(limits.elastic_stiffness(GLUE.lmbda, GLUE.mu, n), t).tolist())
+    jump = ufl.as_vector(w.tolist())
     for state in (interface, full):
         assert surface.norm(surface.jump(state) - jump) < EXACT * surface.norm(jump), state.model
         assert surface.norm(surface.traction(state) - ufl.as_vector(t.tolist())) < EXACT * np.linalg.norm(t)
@@ -79,6 +96,46 @@ def test_column_of_two_bodies(cell, element, eps):
 @pytest.mark.parametrize(("cell", "element"), [("tetrahedron", "P2"), ("hexahedron", "Q1")])
 def test_column_on_rigid_base(cell, element):
     check_column(turned(block(1.0, 0.7, 0.5, depth=0.8, cell=cell)), {"BODY": UPPER}, 1e-3, element=element)
+
+
+@pytest.mark.parametrize("frame", ["global", "layer"])
+def test_anisotropic_column(frame):
+    """A full stiffness tensor: the acoustic tensor of the layer; in the layer's frame its second axis is n."""
+    root = np.random.default_rng(3).normal(size=(6, 6))
+    C = root @ root.T + 5 * np.eye(6)
+    tensor = np.empty((3, 3, 3, 3))
+    for p, (i, j) in enumerate(VOIGT):
+        for q, (k, m) in enumerate(VOIGT):
+            tensor[i, j, k, m] = tensor[j, i, k, m] = tensor[i, j, m, k] = tensor[j, i, m, k] = C[p, q]
+    if frame == "layer":
+        n = TURN @ [0.0, 1.0, 0.0]
+        axis = np.cross([0.0, 1.0, 0.0], n)  # the smallest rotation from e_2 to n
+        turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(n[1])).as_matrix()
+        tensor = np.einsum("ia,jb,kc,ld,abcd->ijkl", turn, turn, turn, turn, tensor)
+    joint = turned(block(1.0, 0.7, 0.5, depth=0.8, cell="hexahedron"))
+    check_column(joint, {"BODY": UPPER}, 0.03, Anisotropic(C, frame), tensor, element="Q1")
+
+
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize(("pull", "stiffness"), [(0.6, 15.0 + 14.0), (-0.6, 15.0 + 14.0 + 9.0)])
+def test_sign(pull, stiffness, swap):
+    """Opening is [u].n > 0 with n from the lower to the upper body, whichever body is called lower."""
+    joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8, cell="hexahedron")
+    joint = joint.swapped() if swap else joint
+    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}
+    setup = {
+        "body": UPPER,
+        "supports": {"BOTTOM": 0.0} | sides,
+        "tractions": {"TOP": (0.0, pull, 0.0)},
+        "element": "Q1",
+    }
+    layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
+    limit = solve(Model.interface(joint, layer=layer, **setup))
+    surface = Surface(limit.model)
+    for state in (limit, solve(Model.full(joint, layer=layer, **setup))):
+        opening = surface.integral(surface.frame(surface.jump(state))[2])
+        assert opening == pytest.approx(0.8 * pull / stiffness, rel=1e-9)
+        assert surface.integral(surface.frame(surface.traction(state))[2]) == pytest.approx(0.8 * pull, rel=1e-9)
 
 
 @pytest.mark.parametrize(("cell", "element"), ELEMENTS)
