@@ -18,6 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 from mpi4py import MPI
 
 from geometry.parallel import on_root
@@ -60,6 +61,8 @@ def rates(
     axes.loglog(eps, line, color="0.5", linestyle="--", label=f"slope {reference:g}")
     axes.set(xlabel="layer thickness eps", ylabel="relative difference on S, L2", title=title)
     axes.set_xticks(eps, [f"{e:.4g}" for e in eps])
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
     axes.grid(color="0.9")
     axes.legend(frameon=False)
