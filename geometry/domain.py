@@ -82,6 +82,13 @@ class Domain:
         values = self.facet_values[name]
         return values + self.facet_values.get(f"{name}/{LAYER}", ()) if layer_sides else values
 
+    def is_outer(self, name: str) -> bool:
+        """Whether all facets of a name lie on the outer boundary."""
+        joint = self.joint
+        facets = joint.facets.get(name.split("/")[0], np.empty((0, joint.dim), np.int64))
+        rows = joint.bonded if name == BONDED else joint.table.index(facets)
+        return bool((joint.table.cells[rows, 1] < 0).all())
+
     def facets(self, name: str, *, layer_sides: bool = False) -> npt.NDArray[np.int32]:
         """Local facets (ghosts included) of a name; arguments and errors as in `values`."""
         found = np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))

@@ -38,7 +38,8 @@ class GeometryError(ValueError):
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     """Message for a name that does not exist: the nearest known one and the whole list."""
     known = sorted(known)
-    near = difflib.get_close_matches(str(name), known, n=1)
+    lowered = {one.lower(): one for one in known}
+    near = [lowered[one] for one in difflib.get_close_matches(str(name).lower(), lowered, n=1)]
     return (
         f"unknown {kind} {name!r}" + (f", did you mean {near[0]!r}?" if near else "") + f"; known: {', '.join(known)}"
     )
@@ -291,7 +292,14 @@ class Joint:
         if profile is None:
             return values
         vertices = np.unique(self.table.vertices[self.surface_rows])
-        found = np.asarray(profile(self.points[vertices].T), float)
+        try:
+            found = np.asarray(profile(self.points[vertices].T))
+            if found.dtype.kind not in "fiu":
+                raise TypeError(f"it returns {found.dtype}")
+        except Exception as error:
+            raise GeometryError(
+                f"the thickness profile is no numpy function of coordinates x (d, n): {error}"
+            ) from error
         if found.shape not in ((), vertices.shape):
             raise GeometryError(f"the thickness profile returns shape {found.shape} for {len(vertices)} points of S")
         values[vertices] = found

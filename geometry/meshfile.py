@@ -48,7 +48,7 @@ def load(path: Path, scale: float) -> meshio.Mesh:
         GeometryError: no such file, not readable, or a physical name is there twice.
     """
     if not path.is_file():
-        raise GeometryError("there is no such file")
+        raise GeometryError("this is a folder, not a file" if path.is_dir() else "there is no such file")
     if not {path.suffix.lower(), "".join(path.suffixes[-2:]).lower()} & meshio.extension_to_filetypes.keys():
         raise GeometryError(unknown("suffix", path.suffix, meshio.extension_to_filetypes))
     if path.suffix.lower() == ".msh":

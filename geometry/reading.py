@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from numbers import Real
 from pathlib import Path
 
 import meshio
@@ -66,8 +67,8 @@ def read(
 def _read(
     path: Path, s: str | None, upper: Names | None, lower: Names | None, way: tuple[float, ...] | None, scale: float
 ) -> Joint:
-    if not (np.isfinite(scale) and scale > 0):
-        raise GeometryError(f"scale is {scale}; it must be > 0")
+    if not (isinstance(scale, Real) and np.isfinite(float(scale)) and scale > 0):
+        raise GeometryError(f"scale is {scale!r}; it must be a number > 0")
     try:
         mesh = load(path, scale)
         cells = Cells.of(mesh)

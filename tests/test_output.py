@@ -97,7 +97,7 @@ def test_pictures(states, tmp_path):
     half = image.shape[1] // 2
     assert red[:, :half].sum() > 500  # the outline of the meshed layer
     assert red[:, half:].sum() < 50
-    with pytest.raises(ValueError, match="allowed: size, x, y, z"):
+    with pytest.raises(ValueError, match="allowed: size, x, y"):
         plotting.deformed(full, save=tmp_path / "e.png", component="normal")
     with pytest.raises(ValueError, match="nothing to draw"):
         plotting.deformed(full, save=tmp_path / "e.png", zoom=(5, 6, 5, 6))

@@ -63,3 +63,19 @@ def test_bad_input_on_two_ranks(tmp_path):
     assert done.returncode == 2
     assert done.stderr.count("turn inside out") == 1
     assert not (tmp_path / "x").exists()
+
+
+def test_an_error_of_one_rank_ends_all(tmp_path):
+    """A file that only rank 0 writes, and cannot: the other rank must not wait for it."""
+    script = tmp_path / "script.py"
+    (tmp_path / "file").write_text("")
+    script.write_text(
+        "import sys\n"
+        "from thinlayer import Model, sweep\n"
+        "sweep(lambda e: {'eps': e, 'error_traction': e, 'error_jump': e}, [0.2, 0.1], out=sys.argv[1])\n"
+        "from mpi4py import MPI\n"
+        "MPI.COMM_WORLD.Barrier()\n"
+    )
+    done = mpirun(2, str(script), str(tmp_path / "file" / "table.csv"))
+    assert done.returncode != 0
+    assert "FileExistsError" in done.stderr or "NotADirectoryError" in done.stderr

@@ -166,13 +166,10 @@ def _stop(root: bool, status: int, message: str) -> int:
 
 def _abort(comm: Any, error: BaseException) -> NoReturn:
     """An unexpected error may be on one rank only: the others must not wait for it for ever."""
-    if comm.size == 1:
-        raise error
-    import traceback
+    if comm.size > 1:
+        from thinlayer.abort import abort
 
-    traceback.print_exception(error)
-    sys.stderr.flush()
-    comm.Abort(1)
+        abort(error)
     raise error
 
 

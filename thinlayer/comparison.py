@@ -30,14 +30,16 @@ def compare(full: State, interface: State, *, where: Where | None = None) -> dic
     Args:
         full: state of a full model.
         interface: state of the interface model of the same joint.
-        where: part of S to measure on, a function of the coordinates that returns a UFL condition; default all of S.
+        where: part of S to measure on, a function of the coordinates that returns a UFL condition, such as
+            `lambda x: x[0] > 1` or `lambda x: ufl.And(x[0] > 1, x[0] < 9)`; default all of S.
 
     Returns:
         eps; error_traction and error_jump: L2(S) norms of the differences over those of the interface model's fields;
         traction and jump: these norms (stress and length, times length^(1/2) in 2D).
 
     Raises:
-        ModelError: the states are not a full and an interface model of the same joint.
+        ModelError: the states are not a full and an interface model of the same joint; `where` is no condition, or holds
+            nowhere on S.
     """
     if (full.model.kind, interface.model.kind) != ("full", "interface"):
         raise ModelError(
@@ -47,7 +49,7 @@ def compare(full: State, interface: State, *, where: Where | None = None) -> dic
         raise ModelError("compare needs two models of the same joint")
     assert full.model.layer is not None
     surface = Surface(interface.model)
-    part = 1 if where is None else ufl.conditional(where(ufl.SpatialCoordinate(interface.model.domain.mesh)), 1.0, 0.0)
+    part = 1 if where is None else _part(surface, where)
     row = {"eps": float(full.model.layer.eps)}
     sizes = {}
     for name, field in (("traction", surface.traction), ("jump", surface.jump)):
@@ -55,6 +57,19 @@ def compare(full: State, interface: State, *, where: Where | None = None) -> dic
         sizes[name] = surface.norm(limit, part)
         row[f"error_{name}"] = surface.norm(field(full) - limit, part) / sizes[name] if sizes[name] else math.nan
     return row | sizes
+
+
+def _part(surface: Surface, where: Where) -> Expr:
+    """1 on a part of S, 0 elsewhere."""
+    try:
+        part = ufl.conditional(where(ufl.SpatialCoordinate(surface.model.domain.mesh)), 1.0, 0.0)
+    except Exception as error:
+        raise ModelError(
+            f"where is no function of coordinates that returns a UFL condition, as x[0] > 1 or ufl.And(a, b) are: {error}"
+        ) from error
+    if surface.integral(part) <= 0:
+        raise ModelError("where holds nowhere on S, or on less than its quadrature points see")
+    return part
 
 
 def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
@@ -78,12 +93,19 @@ def sweep(
     Raises:
         LawError: a thickness out of range or given twice.
     """
+    if out is not None and Path(out).is_dir():
+        raise LawError(f"{str(out)!r} is a folder; give the name of a csv file")
     values = sorted((float(e) for e in eps), reverse=True)
     if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
         raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
     table = Table(path=out if MPI.COMM_WORLD.rank == 0 else None)
     for e in track(values, "sweep", "eps = {:g}"):
         row = dict(run(e))
+        missing = {"eps", "error_traction", "error_jump"} - row.keys()
+        if missing:
+            raise ModelError(
+                f"run(eps) returns a row without {', '.join(sorted(missing))}; return what compare returns"
+            )
         orders = {}
         for name in ("traction", "jump"):
             pair = [*table.rows[-1:], row]

@@ -14,6 +14,7 @@ import pyvista
 from dolfinx import fem
 
 from geometry.joint import BASE, Joint, S
+from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES
 from thinlayer.state import State
 
@@ -52,8 +53,8 @@ class Grid:
         """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ValueError for another name."""
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
-        if name not in ("x", "y", "z"):
-            raise ValueError(f"unknown component {name!r}; allowed: size, x, y, z")
+        if name not in "xyz"[: self.dim] or len(name) != 1:
+            raise ValueError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
         return self.u[:, "xyz".index(name)]
 
 
@@ -184,6 +185,7 @@ def write(state: State, path: str | Path) -> None:
     u, comm = nodal_displacement(state), state.model.comm
     u.name = "u"
     suffix = Path(path).suffix
+    on_root(comm, lambda: Path(path).parent.mkdir(parents=True, exist_ok=True))
     if suffix == ".bp":
         if not dolfinx.has_adios2:
             raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")

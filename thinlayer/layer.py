@@ -42,10 +42,10 @@ class ThinLayer:
         if not isinstance(self.law, Law):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
         if not (isinstance(self.eps, (int, float, np.floating)) and math.isfinite(self.eps) and self.eps > 0):
-            raise LawError(f"the layer's thickness eps is {self.eps}; allowed: > 0")
+            raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
 
         if self.order not in (0, 1):
-            raise LawError(f"the order of the interface law is {self.order}; allowed: 0, 1")
+            raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and isinstance(self.law, Stack):
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
         if self.profile is not None and not callable(self.profile):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from ufl.conditional import Condition
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
@@ -56,14 +58,23 @@ class Coordinates:
 def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
     """A traction or body force as a UFL vector (d,); raises ModelError if it is not a vector of d finite components."""
     if not callable(load):
-        values = np.asarray(load, float)
+        try:
+            values = np.asarray(load, float)
+        except (TypeError, ValueError):
+            values = np.full(0, np.nan)
         if values.shape != (dim,) or not np.isfinite(values).all():
             raise ModelError(f"{what} is {load!r}; it needs {dim} finite components")
         return fem.Constant(at.mesh, values)
     components = _call(load, at, what)
-    if not hasattr(components, "__len__") or len(components) != dim:
-        raise ModelError(f"{what} gives {components!r}; it needs {dim} components")
-    return ufl.as_vector([ufl.as_ufl(c) for c in components])
+    try:
+        vector = ufl.as_vector([ufl.as_ufl(c) for c in components])
+    except Exception as error:
+        raise ModelError(f"{what} gives {components!r}; it needs {dim} components: {error}") from error
+    if vector.ufl_shape != (dim,) or any(isinstance(c, Condition) for c in components):
+        raise ModelError(
+            f"{what} gives {components!r}; it needs {dim} components, ufl.conditional(c, 1, 0) for a condition c"
+        )
+    return vector
 
 
 def _call(function: Callable[[Expr, Expr], Any], at: Coordinates, what: str) -> Any:
@@ -83,7 +94,7 @@ class Supports:
         given: place -> prescribed components. A place is a facet name (its continuation over the layer's side included;
             NAME/REGION and NAME/LAYER narrow it) or the coordinates of a mesh vertex before inflating (on S: both
             sides). Components are {"x": value, ...}, or one number for all of them; a value is a number or a function
-            (x, t) of UFL coordinates.
+            (x, t) of UFL coordinates. Where two places overlap, the later entry decides.
         at: coordinates for these functions.
         clamped: facet names where nothing moves.
 
@@ -114,7 +125,7 @@ class Supports:
         for axis, value in components.items():
             if axis not in self.axes:
                 raise ModelError(f"support on {place!r}: {unknown('component', axis, self.axes)}")
-            if not callable(value) and not (isinstance(value, (int, float)) and np.isfinite(value)):
+            if not callable(value) and not (isinstance(value, Real) and np.isfinite(float(value))):
                 raise ModelError(
                     f"support on {place!r}: component {axis} is {value!r}; allowed: a finite number or a function (x, t)"
                 )

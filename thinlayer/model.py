@@ -23,11 +23,14 @@ from geometry.domain import Domain
 from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, BONDED, LAYER, Joint, S, unknown
 from geometry.topology import is_tensor
+from thinlayer.abort import end_all_ranks_on_errors
 from thinlayer.broken import broken_space, interface_measure
 from thinlayer.joint_fields import director, relative_thickness
 from thinlayer.layer import ThinLayer, constants, in_plane
 from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports, vector
 from thinlayer.rigid import require_support
+
+end_all_ranks_on_errors()
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 PLANES = ("strain", "stress")
@@ -252,9 +255,11 @@ class Model:
     def _check_tractions(self, tractions: Mapping[str, Load]) -> list[tuple[tuple[int, ...], Expr]]:
         checked = []
         for name, load in tractions.items():
-            values = self.domain.values(name)
             if name.split("/")[0] == S:
                 raise ModelError("a traction on S is what the model computes; load another facet set")
+            values = self.domain.values(name)
+            if not self.domain.is_outer(name):
+                raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
             traction = vector(load, self.coordinates, self.joint.dim, f"traction on {name!r}")
             if values:
                 checked.append((values, traction))

@@ -117,7 +117,9 @@ def _finish(figure: Figure, save: str | Path | None) -> Figure:
 
 
 def _folder(path: str | Path) -> Path:
-    """The path, its folder made."""
+    """The path of a picture, its folder made; raises ValueError if it is a folder itself."""
+    if Path(path).is_dir():
+        raise ValueError(f"{str(path)!r} is a folder; give the name of a picture")
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     return Path(path)
 
@@ -154,6 +156,8 @@ def deformed(
         ValueError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
     panels = {"": states} if isinstance(states, State) else dict(states)
+    if zoom is not None and len(zoom) != 4:
+        raise ValueError(f"zoom is {tuple(zoom)}; it needs (left, right, bottom, top)")
     grids = {label: gather(state) for label, state in panels.items()}
     comm = next(iter(panels.values())).model.comm
 
@@ -161,7 +165,8 @@ def deformed(
         first = next(iter(grids.values()))
         camera = _View.of(first.dim, view, cut)
         largest = max(np.linalg.norm(g.u, axis=1).max() for g in grids.values())
-        factor = scale or (LARGEST * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0)
+        fitting = LARGEST * np.ptp(first.points, axis=0).max() / largest if largest > 0 else 1.0
+        factor = fitting if scale is None else scale
         front = (0.0, 0.0, np.copysign(1.0, camera.towards[2])) if cut else None
         shown = {label: Shape.of(grid, component, factor, front) for label, grid in grids.items()}
         name = ("|u|" if component == "size" else f"u_{component}") + (f" ({unit})" if unit else "")
@@ -202,11 +207,12 @@ class _View:
 def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float] | None, label: str) -> Figure:
     """Picture of structures in a common window, with a common colour bar."""
     x, y, _ = view.on_screen(np.concatenate([shape.points for shape in shapes.values()])).T
-    x0, x1, y0, y1 = window = zoom or (*_range(x), *_range(y))
+    x0, x1, y0, y1 = window = (*_range(x), *_range(y)) if zoom is None else tuple(zoom)
     inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
-    seen = np.concatenate([shape.values for shape in shapes.values()])[inside]
-    if np.isnan(seen).all():
+    values = np.concatenate([shape.values for shape in shapes.values()])
+    if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
         raise ValueError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
+    seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie amid a cell
     limits = (float(np.nanmin(seen)), float(np.nanmax(seen)))
     panel_width, height_per_width = 4.6, (y1 - y0) / (x1 - x0)
     figure = Figure(figsize=(panel_width * len(shapes), panel_width * height_per_width + 1.3), layout="constrained")
@@ -216,7 +222,8 @@ def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float
         one.set_axis_off()
         one.set_title(name, fontsize=11)
     colours = ScalarMappable(Normalize(*limits), "viridis")
-    figure.colorbar(colours, ax=axes, orientation="horizontal", aspect=40, pad=0.02, label=label)
+    bar = figure.colorbar(colours, ax=axes, orientation="horizontal", aspect=40, pad=0.02, label=label)
+    bar.ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
     return figure
 
 

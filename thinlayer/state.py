@@ -58,7 +58,7 @@ class State:
         model = self.model
         return {
             "bodies": self.integral(energy(model.bodies, self.u)),
-            "layer": self.integral(energy(model.layer_points, self.u)),
+            "layer": self.integral(energy(model.layer_points, self.u)) if model.layer_points else 0.0,
             "loads": self.integral(model.external_work(self.u)),
         }
 

@@ -60,6 +60,10 @@ class Surface:
         if self.model.kind != "interface":
             raise ModelError(f"Surface needs an interface model, not {self.model!r}")
 
+    def _require_same_joint(self, state: State) -> None:
+        if state.model.joint is not self.model.joint:
+            raise ModelError("this state's model has another joint than the surface; build both from the same one")
+
     @property
     def sides(self) -> Interface:
         """The two sides of S."""
@@ -72,6 +76,7 @@ class Surface:
 
     def displacement(self, state: State) -> fem.Function:
         """Displacement of a state (of either model) in the interface model's space. Collective."""
+        self._require_same_joint(state)
         if state.model is self.model:
             return state.u
         return transfer(state.u, state.model, self.model.V, self.model)
@@ -86,6 +91,7 @@ class Surface:
         Mean over both faces of the bodies' reactions; components that a side support holds are left out (zero), because
         the reaction there is the support's too. It is zero at nodes where S ends inside the bodies: nothing jumps there.
         """
+        self._require_same_joint(state)
         r = transfer(reaction(state), state.model, self.trace_space, self.model)
         t = self._divide_by_mass(r, self._held)
         if self.model.joint.rigid_base:

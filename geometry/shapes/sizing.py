@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 
 import gmsh
 import numpy as np
@@ -38,6 +39,10 @@ class Cells:
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
         """Raise GeometryError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
+        given = {**lengths, "h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}
+        for what, value in given.items():
+            if value is not None and not isinstance(value, Real):
+                raise GeometryError(f"{what} is {value!r}; it must be a number")
         for what, value in lengths.items():
             if not np.isfinite(value) or value <= 0:
                 raise GeometryError(f"{what} is {value}; it must be > 0")

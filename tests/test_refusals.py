@@ -1,0 +1,97 @@
+"""Mistakes that would give wrong numbers or an internal error: each is refused with what, where and a remedy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import LinearElastic
+from geometry import GeometryError, sandwich
+from thinlayer import Model, ModelError, Surface, ThinLayer, compare, plotting, solve, sweep
+
+GLUE = LinearElastic(lmbda=3.0, mu=2.0)
+JOINT = sandwich(2.0, 1.0, 1.0, 0.5)
+SETUP = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}, "layer": ThinLayer(GLUE, 0.1)}
+
+
+@pytest.fixture(scope="module")
+def states():
+    setup = SETUP | {"tractions": {"TOP": (0.1, 1.0)}}
+    return solve(Model.full(JOINT, **setup)), solve(Model.interface(JOINT, **setup))
+
+
+def test_tractions_inside_are_refused():
+    with pytest.raises(ModelError, match="'UPPER_FACE': its facets lie inside"):
+        Model.full(JOINT, tractions={"UPPER_FACE": (1.0, 0.0)}, **SETUP)
+    with pytest.raises(ModelError, match="a traction on S is what the model computes"):
+        Model.full(JOINT, tractions={"S": (1.0, 0.0)}, **SETUP)
+
+
+@pytest.mark.parametrize(
+    "load", [lambda x, t: (x[0] > 1, 0), lambda x, t: x[0], lambda x, t: (1.0,), ("a", 0), {"x": 5}, lambda x, t: 3.0]
+)
+def test_loads_that_are_no_vectors(load):
+    with pytest.raises(ModelError, match=r"traction on 'TOP' .*needs 2 "):
+        Model.interface(JOINT, tractions={"TOP": load}, **SETUP)
+
+
+def test_states_of_other_joints(states):
+    other = solve(Model.full(sandwich(2.0, 1.0, 1.0, 0.4), tractions={"TOP": (0.1, 1.0)}, **SETUP))
+    surface = Surface(states[1].model)
+    for field in (surface.traction, surface.jump):
+        with pytest.raises(ModelError, match="another joint"):
+            field(other)
+
+
+@pytest.mark.parametrize("where", [lambda x: x[0] > 99.0, lambda x: abs(x[0] - 0.3) < 1e-9])
+def test_where_that_holds_nowhere(states, where):
+    with pytest.raises(ModelError, match="holds nowhere on S"):
+        compare(*states, where=where)
+
+
+@pytest.mark.parametrize("where", [lambda x: True, lambda x: x[0], lambda x: 0.5 < x[0] < 1.0, lambda x, t: x[0] > 1])
+def test_where_that_is_no_condition(states, where):
+    with pytest.raises(ModelError, match=r"where is no function .* ufl.And"):
+        compare(*states, where=where)
+    both = compare(*states, where=lambda x: ufl.And(x[0] > 0.5, x[0] < 1.5))
+    assert 0 < both["error_jump"] < 1
+
+
+@pytest.mark.parametrize("profile", [lambda x: 1j * x[0], lambda x, y: x, lambda x: ufl.sin(x[0]), lambda x: "thick"])
+def test_profiles_that_are_no_numpy_functions(profile):
+    with pytest.raises(GeometryError, match="thickness profile is no numpy function"):
+        Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(GLUE, 0.1, profile=profile)}))
+
+
+def test_sweeps(tmp_path):
+    with pytest.raises(ModelError, match="without error_jump; return what compare returns"):
+        sweep(lambda e: {"eps": e, "error_traction": 1.0}, [0.1])
+    with pytest.raises(ValueError, match="is a folder"):
+        sweep(lambda e: {}, [0.1], out=tmp_path)
+
+
+def test_pictures(states, tmp_path):
+    with pytest.raises(ValueError, match="is a folder"):
+        plotting.deformed(states[1], save=tmp_path)
+    with pytest.raises(ValueError, match="unknown component 'z'; allowed: size, x, y"):
+        plotting.deformed(states[1], save=tmp_path / "a.png", component="z")
+    with pytest.raises(ValueError, match="it needs \\(left, right, bottom, top\\)"):
+        plotting.deformed(states[1], save=tmp_path / "a.png", zoom=(0, 1))
+    plotting.deformed(states[1], save=tmp_path / "amid.png", zoom=np.array([0.01, 0.02, 0.01, 0.02]), scale=0.0)
+    assert (tmp_path / "amid.png").stat().st_size > 1000
+
+
+def test_numbers_of_numpy_and_texts():
+    Model.interface(JOINT, **(SETUP | {"supports": {"BOTTOM": np.int64(0), "TOP": {"y": np.float32(0.5)}}}))
+    with pytest.raises(GeometryError, match="width is '10'; it must be a number"):
+        sandwich("10", 1.0, 1.0)
+    with pytest.raises(GeometryError, match=r"unknown facet tag 'bottom', did you mean 'BOTTOM'"):
+        Model.interface(JOINT, **(SETUP | {"supports": {"bottom": 0.0}}))
+
+
+def test_energies_of_bonded_bodies():
+    state = solve(Model.bonded(JOINT, tractions={"TOP": (0.1, 1.0)}, **SETUP))
+    energies = state.energies()
+    assert energies["layer"] == 0.0
+    assert energies["bodies"] == pytest.approx(energies["loads"] / 2)
