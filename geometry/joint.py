@@ -28,7 +28,7 @@ S = "S"
 LAYER = "LAYER"
 LOWER_FACE, UPPER_FACE, BASE, BONDED = "LOWER_FACE", "UPPER_FACE", "BASE", "BONDED"
 RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, BONDED)
-FLAT = 1e-9  # S counts as planar when its unit normals differ by less
+FLAT = 1e-5  # S counts as planar when its unit normals differ by less: files may have seven digits
 
 
 class GeometryError(ValueError):

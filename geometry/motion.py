@@ -14,47 +14,50 @@ SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count
 EXACT = 1e-10  # likewise for the bodies' other vertices, which must not leave their outer faces
 STEEPEST = 0.1  # cosine of the angle between S's normal and the way its vertices can go, at least
 TOLERANCE = 1e-12  # of the harmonic motion, relative
+ASKEW = np.array([1.0, 1.3, 1.7, 2.3])  # weights of a point amid a facet that is above no edge of an aligned grid
 
 
 def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
     """Directions d (n, d) in which the nodes of S leave it, scaled to d . n = 1, from the lower to the upper body.
 
-    Along the mean normal of the facets around a node; at the end of S along the outer faces of the body on that side.
+    At edges and corners of S for each facet around a node (least squares where they are many); at the end of S along the
+    outer faces of the body on that side.
 
     Raises:
         GeometryError: S branches or is folded; an outer face touches S nearly parallel to it.
     """
     surface, normals = joint.surface, joint.node_normals
-    index = np.searchsorted(nodes, surface)
-    total, count = np.zeros((len(nodes), joint.dim)), np.zeros(len(nodes))
+    index, d = np.searchsorted(nodes, surface), joint.dim
+    total, count, moment = np.zeros((len(nodes), d)), np.zeros(len(nodes)), np.zeros((len(nodes), d, d))
     np.add.at(total, index, normals)
     np.add.at(count, index, 1.0)
-    _require_no_branches(joint)
-    length = np.linalg.norm(total, axis=1)
-    folded = np.flatnonzero(length < 0.3 * count)
+    np.add.at(moment, index, normals[..., :, None] * normals[..., None, :])
+    require_no_branches(joint)
+    folded = np.flatnonzero(np.linalg.norm(total, axis=1) < 0.3 * count)
     if len(folded):
         raise GeometryError(
             f"S is folded at {place(joint.points[nodes[folded[0]]])}: a layer there would overlap itself"
         )
-    mean = total / length[:, None]
 
-    moments, faces = _outer_moments(joint, side)
-    values, vectors = np.linalg.eigh(moments[nodes] / np.maximum(faces[nodes], 1)[:, None, None])
-    slip = vectors * (values < SMOOTH)[:, None, :]
-    along = np.einsum("nik,njk,nj->ni", slip, slip, mean)
-    projection = np.zeros(len(nodes))
-    np.add.at(projection, index, np.einsum("fkd,fkd->fk", along[index], normals))
-    projection /= count
-    steep = np.flatnonzero(projection < STEEPEST)
+    outer, faces = _outer_moments(joint, side)
+    values, vectors = np.linalg.eigh(outer[nodes] / np.maximum(faces[nodes], 1)[:, None, None])
+    slip = (vectors * (values < SMOOTH)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
+    inverse = np.where(values > STEEPEST**2, 1 / np.maximum(values, STEEPEST**2), 0.0)
+    along = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", slip, total))
+    along /= count[:, None]
+    lowest = np.full(len(nodes), np.inf)
+    np.minimum.at(lowest, index, np.einsum("fkd,fkd->fk", along[index], normals))
+    steep = np.flatnonzero(lowest < STEEPEST)
     if len(steep):
         raise GeometryError(
             f"bodies='extended' cannot keep the shape: an outer face touches S at {place(joint.points[nodes[steep[0]]])} "
             "and is nearly parallel to it, so the body cannot give way there; use bodies='kept' if S is planar"
         )
-    return along / projection[:, None]
+    return along
 
 
-def _require_no_branches(joint: Joint) -> None:
+def require_no_branches(joint: Joint) -> None:
     """Raise GeometryError where more than two facets of S meet at a ridge."""
     local = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[joint.dim - 2]
     ridges = np.sort(np.concatenate([joint.surface[:, ridge] for ridge in local]), axis=1)
@@ -168,7 +171,8 @@ def require_room(joint: Joint, n: FloatArray, eps: float) -> None:
     moving, fixed = outer[below], outer[~below]
     for rows, others, way in ((moving, fixed, -1.0), (fixed, moving, 1.0)):
         corners = table.vertices[rows]
-        probes = np.concatenate([joint.points[np.unique(corners)], joint.points[corners].mean(axis=1)])
+        weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
+        probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
         x = _first_hit(joint, probes, others, way * n, eps)
         if x is not None:
             raise GeometryError(

@@ -39,7 +39,6 @@ def director(domain: Domain) -> Expr:
 
 
 def shift(domain: Domain) -> fem.Function:
-    """How far inflating moved each cell, (d,)."""
+    """How far inflating moved each place, (d,): bodies in one piece, the layer away from S."""
     joint = domain.joint
-    moved = (joint.points - joint.reference)[joint.corners].mean(axis=1)
-    return cellwise(domain, ("DG", 0, (joint.dim,)), moved[:, None, :])
+    return cellwise(domain, ("Lagrange", joint.degree, (joint.dim,)), (joint.points - joint.reference)[joint.cells])

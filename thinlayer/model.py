@@ -22,6 +22,7 @@ from forms.law import Law
 from geometry.domain import Domain
 from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, BONDED, LAYER, Joint, S, unknown
+from geometry.motion import require_no_branches
 from geometry.topology import is_tensor
 from thinlayer.abort import end_all_ranks_on_errors
 from thinlayer.broken import broken_space, interface_measure
@@ -86,6 +87,8 @@ class Model:
         if layer and layer.order == 1 and kind != "bonded":
             self._check_order_1(bodies)
         laws = self._body_laws(body)
+        if kind == "interface" and not joint.rigid_base:
+            require_no_branches(joint)
         self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
         self.comm = self.domain.comm
         mesh = self.domain.mesh
