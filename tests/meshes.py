@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 
 from geometry import Joint
-from geometry.topology import geometry_degree, lagrange
+from geometry.topology import FacetTable, geometry_degree, lagrange
 
 CELLS = {"triangle": (2, False), "quadrilateral": (2, True), "tetrahedron": (3, False), "hexahedron": (3, True)}
 GRID = np.array([[x, y] for y in (-1.0, 0.0, 1.0) for x in (0.0, 1.0, 2.0)])
@@ -122,3 +122,28 @@ def volumes(joint: Joint) -> np.ndarray:
 def volume(joint: Joint) -> float:
     """Of all cells."""
     return float(volumes(joint).sum())
+
+
+def grid(axes, inside, cell, keep=lambda x: np.ones(len(x), bool)):
+    """A joint on the grid of the axes' points: region IN (above S) where `inside` holds of the cells' centres, else OUT."""
+    dim, shape = len(axes), [len(axis) for axis in axes]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, dim)
+    number = np.arange(len(points)).reshape(shape)
+    corner = [
+        number[tuple(slice(c >> k & 1, shape[k] - 1 + (c >> k & 1)) for k in range(dim))].ravel() for c in range(2**dim)
+    ]
+    cells = np.stack(corner, axis=1)
+    cells = cells[keep(points[cells].mean(axis=1))]
+    region = inside(points[cells].mean(axis=1)).astype(np.int64)
+    if cell in ("triangle", "tetrahedron"):
+        paths = {2: [(0, 1, 3), (0, 2, 3)], 3: [(0, a, a | b, 7) for a in (1, 2, 4) for b in (1, 2, 4) if a != b]}[dim]
+        region, cells = np.repeat(region, len(paths)), cells[:, paths].reshape(-1, dim + 1)
+    used, cells = np.unique(cells, return_inverse=True)
+    points, cells = points[used], cells.reshape(len(region), -1)
+    table = FacetTable.of(cells, cell)
+    outer = table.cells[:, 1] < 0
+    facets = {"S": table.vertices[~outer & (region[table.cells[:, 0]] != region[table.cells[:, 1]])]}
+    for k, name in enumerate(("LEFT", "BOTTOM", "BACK")[:dim]):
+        facets[name] = table.vertices[outer & np.isclose(points[table.vertices][..., k], axes[k][0]).all(axis=1)]
+    facets["TOP"] = table.vertices[outer & np.isclose(points[table.vertices][..., 1], axes[1][-1]).all(axis=1)]
+    return Joint(points, cells, cell, region, ("OUT", "IN"), facets, ("IN",), ("OUT",))

@@ -20,7 +20,7 @@ def structures_in_space() -> dict[str, tuple]:
     body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
     setup = {
         "body": body,
-        "supports": {"BOTTOM": 0.0, "BACK": {"z": 0.0}},
+        "supports": {"BOTTOM": 0.0, "BACK": {"z": 0.0}, "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(3 * x[1])}},
         "tractions": {"TOP": lambda x, t: (0.3, -1.0, 0.1 * x[0])},
     }
     tetrahedra = sandwich(1.0, 0.4, 0.5, 0.3, depth=0.8)

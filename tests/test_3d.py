@@ -237,6 +237,18 @@ def test_frame():
     assert surface.integral(framed[0] ** 2 + framed[1] ** 2) == pytest.approx((0.3**2 + 0.5**2) * area)
 
 
+def test_profile_is_sorted():
+    """By x, then y, then z, whatever the rounding of the coordinates."""
+    joint = turned(sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron"))
+    for one in (joint, sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron")):
+        model = Model.interface(one, body=LOWER, supports={"BOTTOM": 0.0}, layer=ThinLayer(GLUE, 0.1))
+        surface = Surface(model)
+        places, _ = surface.profile(surface.sides.n)
+        rounded = [tuple(x) for x in np.round(places, 6) + 0.0]
+        assert len(places) == 25
+        assert rounded == sorted(rounded)
+
+
 # ------------------------------------------------------------------------------------------------ solvers
 def test_multigrid_is_the_default_of_large_models(monkeypatch):
     joint, setup = fourier_box(4, "hexahedron")

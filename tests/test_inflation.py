@@ -9,7 +9,7 @@ import pytest
 
 from geometry import GeometryError, Joint, block, disc, inflate, ring, sandwich
 from geometry.topology import node_jacobians
-from tests.meshes import volumes
+from tests.meshes import grid, volumes
 
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
 BOX, TUBE = dict(depth=0.8, h_S=0.2), dict(angle=np.pi / 2, depth=0.6)
@@ -178,3 +178,30 @@ def test_no_room_at_a_face_in_the_plane_of_s():
     inflate(lap, 0.1)
     with pytest.raises(GeometryError, match=r"touches S at \(1, 0\) and is nearly parallel.*bodies='kept'"):
         inflate(lap, 0.1, bodies="extended")
+
+
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron", "quadrilateral", "triangle"])
+def test_edges_and_corners_of_s(cell):
+    """A cube in a block: every facet of S gets its thickness, however many facets meet at a corner."""
+    dim = 3 if cell in ("hexahedron", "tetrahedron") else 2
+    axis = np.linspace(0.0, 1.0, 4)
+    base = grid([axis] * dim, lambda x: (np.abs(x - 0.5) < 0.2).all(axis=1), cell)
+    eps = 0.01
+    opened = inflate(base, eps, layers=1, bodies="extended")
+    out = opened.points[base.surface] - base.points[base.surface]  # S's nodes become those of the upper face
+    assert np.einsum("fkd,fkd->fk", out, base.node_normals) == pytest.approx(eps / 2, rel=1e-9)
+    area, edge = 2 * dim * 3.0 ** (1 - dim), {2: 0.0, 3: 12 / 3}[dim]
+    assert volumes(opened)[len(base.cells) :].sum() == pytest.approx(eps * area, rel=2e-3 if edge else 1e-9)
+
+
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron", "quadrilateral"])
+def test_no_room_between_aligned_grids(cell):
+    """The lower body is a C that reaches over the upper one: moved apart, they would meet."""
+    y = np.array([-1.0, 0.0, 1.0, 1.1, 2.0])
+    axes = [np.array([0.0, 1.0, 2.0, 3.0]), y, *([np.array([0.0, 1.0])] if cell != "quadrilateral" else [])]
+    gap = lambda x: (x[:, 1] > 0) & (x[:, 1] < 1.1) & (x[:, 0] > 1)  # beside the back of the C
+    block_in_it = lambda x: (x[:, 0] > 2) & (x[:, 1] > 0) & (x[:, 1] < 1)
+    joint = grid(axes, block_in_it, cell, keep=lambda x: ~gap(x) | block_in_it(x))
+    inflate(joint, 0.05)
+    with pytest.raises(GeometryError, match=r"no room for a layer of thickness 0.2 at \("):
+        inflate(joint, 0.2)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic
+from forms import Anisotropic, LinearElastic
 from geometry import GeometryError, sandwich
-from thinlayer import Model, ModelError, Surface, ThinLayer, compare, plotting, solve, sweep
+from tests.meshes import grid
+from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, compare, plotting, solve, solvers, sweep
 
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
 JOINT = sandwich(2.0, 1.0, 1.0, 0.5)
@@ -88,6 +89,24 @@ def test_numbers_of_numpy_and_texts():
         sandwich("10", 1.0, 1.0)
     with pytest.raises(GeometryError, match=r"unknown facet tag 'bottom', did you mean 'BOTTOM'"):
         Model.interface(JOINT, **(SETUP | {"supports": {"bottom": 0.0}}))
+
+
+def test_crossing_pieces_of_s():
+    """Upper cells that meet only at a crossing would be hinged there."""
+    axis = np.linspace(0.0, 1.0, 5)
+    joint = grid([axis, axis], lambda x: (x[:, 0] < 0.5) == (x[:, 1] > 0.5), "quadrilateral")
+    with pytest.raises(GeometryError, match=r"S branches at \(0.5, 0.5\)"):
+        Model.interface(joint, **SETUP)
+
+
+def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):
+    """A layer without tangential stiffness leaves the upper body free; conjugate gradients alone would not notice."""
+    monkeypatch.setitem(solvers.MULTIGRID_FROM, 3, 100)
+    joint = sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron")
+    layer = ThinLayer(Anisotropic(np.diag([1.0, 1, 1, 0, 0, 0]), "layer"), 0.05)
+    model = Model.interface(joint, **(SETUP | {"layer": layer, "tractions": {"TOP": (1.0, 0.0, 0.0)}, "element": "Q1"}))
+    with pytest.raises(SolveError):
+        solve(model)
 
 
 def test_energies_of_bonded_bodies():
