@@ -226,3 +226,27 @@ def test_what_curved_and_varying_layers_cannot_do():
         Model.interface(round_joint, layer=ThinLayer(GLUE, 0.01, order=1), **twisted(round_joint))
     with pytest.raises(GeometryError, match=r"turn inside out, the first at \("):
         Model.full(round_joint, layer=ThinLayer(GLUE, 1.5), bodies="extended", **twisted(round_joint))
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_wavy_s_in_three_dimensions(cell):
+    """S with both curvatures, on straight cells: first order in traction and jump."""
+    flat = sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell=cell, structured=True)
+    points = flat.points.copy()
+    wave = 0.08 * np.cos(np.pi * points[:, 0]) * np.cos(np.pi * points[:, 2])
+    points[:, 1] += wave * (1 - 2 * np.abs(points[:, 1]))
+    joint = replace(flat, points=points)
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}
+    load = lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), 0.5 + ufl.cos(ufl.pi * x[0]) * ufl.cos(ufl.pi * x[2]), 0)
+    setup = {
+        "body": LinearElastic.young(100.0, 0.3),
+        "supports": {"BOTTOM": 0.0, **rollers},
+        "tractions": {"TOP": load},
+    }
+    eps, rows = (0.04, 0.02), []
+    for e in eps:
+        layer = ThinLayer(FOURIER_LAYER, e)
+        full = Model.full(joint, layer=layer, bodies="extended", sublayers=2, **setup)
+        rows.append(compare(solve(full), solve(Model.interface(joint, layer=layer, **setup))))
+    for name in ("error_traction", "error_jump"):
+        assert observed_orders(eps, [row[name] for row in rows])[-1] == pytest.approx(1.0, abs=0.1)
