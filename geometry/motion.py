@@ -63,9 +63,8 @@ def require_no_branches(joint: Joint) -> None:
     ridges = np.sort(np.concatenate([joint.surface[:, ridge] for ridge in local]), axis=1)
     found, counts = np.unique(ridges, axis=0, return_counts=True)
     if (counts > 2).any():
-        raise GeometryError(
-            f"S branches at {place(joint.points[found[counts > 2][0]].mean(axis=0))}: layers would overlap"
-        )
+        x = joint.points[found[counts > 2][0]].mean(axis=0)
+        raise GeometryError(f"S branches at {place(x)}: displacements and layers of its pieces would interfere")
 
 
 def _outer_moments(joint: Joint, side: int | None = None) -> tuple[FloatArray, FloatArray]:

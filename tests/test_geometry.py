@@ -180,3 +180,14 @@ def test_s_must_separate_two_bodies():
 def test_facet_table_refuses_three_cells_at_a_facet():
     with pytest.raises(ValueError, match="more than two cells"):
         FacetTable.of(np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]), "triangle")
+
+
+def test_planar_to_seven_digits():
+    """Files may hold single precision: such an S still counts as planar, a slightly curved one does not."""
+    exact = sandwich(2.0, 0.8, 1.1, 0.4).rotated(0.4)
+    rounded = replace(exact, points=exact.points.astype(np.float32).astype(float))
+    assert np.ptp(rounded.interface_normals, axis=0).max() > 1e-9
+    inflate(rounded, 0.1)
+    bent = exact.points + 1e-3 * np.sin(3 * exact.points[:, :1]) * np.array([[0.0, 1.0]])
+    with pytest.raises(GeometryError, match="S is not planar"):
+        inflate(replace(exact, points=bent), 0.1)

@@ -91,7 +91,7 @@ def sweep(
         out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails.
 
     Raises:
-        LawError: a thickness out of range or given twice.
+        LawError: a thickness out of range or given twice, `out` is a folder. ModelError: a row lacks these columns.
     """
     if out is not None and Path(out).is_dir():
         raise LawError(f"{str(out)!r} is a folder; give the name of a csv file")

@@ -43,7 +43,6 @@ class ThinLayer:
             raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
         if not (isinstance(self.eps, (int, float, np.floating)) and math.isfinite(self.eps) and self.eps > 0):
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
-
         if self.order not in (0, 1):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and isinstance(self.law, Stack):

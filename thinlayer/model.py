@@ -122,7 +122,7 @@ class Model:
                 returns d components. On the bodies only; name "NAME/LAYER" to load the side of the layer.
             body_force: (d,) force per volume in the bodies, likewise, or region name -> force.
             plane: "strain" or "stress" (linear elastic laws only).
-            element: "P1", "P2" (default on triangles), "Q1", "Q2" (default on quadrilaterals) or "S2".
+            element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
             bodies: "kept" or "extended", see `geometry.inflate`; the interface model ignores it.
             sublayers: number of cells through the layer's thickness; the interface model ignores it.
             comm: MPI communicator (default: the world).
