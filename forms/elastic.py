@@ -1,9 +1,8 @@
-"""Linear elastic laws: isotropic, anisotropic, and sublayers in series."""
+"""Linear elastic laws: isotropic and anisotropic."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.kinematics import Expr, layer_frame, lift
+from forms.kinematics import Expr, layer_frame
 from forms.law import Law, LawError, Step, require
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -19,14 +18,20 @@ OUT_OF_PLANE = [2, 3, 4]
 IN_PLANE = [0, 1, 5]
 
 
+def lame(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
+    """Isotropic stress lmbda tr(e) I + 2 mu e."""
+    return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
+
+
 class LinearLaw(Law):
     """A law with a constant stiffness tensor."""
 
     linear = True
+    quadratic = True
 
     def energy(self, step: Step) -> Expr:
         """Strain energy per unit volume, e:C:e/2."""
-        return ufl.inner(self.stress(step), step.e) / 2
+        return ufl.inner(self.stress(Step(step.e, step.n)), step.e) / 2
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class LinearElastic(LinearLaw):
         return cls.young(2 * mu * (1 + nu), nu)
 
     def stress(self, step: Step) -> Expr:
-        return self.lmbda * ufl.tr(step.e) * ufl.Identity(3) + 2 * self.mu * step.e
+        return lame(self.lmbda, self.mu, step.mid)
 
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})
@@ -118,7 +123,7 @@ class Anisotropic(LinearLaw):
         if self.frame == "layer" and step.n is None:
             raise LawError("Anisotropic: frame='layer' needs a layer; in a body use frame='global'")
         turn = layer_frame(step.n) if self.frame == "layer" else ufl.Identity(3)
-        e = turn.T * step.e * turn
+        e = turn.T * step.mid * turn
         voigt = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT])
         s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt)
         index = {pair: k for k, pair in enumerate(VOIGT)} | {pair[::-1]: k for k, pair in enumerate(VOIGT)}
@@ -132,81 +137,3 @@ class Anisotropic(LinearLaw):
             C[np.ix_(IN_PLANE, IN_PLANE)] - coupling @ np.linalg.pinv(C[np.ix_(out, out)]) @ coupling.T
         )
         return self.with_parameters({"C": condensed})
-
-
-@dataclass(frozen=True)
-class Stack(LinearLaw):
-    """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.
-
-    Between perfectly bonded linear sublayers the compliances add, K = (sum_i a_i K_i^-1)^-1: for isotropic ones the
-    harmonic means of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.
-
-    Attributes:
-        sublayers: (fraction, law) of each sublayer; fractions of the layer's thickness, > 0, adding up to 1.
-
-    Raises:
-        LawError: fractions out of range, a law that is not linear.
-    """
-
-    sublayers: tuple[tuple[float, LinearLaw], ...]
-
-    def __init__(self, *sublayers: tuple[float, LinearLaw]) -> None:
-        object.__setattr__(self, "sublayers", tuple(sublayers))
-        self.check()
-
-    def check(self) -> None:
-        require(len(self.sublayers) > 0, self, "number of sublayers", 0, ">= 1")
-        require(min(self.fractions) > 0, self, "fractions", self.fractions, "each > 0")
-        total = sum(self.fractions)
-        require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
-        for law in self.laws:
-            require(law.linear and not isinstance(law, Stack), self, "a sublayer", law, "linear elastic laws")
-
-    @property
-    def fractions(self) -> tuple[float, ...]:
-        """Thickness fractions, from the lower to the upper face."""
-        return tuple(a for a, _ in self.sublayers)
-
-    @property
-    def laws(self) -> tuple[LinearLaw, ...]:
-        """Laws, from the lower to the upper face."""
-        return tuple(law for _, law in self.sublayers)
-
-    def with_laws(self, laws: Sequence[Law]) -> Stack:
-        """The same fractions with other laws, unchecked."""
-        return self.with_parameters({"sublayers": tuple(zip(self.fractions, laws, strict=True))})
-
-    def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
-        return self.with_laws([law.mapped(change) for law in self.laws])
-
-    def plane_stress(self) -> Stack:
-        return self.with_laws([law.plane_stress() for law in self.laws])
-
-    def stress(self, step: Step) -> Expr:
-        return sum(
-            a * law.stress(Step(e, step.n)) for (a, law), e in zip(self.sublayers, self._strains(step), strict=True)
-        )
-
-    def _strains(self, step: Step) -> list[Expr]:
-        """Strain of each sublayer, e + sym(g_i (x) n) with the g_i that make the tractions equal and average to zero."""
-        if step.n is None:
-            raise LawError("Stack: sublayers need a layer; a body has no director")
-        n, d = step.n, step.n.ufl_shape[0]
-        in_space = [ufl.as_vector([1.0 if k == i else 0.0 for k in range(d)]) for i in range(d)]
-
-        def traction(law: Law, e: Expr) -> Expr:
-            t = ufl.dot(law.stress(Step(e, n)), lift(n))
-            return ufl.as_vector([t[i] for i in range(d)])
-
-        def spread(g: Expr) -> Expr:
-            return ufl.sym(ufl.outer(lift(g), lift(n)))
-
-        compliances, held = [], []
-        for law in self.laws:
-            columns = [traction(law, spread(axis)) for axis in in_space]
-            compliances.append(ufl.inv(ufl.as_tensor([[columns[j][i] for j in range(d)] for i in range(d)])))
-            held.append(traction(law, step.e))
-        soft = sum(a * K for (a, _), K in zip(self.sublayers, compliances, strict=True))
-        rest = sum(a * ufl.dot(K, t) for (a, _), K, t in zip(self.sublayers, compliances, held, strict=True))
-        common = ufl.dot(ufl.inv(soft), rest)
-        return [step.e + spread(ufl.dot(K, common - t)) for K, t in zip(compliances, held, strict=True)]

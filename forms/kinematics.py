@@ -28,6 +28,21 @@ def jump_strain(w: Expr, n: Expr) -> Expr:
     return ufl.sym(ufl.outer(lift(w), lift(n)))
 
 
+MANDEL = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+ROOT2 = 2.0**0.5
+
+
+def mandel(a: Expr) -> Expr:
+    """A symmetric (3, 3) tensor as a vector (6,) in Mandel's order 11, 22, 33, 12, 13, 23, with a.b = A:B."""
+    return ufl.as_vector([a[i, j] if i == j else ROOT2 * a[i, j] for i, j in MANDEL])
+
+
+def from_mandel(a: Expr) -> Expr:
+    """The symmetric (3, 3) tensor of a Mandel vector (6,)."""
+    entries = {pair: a[k] if pair[0] == pair[1] else a[k] / ROOT2 for k, pair in enumerate(MANDEL)}
+    return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
+
+
 def layer_frame(n: Expr) -> Expr:
     """Rotation (3, 3) whose columns are the layer's axes: second axis n; in 2D the first is the tangent (n_2, -n_1).
 

@@ -9,6 +9,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, NamedTuple, Self
 
+import numpy as np
+import ufl
+
 from forms.kinematics import Expr
 
 
@@ -17,15 +20,51 @@ class LawError(ValueError):
 
 
 class Step(NamedTuple):
-    """What a law is told at one point of the layer.
+    """What a law is told at one point, over a time step from t to t + dt.
 
     Attributes:
         e: strain at the end of the step, (3, 3).
         n: director of the layer, (d,): unit, from the lower to the upper body. None inside a body.
+        e_old: strain at the beginning. None where there is no time.
+        q: internal variables at the beginning, by name.
+        dt: length of the step; 0 at a sudden load. None where there is no time.
+        theta: where in the step the balance of forces holds: 1 (backward Euler) down to 1/2 (midpoint).
     """
 
     e: Expr
     n: Expr | None = None
+    e_old: Expr | None = None
+    q: Mapping[str, Expr] = {}
+    dt: Expr | None = None
+    theta: Expr = 1.0
+
+    @property
+    def mid(self) -> Expr:
+        """Strain at t + theta dt, where the stress is asked for."""
+        return self.e if self.e_old is None else self.theta * self.e + (1 - self.theta) * self.e_old
+
+    @property
+    def rate(self) -> Expr:
+        """Strain rate of the step."""
+        if self.dt is None:
+            raise LawError("a law that asks for step.rate must declare rate = True")
+        return (self.e - self.e_old) / self.dt
+
+    def without_rate(self) -> Step:
+        """The same step for a law that declares no rate."""
+        return _NoRate(*self)
+
+    def between(self, old: Expr, new: Expr) -> Expr:
+        """Value at t + theta dt of something with these values at the beginning and at the end."""
+        return self.theta * new + (1 - self.theta) * old
+
+
+class _NoRate(Step):
+    __slots__ = ()
+
+    @property
+    def rate(self) -> Expr:
+        raise LawError("a law that asks for step.rate must declare rate = True")
 
 
 @dataclass(frozen=True)
@@ -37,13 +76,22 @@ class Law:
 
     Attributes:
         powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
-        linear: whether the stress is linear in the strain.
+        linear: whether the stress is linear in the strain (affine in the strain at the end of a step).
         symmetric: whether the tangent is symmetric (there is an energy).
+        rate: whether the stress depends on the strain rate. Such a law lets no strain jump in time: it has no
+            instantaneous response, the others answer a sudden load at once.
+        internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
+        quadratic: whether the stored energy is a quadratic function of strain and internal variables.
+        constrained: whether the strain's trace is held to zero by a pressure that is a field of its own.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
     linear: ClassVar[bool] = False
     symmetric: ClassVar[bool] = True
+    rate: ClassVar[bool] = False
+    internal: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    quadratic: ClassVar[bool] = False
+    constrained: ClassVar[bool] = False
 
     def __new__(cls, *_: Any, **named: Any) -> Self:
         known = [name for name in inspect.signature(cls.__init__).parameters if name != "self"]
@@ -53,25 +101,64 @@ class Law:
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
+        for name, value in self.parameters().items():
+            if value is not None and np.asarray(value).dtype.kind not in "iuf":
+                raise LawError(f"{type(self).__name__}: {name} is {value!r}; allowed: numbers")
         self.check()
 
     def check(self) -> None:
         """Raise LawError if a parameter is out of its range."""
 
+    @property
+    def in_series(self) -> bool:
+        """Whether the law can be a sublayer of a `Stack`."""
+        return not self.constrained
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether the law declares its stored energy (and so its dissipation)."""
+        return type(self).energy is not Law.energy
+
+    @property
+    def pointwise(self) -> bool:
+        """Whether the law acts on arrays of points, step by step; otherwise its stress is a part of a UFL form."""
+        return self.rate or bool(self.internal)
+
     def stress(self, step: Step) -> Expr:
-        """Stress (3, 3), UFL."""
-        raise NotImplementedError
+        """Stress at t + theta dt, (3, 3), symmetric, UFL."""
+        raise LawError(f"{type(self).__name__} gives no stress; a law needs a method stress(step)")
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        """Internal variables at the end of the step, by name, UFL."""
+        return {}
 
     def energy(self, step: Step) -> Expr:
-        """Stored energy per unit volume, UFL."""
+        """Stored energy per unit volume of the strain step.e and the internal variables step.q, UFL."""
         raise NotImplementedError(f"{type(self).__name__} declares no energy")
+
+    def dissipation(self, step: Step) -> Expr:
+        """Dissipated power per unit volume over the step, UFL."""
+        return ufl.as_ufl(0.0)
+
+    def remainder(self, step: Step) -> Expr:
+        """What the time scheme adds to the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
+
+        For a quadratic energy E it is (2 theta - 1) E(increments), >= 0 and zero for the midpoint rule; of other
+        energies it is the difference itself.
+        """
+        new = self.advance(step)
+        if self.quadratic:
+            increments = {name: new[name] - step.q[name] for name in new}
+            return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
+        stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
+        return ufl.inner(self.stress(step), step.e - step.e_old) - stored - step.dt * self.dissipation(step)
 
     def plane_stress(self) -> Law:
         """The law of in-plane strains whose out-of-plane stresses are zero."""
         raise LawError(f"plane stress is not defined for {type(self).__name__}; use plane='strain'")
 
     def parameters(self) -> dict[str, Any]:
-        """Name -> value of every parameter."""
+        """Name -> value (number or array) of every parameter."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def with_parameters(self, values: Mapping[str, Any]) -> Self:
@@ -97,3 +184,23 @@ def require(condition: bool, law: Law, name: str, value: object, allowed: str) -
     """Raise LawError "Law: name is value; allowed: ..." unless the condition holds."""
     if not condition:
         raise LawError(f"{type(law).__name__}: {name} is {value}; allowed: {allowed}")
+
+
+def shaped(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
+    """The value as UFL; raises LawError unless it is a UFL expression (or number) of this shape."""
+    try:
+        found = ufl.as_ufl(value)
+    except Exception as error:
+        raise LawError(
+            f"{type(law).__name__}.{what} is {value!r}; it must be a UFL expression of shape {shape}"
+        ) from error
+    if found.ufl_shape != shape:
+        raise LawError(f"{type(law).__name__}.{what} has the shape {found.ufl_shape}; it must have {shape}")
+    return found
+
+
+def positive(law: Law, *names: str) -> None:
+    """Raise LawError unless these parameters of the law are finite and > 0."""
+    for name in names:
+        value = getattr(law, name)
+        require(math.isfinite(value) and value > 0, law, name, value, "> 0")

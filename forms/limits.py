@@ -38,3 +38,103 @@ def stratified(fractions: Sequence[float], stiffnesses: Sequence[Array]) -> Arra
     """
     compliance = sum(a * np.linalg.inv(K) for a, K in zip(fractions, stiffnesses, strict=True))
     return np.asarray(np.linalg.inv(compliance))
+
+
+# ---------------------------------------------------------------- laws with time: tractions at a point
+def kelvin_voigt(
+    lmbda: float, mu: float, theta_lmbda: float, theta_mu: float, w: Array, rate: Array, n: Array
+) -> Array:
+    """Traction of Eqs. (16)-(17), t = K_L [u] + K_th d[u]/dt; K_th is K_L of the viscosities modulus times theta."""
+    return elastic(lmbda, mu, w, n) + elastic(lmbda * theta_lmbda, mu * theta_mu, rate, n)
+
+
+def norton(lmbda: float, mu: float, eta: float, p: float, w: Array, rate: Array, n: Array) -> Array:
+    """Traction of Eqs. (22)-(24), t = K_L [u] + eta |v (x)_s n|^(p - 2) (v_N n + v_T/2), v = d[u]/dt.
+
+    The modulus is that of the symmetrised product, |v (x)_s n|^2 = v_N^2 + |v_T|^2/2. Equations (22)-(24) print the bars
+    around v alone. The 1/2 of the tangential part, right in print, is that of the shear strain.
+    """
+    n, v = np.asarray(n, float), np.asarray(rate, float)
+    v_N = v @ n
+    v_T = v - v_N * n
+    modulus = np.sqrt(v_N**2 + v_T @ v_T / 2)
+    return elastic(lmbda, mu, w, n) + (eta * modulus ** (p - 2) * (v_N * n + v_T / 2) if modulus else 0 * n)
+
+
+def volumetric_rate(lmbda: float, mu: float, t1: float, t2: float) -> float:
+    """1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu): the trace of Eq. (18), with the rate of strain on its left.
+
+    The trace is the three-dimensional one, s_33 included.
+    """
+    nu = lmbda / (2 * (lmbda + mu))
+    return ((1 + nu) / t1 - 3 * nu / t2) / (1 - 2 * nu)
+
+
+# ---------------------------------------------------------------- laws with time: one component, K its stiffness
+def kelvin_voigt_creep(traction: float, K: float, G: float, t: Array) -> Array:
+    """Jump under a traction held from t = 0 on, Eq. (16) with stiffness K and viscosity G of the component."""
+    return traction / K * -np.expm1(-K * np.asarray(t) / G)
+
+
+def kelvin_voigt_displaced(d: float, K: float, G: float, c: float, t: Array) -> Array:
+    """Jump when the end of a body of compliance c > 0 is moved by d at t = 0 and held: Eq. (16) and t = (d - [u])/c."""
+    return d / (1 + K * c) * -np.expm1(-(K + 1 / c) * np.asarray(t) / G)
+
+
+def maxwell_creep(traction: float, K: float, t1: float, t: Array) -> Array:
+    """Jump under a traction held from t = 0 on, d[u]/dt = (dt/dt + t/t1)/K.
+
+    Equation (19) prints [u] for its rate, and for 1/K the coefficients (1 + nu)/E, -(1 - nu)/(E nu); the right ones are
+    1/mu = 2 (1 + nu)/E and 1/(lmbda + 2 mu) = (1 + nu)(1 - 2 nu)/(E (1 - nu)).
+    """
+    return traction / K * (1 + np.asarray(t) / t1)
+
+
+def maxwell_relaxation(d: float, K: float, c: float, t1: float, t: Array) -> Array:
+    """Traction when the end of a body of compliance c >= 0 is moved by d at t = 0 and held; Eq. (19) corrected."""
+    return d / (c + 1 / K) * np.exp(-np.asarray(t) / (t1 * (1 + K * c)))
+
+
+def maxwell_normal_relaxation(lmbda: float, mu: float, t1: float, t2: float, w: float, t: Array) -> Array:
+    """Normal traction of a jump w held from t = 0 on, t1 != t2 in Eq. (18).
+
+    The deviatoric part, of stiffness 4 mu/3, relaxes with t1, the spherical one, of stiffness lmbda + 2 mu/3, with t_v
+    (`volumetric_rate`): no differential equation of first order holds for their sum.
+    """
+    t = np.asarray(t, float)
+    return w * (4 / 3 * mu * np.exp(-t / t1) + (lmbda + 2 / 3 * mu) * np.exp(-t * volumetric_rate(lmbda, mu, t1, t2)))
+
+
+def maxwell_normal_creep(lmbda: float, mu: float, t1: float, t2: float, traction: float, t: Array) -> Array:
+    """Normal jump under a normal traction held from t = 0 on, t1 != t2 in Eq. (18).
+
+    With the parts s + p = t_N of `maxwell_normal_relaxation`, of stiffnesses k_s + k_p = K and rates r_s, r_p:
+    K d[u_N]/dt = r_s s + r_p p, and p tends to k_p r_s t_N/(k_p r_s + k_s r_p) like exp(-t (k_p r_s + k_s r_p)/K).
+    """
+    t = np.asarray(t, float)
+    k_s, k_p = 4 / 3 * mu, lmbda + 2 / 3 * mu
+    r_s, r_p, K = 1 / t1, volumetric_rate(lmbda, mu, t1, t2), lmbda + 2 * mu
+    rate = (k_p * r_s + k_s * r_p) / K
+    last = traction * k_p * r_s / (K * rate)
+    lag = (traction * k_p / K - last) * -np.expm1(-rate * t) / rate  # integral of p - last
+    return np.asarray((traction + r_s * (traction - last) * t + r_p * last * t + (r_p - r_s) * lag) / K, float)
+
+
+def norton_creep(traction: float, K: float, eta: float, p: float, t: Array, *, shear: bool) -> Array:
+    """Jump under a traction > 0 held from t = 0 on, any p > 1 but 2: t = K w + c (dw/dt)^(p - 1).
+
+    c is eta for a normal jump and eta 2^(-p/2) for a shear one (Eq. (22) with |v (x)_s n|). With r = t - K w and
+    q = 1/(p - 1): r^(1 - q) = t^(1 - q) - (1 - q) K c^(-q) t. For p > 2 rest is reached in finite time.
+    """
+    q = 1 / (p - 1)
+    c = eta * 2 ** (-p / 2) if shear else eta
+    left = traction ** (1 - q) - (1 - q) * K * c**-q * np.asarray(t)
+    return (traction - np.maximum(left, 0.0) ** (1 / (1 - q))) / K
+
+
+def stack_creep(fractions: Sequence[float], jumps: Sequence[Array]) -> Array:
+    """Jump of sublayers in series under a common traction, sum a_i w_i; w_i: jump if the whole layer were sublayer i.
+
+    Jumps, hence compliances, add; Eqs. (51)-(52) print sums of compliances as stiffnesses.
+    """
+    return np.asarray(sum(a * np.asarray(w) for a, w in zip(fractions, jumps, strict=True)))

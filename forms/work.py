@@ -9,7 +9,8 @@ from typing import Any
 import ufl
 
 from forms.kinematics import Expr, jump_strain, lift, strain
-from forms.law import Law, Step
+from forms.law import Law, Step, shaped
+from forms.traction import TractionLaw
 
 GAUSS = (-(12**-0.5), 12**-0.5)  # places through a thickness from -1/2 to 1/2
 
@@ -80,15 +81,18 @@ def band(law: Law, measure: ufl.Measure, n: Expr) -> Points:
 def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Points]:
     """A layer's law on S.
 
-    Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: displacements linear through the thickness of the
-    layer, strain e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with
-    e0 = sym([u] (x) n)/eps + sym(grad_S <u>), e1 = sym(grad_S [u]). For an energy quadratic in the strain that is the
-    thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    A traction law acts on the jump itself: strain sym([u] (x) n), weight 1. Of other laws, order 0: strain
+    sym([u] (x) n)/eps, one point of weight eps. Order 1: displacements linear through the thickness of the layer, strain
+    e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
+    e1 = sym(grad_S [u]). For an energy quadratic in the strain that is the thickness integral of
+    eps e0:C:e0/2 + eps/12 e1:C:e1/2.
     """
 
     def jump_part(u: Expr) -> Expr:
         return jump_strain(sides.jump(u), sides.n) / eps
 
+    if isinstance(law, TractionLaw):
+        return [Points(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)]
     if order == 0:
         return [Points(law, jump_part, eps, sides.measure, sides.n)]
     tangential = ufl.Identity(len(sides.n)) - ufl.outer(sides.n, sides.n)
@@ -108,7 +112,11 @@ def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Point
 
 def work(points: Iterable[Points], u: Expr, v: Expr) -> Expr:
     """Virtual work of the stresses of u in the strains of v, a UFL form linear in v."""
-    return sum(ufl.inner(p.law.stress(p.step(u)), p.strain(v)) * p.weight * p.measure for p in points)
+
+    def stress(p: Points) -> Expr:
+        return shaped(p.law, "stress", p.law.stress(p.step(u)), (3, 3))
+
+    return sum(ufl.inner(stress(p), p.strain(v)) * p.weight * p.measure for p in points)
 
 
 def energy(points: Iterable[Points], u: Expr) -> Expr:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from forms import LinearElastic
 from studies.problems import fourier
-from thinlayer import Model, Table, ThinLayer, compare, plotting, solve, sweep
+from thinlayer import Model, Table, ThinLayer, compare, plotting, solve
 from thinlayer.record import Record
 
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
@@ -31,7 +31,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
             full = record.solved(solve(Model.full(joint, layer=layer, **setup)))
             return compare(full, record.solved(solve(Model.interface(joint, layer=layer, **setup))))
 
-        table = sweep(compare_at, eps, record.path("table.csv" if name == "harder" else f"{name}.csv"))
+        table = record.sweep(compare_at, eps, "table.csv" if name == "harder" else f"{name}.csv")
         record.say(f"{name} layer, {law}\n{table}")
         if len(eps) > 1:
             record.check(f"last observed order of the traction, {name} layer", table["order_traction"][-1], low=2.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, Table, ThinLayer, compare, plotting, solve, sweep
+from thinlayer import Model, Table, ThinLayer, compare, plotting, solve
 from thinlayer.record import Record
 
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 128)
@@ -31,7 +31,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         )
         return second | {f"error_{name}_order0": first[f"error_{name}"] for name in ("traction", "jump")}
 
-    table = sweep(compare_at, eps, record.path("table.csv"))
+    table = record.sweep(compare_at, eps)
     draw(record)
     record.say(table)
     if len(eps) > 1:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from forms.kinematics import Expr
 from geometry import Joint
-from thinlayer import Model, State, Table, ThinLayer, compare, plotting, solve, sweep
+from thinlayer import History, Model, State, Table, ThinLayer, compare, plotting, solve
 from thinlayer.record import Record
+
+Solution = State | History
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,10 @@ class Sweep:
         layer: thickness -> the layer.
         bodies: "kept" or "extended".
         where: part of S to measure on, see `thinlayer.compare`.
+        times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
+            compared. None: a static solve.
+        more: full and interface model's solutions -> further columns of the table.
+        case: what tells the sweep from others of the study, in the names of its files and checks.
     """
 
     record: Record
@@ -31,13 +37,26 @@ class Sweep:
     layer: Callable[[float], ThinLayer]
     bodies: str = "kept"
     where: Callable[[Expr], Expr] | None = None
+    times: Sequence[float] | None = None
+    more: Callable[[Solution, Solution], dict[str, float]] | None = None
+    case: str = ""
 
-    def solved(self, eps: float) -> tuple[State, State]:
-        """The full and the interface model's state for a thickness."""
+    def solved(self, eps: float) -> tuple[Solution, Solution]:
+        """The full and the interface model's state, or history, for a thickness."""
         layer = self.layer(eps)
         full = Model.full(self.joint, layer=layer, bodies=self.bodies, **self.setup)
         limit = Model.interface(self.joint, layer=layer, **self.setup)
-        return self.record.solved(solve(full)), self.record.solved(solve(limit))
+        return self._solved(full), self._solved(limit)
+
+    def _solved(self, model: Model) -> Solution:
+        if self.times is None:
+            return self.record.solved(solve(model))
+        layer = model.layer
+        return self.record.march(model, self.times, self._named(f"{model.kind}_{layer.eps:g}" if layer else model.kind))
+
+    def _named(self, name: str) -> str:
+        stem, dot, kind = name.partition(".")
+        return f"{stem}_{self.case}{dot}{kind}" if self.case else name
 
     def run(
         self,
@@ -60,14 +79,33 @@ class Sweep:
         def compare_at(e: float) -> dict[str, float]:
             full, limit = self.solved(e)
             if e == pictured:
-                states = {f"meshed layer, eps = {e:g} {unit}".rstrip(): full, "interface law": limit}
-                plotting.deformed(states, save=self.record.path("deformed.png"), title=title, unit=unit)
-            return compare(full, limit, where=self.where)
+                states = {f"meshed layer, eps = {e:g} {unit}".rstrip(): last(full), "interface law": last(limit)}
+                plotting.deformed(states, save=self.record.path(self._named("deformed.png")), title=title, unit=unit)
+            return compare(full, limit, where=self.where) | (self.more(full, limit) if self.more else {})
 
-        table = sweep(compare_at, eps, self.record.path("table.csv"))
+        table = self.record.sweep(compare_at, eps, self._named("table.csv"))
         self.record.say(table)
         if len(eps) > 1:
             for name in ("traction", "jump"):
                 value = table[f"order_{name}"][-1]
-                self.record.check(f"last observed order of the {name}", value, low=order[0], high=order[1])
+                what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
+                self.record.check(what, value, low=order[0], high=order[1])
         return table
+
+
+def last(solution: Solution) -> State:
+    """The state itself, or the last one of a history."""
+    return solution if isinstance(solution, State) else solution.last
+
+
+def draw_rates(record: Record, *, title: str, cases: Mapping[str, str] | None = None) -> None:
+    """Draw rates.png from the study's tables.
+
+    Args:
+        record: the run.
+        title: of the picture.
+        cases: label -> name of a sweep's table; default table.csv alone.
+    """
+    if record.root:
+        tables = {label: record.path(name) for label, name in (cases or {"": "table.csv"}).items()}
+        plotting.rates(tables, save=record.path("rates.png"), title=title)

@@ -31,7 +31,7 @@ def strip(lmbda: float, mu: float) -> np.ndarray:
 
 def spring(lmbda: float, mu: float) -> np.ndarray:
     """Transfer across the interface law: the jump is traction over stiffness."""
-    J = np.eye(4)
+    J = np.eye(4, dtype=np.result_type(lmbda, mu, float))
     J[0, 2], J[1, 3] = 1 / mu, 1 / (lmbda + 2 * mu)
     return J
 
@@ -72,3 +72,62 @@ def sweep_errors(eps: float, bodies: str) -> tuple[float, float]:
     jump, jump0 = above[:2] - below[:2], a0[:2] - b0[:2]
     relative = lambda a, b: float(np.linalg.norm(a - b) / np.linalg.norm(b))
     return relative(traction, limit), relative(jump, jump0)
+
+
+# ---------------------------------------------------------------- in time
+# A time scheme is linear and starts from nothing, so that it obeys a correspondence principle of its own: with
+# x(z) = sum_n x_n z^n the rate is d(z) x(z), d = (1 - z)/(dt (theta + (1 - theta) z)), and every series is an elastic
+# solution with the moduli of d. Coefficients are Fourier sums over a circle; nothing is approximated but rounding.
+POINTS, RADIUS = 64, 0.5
+
+
+def kelvin_voigt(lmbda: float, mu: float, theta_lmbda: float, theta_mu: float):
+    """Moduli as functions of the rate's symbol d."""
+    return lambda d: (lmbda * (1 + theta_lmbda * d), mu * (1 + theta_mu * d))
+
+
+def maxwell(lmbda: float, mu: float, t1: float, t2: float):
+    """Moduli of Eq. (18): shear and bulk modulus relax with t1 and t_v."""
+    nu, bulk = lmbda / (2 * (lmbda + mu)), lmbda + 2 * mu / 3
+    volumetric = ((1 + nu) / t1 - 3 * nu / t2) / (1 - 2 * nu)
+
+    def moduli(d: complex) -> tuple[complex, complex]:
+        shear = mu * d / (d + 1 / t1)
+        return bulk * d / (d + volumetric) - 2 * shear / 3, shear
+
+    return moduli
+
+
+def marched(layer: list, loads: np.ndarray, dt: float, theta: float = 1.0, eps: float | None = None) -> np.ndarray:
+    """(steps + 1, 4) amplitudes at each step: jump (U, V), mean traction (S, T).
+
+    Args:
+        layer: (fraction, moduli of d) of each sublayer, from the lower to the upper face; moduli per thickness.
+        loads: factor of the top traction at each step, the first one zero.
+        dt, theta: the time scheme.
+        eps: thickness of the layer (bodies kept); None: the interface law.
+    """
+    body = expm(strip(*BODY) * HEIGHT)
+    sums = np.zeros((POINTS, 4), complex)
+    circle = RADIUS * np.exp(2j * np.pi * np.arange(POINTS) / POINTS)
+    for k, z in enumerate(circle):
+        d = (1 - z) / (dt * (theta + (1 - theta) * z))
+        moduli = [(a, *one(d)) for a, one in layer]
+        if eps is None:
+            between = [spring(lmbda / a, mu / a) for a, lmbda, mu in moduli]
+        else:
+            between = [expm(strip(lmbda * eps, mu * eps) * a * eps) for a, lmbda, mu in moduli]
+        states = clamped(body, *between, body)
+        below, above = states[1], states[-2]
+        scale = np.polyval(np.asarray(loads)[::-1], z)
+        sums[k] = scale * np.concatenate([above[:2] - below[:2], (above[2:] + below[2:]) / 2])
+    n = np.arange(len(loads))
+    series = np.exp(-2j * np.pi * np.outer(n, np.arange(POINTS)) / POINTS) @ sums / POINTS
+    return (series / RADIUS ** n[:, None]).real
+
+
+def marched_errors(layer: list, loads: np.ndarray, dt: float, theta: float, eps: float) -> tuple[float, float]:
+    """Relative L2 errors (traction, jump) of the interface law against the layer at the last step."""
+    limit, full = (marched(layer, loads, dt, theta, thickness)[-1] for thickness in (None, eps))
+    error = lambda part: float(np.linalg.norm(full[part] - limit[part]) / np.linalg.norm(limit[part]))
+    return error(slice(2, 4)), error(slice(0, 2))

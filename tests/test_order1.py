@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from forms import LawError, LinearElastic, Stack
+from forms import LawError, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, sandwich
 from studies.hard_layer import LAYERS
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, ModelError, ThinLayer, compare, observed_orders, solve
+from thinlayer import Model, ModelError, ThinLayer, compare, march, observed_orders, solve
 
 # |t_full - t_order1| in L2(S) of the Fourier problem, from transfer matrices
 TRACTION_ERRORS = {1 / 8: 2.380e-3, 1 / 16: 6.512e-4, 1 / 32: 1.662e-4, 1 / 64: 4.170e-5}
@@ -61,6 +61,24 @@ def test_rigid_base():
             found.append(compare(full, solve(Model.interface(joint, layer=layer, **setup)))["error_jump"])
     assert observed_orders(eps, errors[0])[-1] == pytest.approx(1.0, abs=0.1)
     assert observed_orders(eps, errors[1])[-1] == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [Maxwell(60.0, 40.0, t1=0.7, t2=0.9), Norton(60.0, 40.0, eta=5.0, p=1.5)],
+    ids=lambda law: type(law).__name__,
+)
+def test_memory_and_rate(law):
+    """History at the two points through the thickness: the error is O(eps^2) in time too."""
+    joint, setup = fourier(1 / 16, cell="quadrilateral")
+    eps, errors, times = (1 / 16, 1 / 32), {0: [], 1: []}, [0.1, 0.2, 0.4]
+    for e in eps:
+        full = march(Model.full(joint, layer=ThinLayer(law, e), **setup), times)
+        for order, found in errors.items():
+            limit = Model.interface(joint, layer=ThinLayer(law, e, order=order), **setup)
+            found.append(compare(full, march(limit, times))["error_traction"])
+    assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
+    assert observed_orders(eps, errors[1])[1] == pytest.approx(2.0, abs=0.1)
 
 
 def test_free_ends():

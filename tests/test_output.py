@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 from forms import LawError
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, Surface, Table, ThinLayer, fields, plotting, solve, sweep
+from thinlayer import Model, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 
 
 def test_rows_are_committed_one_by_one(tmp_path):
@@ -85,6 +85,11 @@ def test_files_for_paraview(states, tmp_path):
     x, v = grid.points[at_s, 0], u[at_s, 1]
     left = np.abs(x) < 1e-12
     assert np.ptp(v[left]) > 1e-3  # both sides of S, 4.3e-3 apart
+    history = march(states[0].model, [1.0, 2.5])
+    fields.write(history, tmp_path / "history.pvd")
+    fields.write(history, tmp_path / "history.bp")
+    reader = pyvista.get_reader(tmp_path / "history.pvd")
+    assert reader.time_values == pytest.approx([0.0, 1.0, 2.5])
     with pytest.raises(ValueError, match=r"allowed endings: \.bp"):
         fields.write(states[0], tmp_path / "u.xdmf")
 

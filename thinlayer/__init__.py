@@ -9,16 +9,20 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from thinlayer.comparison import compare, observed_orders, sweep
     from thinlayer.layer import ThinLayer
-    from thinlayer.loads import ModelError
+    from thinlayer.loads import ModelError, piecewise
     from thinlayer.model import Model
     from thinlayer.options import OptionError
     from thinlayer.solvers import SolveError, solve
     from thinlayer.state import State
     from thinlayer.surface import Surface
     from thinlayer.table import Table
+    from thinlayer.time.history import History
+    from thinlayer.time.marching import Adaptive, march
 
 __version__ = "0.1.0"
 __all__ = [
+    "Adaptive",
+    "History",
     "Model",
     "ModelError",
     "OptionError",
@@ -28,7 +32,9 @@ __all__ = [
     "Table",
     "ThinLayer",
     "compare",
+    "march",
     "observed_orders",
+    "piecewise",
     "solve",
     "sweep",
 ]
@@ -37,8 +43,12 @@ _HOME = {
     "compare": "comparison",
     "observed_orders": "comparison",
     "sweep": "comparison",
+    "History": "time.history",
     "ThinLayer": "layer",
     "ModelError": "loads",
+    "piecewise": "loads",
+    "Adaptive": "time.marching",
+    "march": "time.marching",
     "Model": "model",
     "OptionError": "options",
     "SolveError": "solvers",

@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--bodies", choices=("kept", "extended"), help="how the bodies make room for the meshed layer")
     run.add_argument("--order", type=int, choices=(0, 1), help="order of the interface law")
     run.add_argument("--quick", action="store_true", default=None, help="coarse meshes and few thicknesses")
+    run.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
     run.add_argument("--out", type=Path, metavar="DIR", help="folder for tables and pictures (default: out/STUDY)")
     return parser
 
@@ -99,7 +100,7 @@ def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequ
     out = chosen.out or Path("out") / study.name
     if out.exists() and not out.is_dir():
         parser.error(f"--out {out} is a file")
-    return _run_study(study, out, given, petsc)
+    return _run_study(study, out, given, petsc, chosen.resume)
 
 
 def _check_options(parser: argparse.ArgumentParser, study: Study, given: dict[str, Any]) -> None:
@@ -127,7 +128,7 @@ def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict
     return options
 
 
-def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, str | None]) -> int:
+def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, str | None], resume: bool) -> int:
     from mpi4py import MPI
     from petsc4py import PETSc
 
@@ -138,9 +139,10 @@ def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, 
 
     for name, value in petsc.items():
         PETSc.Options().setValue(name, value)
-    record = Record(study.name, out, given | petsc)
+    record = Record(study.name, out, given | petsc, resume=resume)
     root = MPI.COMM_WORLD.rank == 0
     try:
+        record.check_resume()
         importlib.import_module(f"studies.{study.name}").run(record, **given)
     except (GeometryError, LawError, ModelError, OptionError) as error:
         return _stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")

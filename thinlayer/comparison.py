@@ -17,36 +17,43 @@ from thinlayer.loads import ModelError
 from thinlayer.progress import track
 from thinlayer.state import State
 from thinlayer.surface import Surface
-from thinlayer.table import Table
+from thinlayer.table import Row, Table
+from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[Expr], Expr]
 
 
-def compare(full: State, interface: State, *, where: Where | None = None) -> dict[str, float]:
+def compare(
+    full: State | History, interface: State | History, *, where: Where | None = None, at: float | None = None
+) -> dict[str, float]:
     """How far the interface law is from the meshed layer. Collective.
 
     Tractions are the bodies' reactions on S, jumps are differences at matched points of both faces (`Surface`).
 
     Args:
-        full: state of a full model.
-        interface: state of the interface model of the same joint.
+        full: state of a full model, or its history.
+        interface: state of the interface model of the same joint, or its history.
         where: part of S to measure on, a function of the coordinates that returns a UFL condition, such as
             `lambda x: x[0] > 1` or `lambda x: ufl.And(x[0] > 1, x[0] < 9)`; default all of S.
+        at: time of the states to take from histories; default the last.
 
     Returns:
         eps; error_traction and error_jump: L2(S) norms of the differences over those of the interface model's fields;
         traction and jump: these norms (stress and length, times length^(1/2) in 2D).
 
     Raises:
-        ModelError: the states are not a full and an interface model of the same joint; `where` is no condition, or holds
-            nowhere on S.
+        ModelError: the states are not a full and an interface model of the same joint, or are of two times; `where` is no
+            condition, or holds nowhere on S.
     """
+    full, interface = (_state(one, at) for one in (full, interface))
     if (full.model.kind, interface.model.kind) != ("full", "interface"):
         raise ModelError(
             f"compare needs a full and an interface model, not {full.model.kind} and {interface.model.kind}"
         )
     if full.model.joint is not interface.model.joint:
         raise ModelError("compare needs two models of the same joint")
+    if abs(full.t - interface.t) > SAME_TIME * max(abs(full.t), abs(interface.t)):
+        raise ModelError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     assert full.model.layer is not None
     surface = Surface(interface.model)
     part = 1 if where is None else _part(surface, where)
@@ -57,6 +64,12 @@ def compare(full: State, interface: State, *, where: Where | None = None) -> dic
         sizes[name] = surface.norm(limit, part)
         row[f"error_{name}"] = surface.norm(field(full) - limit, part) / sizes[name] if sizes[name] else math.nan
     return row | sizes
+
+
+def _state(one: State | History, at: float | None) -> State:
+    if isinstance(one, State):
+        return one
+    return one.last if at is None else one.at(at)
 
 
 def _part(surface: Surface, where: Where) -> Expr:
@@ -72,6 +85,13 @@ def _part(surface: Surface, where: Where) -> Expr:
     return part
 
 
+def _rows_of(path: str | Path) -> dict[float, Row]:
+    """Thickness -> row of a table that may have been cut short; on one rank."""
+    if not Path(path).exists():
+        return {}
+    return {float(row["eps"] or 0): row for row in Table.load(path).rows}
+
+
 def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
     """Observed order between each row and the one before it, log(e_k-1/e_k)/log(eps_k-1/eps_k); None for the first."""
     x, e = np.log(np.array(list(eps), float)), np.log(np.array(list(errors), float))
@@ -82,6 +102,7 @@ def sweep(
     run: Callable[[float], Mapping[str, Any]],
     eps: Iterable[float],
     out: str | Path | None = None,
+    resume: bool = False,
 ) -> Table:
     """A table of comparisons over decreasing thickness, with observed orders. Collective.
 
@@ -89,6 +110,7 @@ def sweep(
         run: eps -> a row with error_traction and error_jump, such as `compare` returns.
         eps: thicknesses, > 0 and different.
         out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails.
+        resume: take the rows that `out` already has for these thicknesses, and compute the others.
 
     Raises:
         LawError: a thickness out of range or given twice, `out` is a folder. ModelError: a row lacks these columns.
@@ -98,8 +120,14 @@ def sweep(
     values = sorted((float(e) for e in eps), reverse=True)
     if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
         raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
-    table = Table(path=out if MPI.COMM_WORLD.rank == 0 else None)
+    root = MPI.COMM_WORLD.rank == 0
+    done = _rows_of(out) if resume and out is not None and root else {}
+    done = MPI.COMM_WORLD.bcast(done)
+    table = Table(path=out if root else None)
     for e in track(values, "sweep", "eps = {:g}"):
+        if e in done:
+            table.append(done[e])
+            continue
         row = dict(run(e))
         missing = {"eps", "error_traction", "error_jump"} - row.keys()
         if missing:

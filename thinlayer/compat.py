@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp, fem
@@ -53,3 +54,16 @@ def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Interpolation points of a space's element on the reference cell."""
     points = V.element.interpolation_points
     return points() if callable(points) else points
+
+
+def create_submesh(mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]) -> tuple[Mesh, Any, npt.NDArray[np.int32]]:
+    """Mesh of entities, entity maps for fem.form, and the entity of each of its cells. Collective."""
+    sub, entity_map = dolfinx.mesh.create_submesh(mesh, dim, entities)[:2]
+    if hasattr(entity_map, "sub_topology_to_topology"):
+        imap = sub.topology.index_map(sub.topology.dim)
+        cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
+        return sub, [entity_map], entity_map.sub_topology_to_topology(cells, False)
+    parents, imap = np.asarray(entity_map, np.int32), mesh.topology.index_map(dim)
+    inverse = np.full(imap.size_local + imap.num_ghosts, -1, np.int32)
+    inverse[parents] = np.arange(len(parents), dtype=np.int32)
+    return sub, {sub: inverse}, parents

@@ -17,6 +17,7 @@ from geometry.joint import BASE, Joint, S
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES
 from thinlayer.state import State
+from thinlayer.time.history import History
 
 VTK_LAGRANGE = {"interval": 68, "triangle": 69, "quadrilateral": 70}  # VTK's numbers of cells of any degree
 SUBDIVISION = 3  # of curved cells
@@ -174,25 +175,27 @@ def _base(joint: Joint) -> tuple[npt.NDArray[np.float64], int]:
     return np.pad(facets, ((0, 0), (0, 0), (0, 3 - joint.dim))), VTK_LAGRANGE[kind]
 
 
-def write(state: State, path: str | Path) -> None:
-    """Write the displacement for ParaView: VTX for a path that ends in .bp, VTK for .pvd. Collective.
+def write(solution: State | History, path: str | Path) -> None:
+    """Write displacements for ParaView: VTX for a path that ends in .bp, VTK for .pvd. Collective.
 
-    The jump is kept: nodes on S are written once for each side.
+    The jump is kept: nodes on S are written once for each side. Of a history all states that it keeps are written.
 
     Raises:
         ValueError: another ending. RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
     """
-    u, comm = nodal_displacement(state), state.model.comm
+    states = [solution] if isinstance(solution, State) else list(solution)
+    u, comm = nodal_displacement(states[0]), states[0].model.comm
     u.name = "u"
     suffix = Path(path).suffix
-    on_root(comm, lambda: Path(path).parent.mkdir(parents=True, exist_ok=True))
-    if suffix == ".bp":
-        if not dolfinx.has_adios2:
-            raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
-        with dolfinx.io.VTXWriter(comm, path, [u]) as file:
-            file.write(state.t)
-    elif suffix == ".pvd":
-        with dolfinx.io.VTKFile(comm, path, "w") as file:
-            file.write_function(u, state.t)
-    else:
+    if suffix not in (".bp", ".pvd"):
         raise ValueError(f"cannot write {str(path)!r}; allowed endings: .bp (VTX), .pvd (VTK)")
+    if suffix == ".bp" and not dolfinx.has_adios2:
+        raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
+    on_root(comm, lambda: Path(path).parent.mkdir(parents=True, exist_ok=True))
+    with dolfinx.io.VTXWriter(comm, path, [u]) if suffix == ".bp" else dolfinx.io.VTKFile(comm, path, "w") as file:
+        for state in states:
+            u.x.array[:] = nodal_displacement(state).x.array
+            if suffix == ".bp":
+                file.write(state.t)
+            else:
+                file.write_function(u, state.t)

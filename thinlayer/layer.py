@@ -9,8 +9,9 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from forms.elastic import Stack
 from forms.law import Law, LawError
+from forms.series import Stack
+from forms.traction import TractionLaw
 from geometry.joint import Profile
 
 
@@ -47,6 +48,8 @@ class ThinLayer:
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and isinstance(self.law, Stack):
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
+        if self.order == 1 and (isinstance(self.law, TractionLaw) or self.law.constrained):
+            raise LawError(f"order=1 of {type(self.law).__name__}: there is no next-order law of it; use order=0")
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
         if self.order == 1 and self.profile is not None:
@@ -57,9 +60,10 @@ class ThinLayer:
         """Thickness fractions of the sublayers, from the lower to the upper face; () for a single layer."""
         return self.law.fractions if isinstance(self.law, Stack) else ()
 
-    def real_law(self, mesh: Mesh, plane: str) -> Law:
-        """The law with real parameters, value * eps**power, as Constants of a mesh."""
-        return constants(in_plane(self.law, plane), mesh, float(self.eps))
+    def real_law(self, plane: str) -> Law:
+        """The law with real parameters, value * eps**power."""
+        eps = float(self.eps)
+        return in_plane(self.law, plane).mapped(lambda value, power: np.asarray(value, float) * eps**power)
 
 
 def in_plane(law: Law, plane: str) -> Law:
@@ -67,6 +71,6 @@ def in_plane(law: Law, plane: str) -> Law:
     return law.plane_stress() if plane == "stress" else law
 
 
-def constants(law: Law, mesh: Mesh, eps: float = 1.0) -> Law:
+def constants(law: Law, mesh: Mesh) -> Law:
     """A law whose parameters are Constants, so that forms are compiled once for all their values."""
-    return law.mapped(lambda value, power: fem.Constant(mesh, np.asarray(value, float) * eps**power))
+    return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))

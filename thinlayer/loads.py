@@ -77,6 +77,43 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
     return vector
 
 
+def piecewise(values: Mapping[float, Value | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
+    """A load or a prescribed displacement that is linear in time between given ones, not defined before and after.
+
+    Args:
+        values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.
+
+    Returns:
+        A function (x, t) for the data of a model.
+
+    Raises:
+        ModelError: less than two times, values that are no numbers or of different lengths.
+    """
+    try:
+        times = sorted(values)
+        rows = np.array([values[t] for t in times], float)
+        whole = np.isfinite(rows).all() and np.isfinite(np.array(times, float)).all()
+    except (TypeError, ValueError, LookupError) as error:
+        raise ModelError(f"piecewise needs {{time: number or components}}: {error}") from error
+    if len(times) < 2 or rows.ndim > 2 or not whole:
+        raise ModelError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
+
+    def at(_: Expr, t: Expr) -> Any:
+        lines = [_line(times, column, t) for column in rows.reshape(len(times), -1).T]
+        return lines if rows.ndim == 2 else lines[0]
+
+    return at
+
+
+def _line(times: Sequence[float], values: npt.NDArray[np.float64], t: Expr) -> Expr:
+    """The straight lines through (times, values); NaN outside."""
+    nowhere = ufl.sqrt(-1 - t * t)
+    line = nowhere
+    for a, b, u, v in reversed(list(zip(times[:-1], times[1:], values[:-1], values[1:], strict=True))):
+        line = ufl.conditional(ufl.le(t, b), u + (t - a) * ((v - u) / (b - a)), line)
+    return ufl.conditional(ufl.lt(t, times[0]), nowhere, line)
+
+
 def _call(function: Callable[[Expr, Expr], Any], at: Coordinates, what: str) -> Any:
     try:
         return function(at.x, at.t)

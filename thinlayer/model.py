@@ -16,19 +16,21 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms import work as forms
-from forms.elastic import Stack
 from forms.kinematics import Expr
 from forms.law import Law
+from forms.series import Stack
+from forms.traction import TractionLaw
 from geometry.domain import Domain
 from geometry.inflation import check_layering, inflate
-from geometry.joint import BASE, BONDED, LAYER, Joint, S, unknown
+from geometry.joint import BASE, BONDED, Joint, S, unknown
 from geometry.motion import require_no_branches
 from geometry.topology import is_tensor
 from thinlayer.abort import end_all_ranks_on_errors
 from thinlayer.broken import broken_space, interface_measure
+from thinlayer.forces import BodyForce, Forces
 from thinlayer.joint_fields import director, relative_thickness
 from thinlayer.layer import ThinLayer, constants, in_plane
-from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports, vector
+from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports
 from thinlayer.rigid import require_support
 
 end_all_ranks_on_errors()
@@ -52,6 +54,7 @@ class Model:
         bodies, layer_points: where the laws act.
         supports: prescribed displacements.
         conditions: their Dirichlet conditions in V.
+        forces: tractions and body forces.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
     """
 
@@ -64,35 +67,24 @@ class Model:
         body: Law | Mapping[str, Law],
         supports: Mapping[Place, Support],
         tractions: Mapping[str, Load] | None = None,
-        body_force: Load | Mapping[str, Load] | None = None,
+        body_force: BodyForce | None = None,
         plane: str = "strain",
         element: str | None = None,
         bodies: str = "kept",
         sublayers: int = 4,
         comm: MPI.Intracomm | None = None,
     ) -> None:
-        if plane not in PLANES:
-            raise ModelError(unknown("plane", plane, PLANES))
-        if kind != "bonded" and not isinstance(layer, ThinLayer):
-            raise ModelError(f"layer is {layer!r}; give layer=ThinLayer(law, eps)")
         self.joint, self.layer, self.kind, self.plane = joint, layer, kind, plane
-        element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
-        if element not in ELEMENTS[is_tensor(joint.cell_type)]:
-            allowed = ", ".join(ELEMENTS[is_tensor(joint.cell_type)])
-            raise ModelError(f"element {element!r} does not exist on {joint.cell_type} cells; allowed: {allowed}")
-        if plane == "stress" and joint.dim == 3:
-            raise ModelError("plane='stress' needs a two-dimensional joint")
-        self.element = element
+        self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
+        self._check_choices(bodies)
         check_layering(sublayers, bodies)
-        if layer and layer.order == 1 and kind != "bonded":
-            self._check_order_1(bodies)
         laws = self._body_laws(body)
         if kind == "interface" and not joint.rigid_base:
             require_no_branches(joint)
         self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
         self.comm = self.domain.comm
         mesh = self.domain.mesh
-        self.V = self.space(2 if element[1] == "2" else 1, family="S" if element[0] == "S" else None)
+        self.V = self.space(int(self.element[1]), family="S" if self.element[0] == "S" else None)
         self.coordinates = Coordinates.of(self.domain)
         self.supports = Supports(self.domain, supports, self.coordinates, clamped=self._clamped())
         self.conditions = self.supports.conditions(self.V)
@@ -104,8 +96,7 @@ class Model:
         ]
         self.sides = self._sides() if kind == "interface" else None
         self.layer_points = self._layer_points()
-        self._tractions = self._check_tractions(tractions or {})
-        self._body_forces = self._check_body_forces(body_force)
+        self.forces = Forces(self.domain, tractions, body_force, self.coordinates)
         if not joint.rigid_base:
             require_support(self.comm, self.V, joint, self.supports.held(self.V))
 
@@ -152,6 +143,26 @@ class Model:
         return inflate(
             self.joint, layer.eps, profile=layer.profile, layers=sublayers, strata=layer.fractions, bodies=bodies
         )
+
+    def _check_choices(self, bodies: str) -> None:
+        joint, layer, element = self.joint, self.layer, self.element
+        if self.plane not in PLANES:
+            raise ModelError(unknown("plane", self.plane, PLANES))
+        if self.plane == "stress" and joint.dim == 3:
+            raise ModelError("plane='stress' needs a two-dimensional joint")
+        if element not in ELEMENTS[is_tensor(joint.cell_type)]:
+            allowed = ", ".join(ELEMENTS[is_tensor(joint.cell_type)])
+            raise ModelError(f"element {element!r} does not exist on {joint.cell_type} cells; allowed: {allowed}")
+        if self.kind == "bonded":
+            return
+        if not isinstance(layer, ThinLayer):
+            raise ModelError(f"layer is {layer!r}; give layer=ThinLayer(law, eps)")
+        if layer.order == 1:
+            self._check_order_1(bodies)
+        if self.kind == "full" and isinstance(layer.law, TractionLaw):
+            raise ModelError(f"{type(layer.law).__name__} is a law of jump and traction: it has no meshed layer")
+        if layer.law.constrained and element not in ("P2", "Q2"):
+            raise ModelError(f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}")
 
     def _check_order_1(self, bodies: str) -> None:
         if bodies != "kept":
@@ -203,6 +214,8 @@ class Model:
         for name in regions:
             if not isinstance(laws.get(name), Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
+            if laws[name].pointwise or laws[name].constrained:
+                raise ModelError(f"body {name!r}: {type(laws[name]).__name__} is for layers; bodies take elastic laws")
         return laws
 
     def _sides(self) -> forms.Interface:
@@ -226,18 +239,26 @@ class Model:
     def _layer_points(self) -> list[forms.Points]:
         if self.kind == "bonded" or self.layer is None:
             return []
-        mesh, law = self.domain.mesh, self.layer.real_law(self.domain.mesh, self.plane)
+        mesh, law = self.domain.mesh, self.layer.real_law(self.plane)
         if self.sides:
             eps: Expr = fem.Constant(mesh, float(self.layer.eps))
             if self.layer.profile is not None:
                 eps = eps * self.sides.upper(relative_thickness(self.domain, self.layer.profile))
+            law = law if law.pointwise else constants(law, mesh)
             return forms.surface(
                 law, replace(self.sides, measure=self.sides.measure.reconstruct(**self._rule)), eps, self.layer.order
             )
         laws = law.laws if isinstance(law, Stack) else (law,)
         n = director(self.domain)
         values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
+        laws = tuple(one if one.pointwise else constants(one, mesh) for one in laws)
         return [forms.band(one, self._dx(tags, **self._rule), n) for one, tags in zip(laws, values, strict=True)]
+
+    def degree_at(self, points: forms.Points) -> int:
+        """Quadrature degree where a compiled law acts; on quadrilaterals and hexahedra the measure has its own."""
+        degree = int(self.element[1])
+        in_volume = points.measure.integral_type() == "cell"
+        return (2 * degree - 1 if in_volume else 2 * degree) + 2 * (self.joint.degree - 1)
 
     @property
     def points(self) -> list[forms.Points]:
@@ -254,44 +275,9 @@ class Model:
         """Whether every law has a symmetric tangent."""
         return all(p.law.symmetric for p in self.points)
 
-    # ---------------------------------------------------------------- loads
-    def _check_tractions(self, tractions: Mapping[str, Load]) -> list[tuple[tuple[int, ...], Expr]]:
-        checked = []
-        for name, load in tractions.items():
-            if name.split("/")[0] == S:
-                raise ModelError("a traction on S is what the model computes; load another facet set")
-            values = self.domain.values(name)
-            if not self.domain.is_outer(name):
-                raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
-            traction = vector(load, self.coordinates, self.joint.dim, f"traction on {name!r}")
-            if values:
-                checked.append((values, traction))
-            elif not name.endswith(f"/{LAYER}"):
-                raise ModelError(f"traction on {name!r}: this facet set is empty")
-        return checked
-
-    def _check_body_forces(self, body_force: Load | Mapping[str, Load] | None) -> list[tuple[tuple[int, ...], Expr]]:
-        regions = self.joint.bodies
-        if body_force is None:
-            return []
-        forces = dict(body_force) if isinstance(body_force, Mapping) else dict.fromkeys(regions, body_force)
-        for name in forces:
-            if name not in regions:
-                raise ModelError(unknown("body", name, regions))
-        return [
-            (self.domain.cell_values(name), vector(force, self.coordinates, self.joint.dim, f"body force in {name!r}"))
-            for name, force in forces.items()
-        ]
-
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""
-        zero = fem.Constant(self.domain.mesh, np.zeros(self.joint.dim))
-        form = ufl.inner(zero, v) * self._dx
-        for values, force in self._body_forces:
-            form += ufl.inner(force, v) * self._dx(values)
-        for values, traction in self._tractions:
-            form += ufl.inner(traction, v) * self._ds(values)
-        return form
+        return self.forces.work(v)
 
     def __repr__(self) -> str:
         dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs

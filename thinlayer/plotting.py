@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -39,24 +40,37 @@ COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
 
 
+ERRORS = {"traction": "error_traction", "jump": "error_jump"}
+
+
 def rates(
-    table: Table | str | Path, *, save: str | Path | None = None, title: str = "", reference: float = 1.0
+    table: Table | str | Path | Mapping[str, Table | str | Path],
+    *,
+    save: str | Path | None = None,
+    title: str = "",
+    reference: float = 1.0,
+    errors: Mapping[str, str] = ERRORS,
 ) -> Figure:
     """Errors of a sweep against eps on logarithmic axes, with a reference slope.
 
     Args:
-        table: a sweep, or the csv file it was committed to.
+        table: a sweep, or the csv file it was committed to; or label -> sweep.
         save: PNG file.
         title: title of the picture.
         reference: order of the reference line.
+        errors: label -> column of the sweeps.
     """
-    data = table if isinstance(table, Table) else Table.load(table)
+    tables = table if isinstance(table, Mapping) else {"": table}
+    data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
+    lines = {
+        f"{case}: {name}" if case else name: (one["eps"], one[column])
+        for name, column in errors.items()
+        for case, one in data.items()
+    }
     figure, axes = _figure(6, 4.5)
-    eps = data["eps"]
-    errors = {"traction": data["error_traction"], "jump": data["error_jump"]}
-    for (name, error), colour, marker in zip(errors.items(), COLOURS, MARKERS, strict=False):
+    for (name, (eps, error)), colour, marker in zip(lines.items(), cycle(COLOURS), cycle(MARKERS), strict=False):
         axes.loglog(eps, error, marker=marker, color=colour, label=name)
-    lowest = min(errors.values(), key=lambda e: e[-1])
+    eps, lowest = min(lines.values(), key=lambda line: float(line[1][-1]))
     line = 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
     axes.loglog(eps, line, color="0.5", linestyle="--", label=f"slope {reference:g}")
     axes.set(xlabel="layer thickness eps", ylabel="relative difference on S, L2", title=title)
@@ -91,17 +105,53 @@ def curves(
         ylim: range of the second axis.
     """
     figure, axes = _figure(6.5, 4.5)
-    for k, (label, (x, y)) in enumerate(lines.items()):
-        style = (styles or {}).get(label, "-")
-        axes.plot(x, y, style, color=COLOURS[k % len(COLOURS)], label=label)
+    _plot(axes, lines, styles or {}, {})
     if logarithmic:
         axes.set(xscale="log", yscale="log")
     axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
     if ylim:
         axes.set_ylim(*ylim)
-    axes.grid(color="0.9")
     axes.legend(frameon=False)
     return _finish(figure, save)
+
+
+def panels(
+    parts: Mapping[str, Mapping[str, tuple[Any, Any]]],
+    *,
+    xlabel: str,
+    ylabels: Mapping[str, str],
+    styles: Mapping[str, str],
+    colours: Mapping[str, str],
+    save: str | Path | None = None,
+    columns: int = 3,
+) -> Figure:
+    """Curves in several pictures with one legend.
+
+    Args:
+        parts: title -> label -> (x, y); the same labels in every part.
+        xlabel: text, units included.
+        ylabels: title -> text, units included.
+        styles, colours: label -> line style, colour.
+        save: PNG file.
+        columns: pictures in a row.
+    """
+    columns = min(columns, len(parts))
+    rows = -(-len(parts) // columns)
+    figure = Figure(figsize=(3.1 * columns, 2.6 * rows + 0.6), layout="constrained")
+    for k, (title, lines) in enumerate(parts.items()):
+        axes = figure.add_subplot(rows, columns, k + 1)
+        _plot(axes, lines, styles, colours)
+        axes.set(xlabel=xlabel, ylabel=ylabels[title], title=title)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
+    return _finish(figure, save)
+
+
+def _plot(
+    axes: Axes, lines: Mapping[str, tuple[Any, Any]], styles: Mapping[str, str], colours: Mapping[str, str]
+) -> None:
+    for k, (label, (x, y)) in enumerate(lines.items()):
+        axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label)
+    axes.grid(color="0.9")
 
 
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:

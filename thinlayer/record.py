@@ -5,17 +5,24 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
+import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
+from thinlayer.comparison import sweep
+from thinlayer.loads import ModelError
+from thinlayer.model import Model
 from thinlayer.state import State
 from thinlayer.table import Table
+from thinlayer.time.history import History
+from thinlayer.time.marching import Adaptive, march
 
+MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 PACKAGES = (
     "fenics-dolfinx",
     "fenics-basix",
@@ -23,6 +30,7 @@ PACKAGES = (
     "fenics-ffcx",
     "petsc4py",
     "mpi4py",
+    "numba",
     "gmsh",
     "meshio",
     "pyvista",
@@ -89,14 +97,16 @@ class Record:
         study: name of the study.
         out: the folder.
         options: what the user chose.
+        resume: whether to continue an earlier run of the study with the same options.
         checks: the checks so far.
     """
 
-    def __init__(self, study: str, out: str | Path, options: Mapping[str, Any]) -> None:
-        self.study, self.out, self.options = study, Path(out), dict(options)
+    def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
+        self.study, self.out, self.options, self.resume = study, Path(out), dict(options), resume
         self.parameters: dict[str, Any] = {}
         self.checks: list[Check] = []
         self.solves: list[dict[str, Any]] = []
+        self._begun = False
         self._start = time.perf_counter()
         self.root = MPI.COMM_WORLD.rank == 0
 
@@ -115,6 +125,40 @@ class Record:
         """Print on rank 0."""
         if self.root:
             print(text, flush=True)
+
+    def check_resume(self) -> None:
+        """Raise ModelError if the run to resume had other options. Collective."""
+        problem = None
+        if self.root and self.resume and self.path("run.json").exists():
+            before = json.loads(self.path("run.json").read_text())["options"]
+            if before != json.loads(json.dumps(self.options, default=str)):
+                problem = f"--resume: the run in {self.out} had the options {before}, not {self.options}"
+        if problem := MPI.COMM_WORLD.bcast(problem):
+            raise ModelError(problem)
+
+    def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
+        """`thinlayer.sweep` into a table of the folder, resumed if the run is. Collective."""
+
+        def noted(e: float) -> Mapping[str, Any]:
+            row = run(e)
+            self._begin()
+            return row
+
+        return sweep(noted, eps, self.path(name), resume=self.resume)
+
+    def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
+        """`thinlayer.march` with files to resume from until the run is done; notes its solves. Collective."""
+        history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
+        self._begin()
+        for state in history:
+            self.solved(state)
+        return history
+
+    def _begin(self) -> None:
+        """Write down the options once there is something to resume."""
+        if not self._begun:
+            self._begun = True
+            self.close("not finished")
 
     def solved(self, state: State) -> State:
         """Note how a state was found; returns it."""
@@ -137,6 +181,8 @@ class Record:
         """Write run.json."""
         if not self.root:
             return
+        if not error:
+            shutil.rmtree(self.path(MARCHES), ignore_errors=True)
         self.out.mkdir(parents=True, exist_ok=True)
         content = {
             "study": self.study,

@@ -1,4 +1,4 @@
-"""Linear and Newton (SNES) solvers of a model."""
+"""Linear and Newton (SNES) solvers of a model, for one equilibrium or step after step."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-import dolfinx.fem.petsc
-import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.work import work
+from thinlayer.equations import Equations, Interval
+from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.options import PREFIX, OptionValue, defaults, is_set, require_all_read
 from thinlayer.rigid import rigid_motions
@@ -37,24 +36,33 @@ MULTIGRID: dict[str, OptionValue] = {
 MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # unknowns; below, factorising is faster
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
-    "snes_linesearch_type": "basic",
-    "snes_rtol": 1e-10,
+    "snes_linesearch_type": "bt",
+    "snes_rtol": 1e-12,
     "snes_stol": 0,
-    "snes_max_it": 30,
+    "snes_max_it": 50,
 }
 LARGEST_RESIDUAL = 1e-6
 LARGEST_ITERATIVE_RESIDUAL = 1e-3  # Krylov methods converge in the preconditioned norm: singular systems too
 REFINED_RESIDUAL = 1e-15
+TOLERANCE = 1e-10  # of Newton's method: residual over the forces on the structure
 
 
 class SolveError(RuntimeError):
-    """A solve that did not converge: PETSc's reason, the last residual, and what to try."""
+    """A solve that did not converge: PETSc's reason, the last residual, and what to try.
+
+    Attributes:
+        history: of a march, its accepted steps.
+    """
+
+    def __init__(self, message: str, history: Any = None) -> None:
+        super().__init__(message)
+        self.history = history
 
 
 def solve(
     model: Model, t: float = 0.0, *, options: Mapping[str, OptionValue] | None = None, method: str | None = None
 ) -> State:
-    """Equilibrium of a model at a time. Collective.
+    """Equilibrium of a model at a time; of a layer with memory, its response to the sudden load. Collective.
 
     Args:
         model: the model.
@@ -64,31 +72,227 @@ def solve(
 
     Raises:
         SolveError: no convergence, or no unique solution. OptionError: a PETSc option that the solver does not read.
+        ModelError: a law without an instantaneous response; loads that are not finite.
         ValueError: unknown method, or a linear solve of a non-linear law.
     """
-    method = method or ("linear" if model.linear else "newton")
-    if method not in ("linear", "newton"):
-        raise ValueError(f"unknown method {method!r}; allowed: linear, newton")
-    if method == "linear" and not model.linear:
-        raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
-    start = time.perf_counter()
-    model.coordinates.t.value = t
-    model.conditions.update()
-    given = dict(options or {})
-    choices = linear_solvers(model)
-    if is_set("ksp_type", given) or is_set("pc_type", given):
-        choices = choices[:1]
-    while True:
-        ours = {**choices.pop(0), **(NEWTON if method == "newton" else {})}
-        try:
-            with defaults({**ours, **given}):
-                u, iterations, residual = (_linear if method == "linear" else _newton)(model)
-                require_all_read(method, ours.keys() - given.keys())
-        except SolveError:
-            if not choices:
-                raise
+    slow = [type(p.law).__name__ for p in model.points if p.law.rate]
+    if slow:
+        raise ModelError(f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)")
+    with Solver(model, options=options, method=method) as solver:
+        return solver.step(solver.rest(t), t)
+
+
+class Solver:
+    """Solves a model step after step; keeps matrices, and their factors as long as they stay the same.
+
+    Arguments and errors as in `solve`. Use it in a `with` statement, or call `close`.
+    """
+
+    def __init__(
+        self, model: Model, *, options: Mapping[str, OptionValue] | None = None, method: str | None = None
+    ) -> None:
+        self.model, self.method = model, method or ("linear" if model.linear else "newton")
+        if self.method not in ("linear", "newton"):
+            raise ValueError(f"unknown method {method!r}; allowed: linear, newton")
+        if self.method == "linear" and not model.linear:
+            raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
+        self._given = dict(options or {})
+        self._choices = linear_solvers(model)
+        if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
+            self._choices = self._choices[:1]
+        self.equations = Equations(model)
+        self._ksp: PETSc.KSP | None = None
+        self._factored: tuple[float, float] | None = None
+
+    def __enter__(self) -> Solver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free matrices and factors."""
+        self._drop_factor()
+        self.equations.destroy()
+
+    def _drop_factor(self) -> None:
+        if self._ksp is not None:
+            self._ksp.destroy()
+        self._ksp = self._factored = None
+
+    def rest(self, t: float) -> State:
+        """The model before anything happened."""
+        memory = tuple(p.rest() for p in self.equations.points)
+        return State(self.model, fem.Function(self.model.V), t, Report("rest", 0, 0.0, 0.0), memory=memory)
+
+    def step(self, old: State, t: float, theta: float = 1.0) -> State:
+        """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
+
+        With t = old.t it is the response to a sudden load. Errors as in `solve`.
+        """
+        start = time.perf_counter()
+        self.equations.begin(Interval(old, t, t - old.t, theta))
+        while True:
+            ours = {**self._choices[0], **(NEWTON if self.method == "newton" else {})}
+            try:
+                with defaults({**ours, **self._given}):
+                    x, iterations, residual = self._advance(old)
+                    require_all_read(self.method, ours.keys() - self._given.keys())
+            except SolveError:
+                self._drop_factor()
+                if len(self._choices) == 1:
+                    raise
+                self._choices.pop(0)
+            else:
+                break
+        memory, audit = self.equations.audit(x)
+        report = Report(self.method, iterations, residual, time.perf_counter() - start)
+        return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
+
+    def _pressure(self, old: State, theta: float) -> fem.Function | None:
+        """Pressure at the end of the step; the balance of forces has the one at t + theta dt."""
+        if self.equations.pressure is None:
+            return None
+        p = self.equations.pressure.copy()
+        if theta < 1 and old.p is not None:
+            p.x.array[:] = (p.x.array - (1 - theta) * old.p.x.array) / theta
+        return p
+
+    # ---------------------------------------------------------------- one step
+    def _advance(self, old: State) -> tuple[PETSc.Vec, int, float]:
+        """Unknowns at the end of the step: a linear step from the old ones, then Newton if need be."""
+        equations = self.equations
+        x, r, d = equations.vector(), equations.vector(), equations.vector()
+        n, held = equations.n_displacements, equations.held
+        x.array[:n] = old.u.x.array[:n]
+        if old.p is not None:
+            x.array[n:] = old.p.x.array[: equations.n_pressures]
+        move = equations.vector()
+        move.array[held] = equations.prescribed - x.array_r[held]
+        if self.method == "linear":
+            x.axpy(1.0, move)
+        equations.residual(x, r)
+        if equations.failed:
+            raise SolveError(f"the layer's law failed at {equations.failed} points at the start of the step")
+        forces = max(float(r.norm()), float(equations.loads.norm()))  # reactions of supports among them
+        r.scale(-1.0)
+        if self.method == "linear":
+            r.array[held] = 0.0
+            self._prepare()
         else:
-            return State(model, u, t, Report(method, iterations, residual, time.perf_counter() - start))
+            self._prepare(move, r)
+        scale = max(forces, float(r.norm()), 1e-300)
+        iterations = self._solve_linear(r, d)
+        if self.method == "newton":
+            d.array[held] = move.array_r[held]
+        x.axpy(1.0, d)
+        equations.residual(x, r)
+        if self.method == "newton":
+            return self._newton(x, r, scale)
+        return x, iterations, self._refine(x, r, d, scale)
+
+    def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
+        """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
+        equations = self.equations
+        key = (float(f"{equations.interval.dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
+        if move is None and self._factored == key:
+            return
+        A = equations.tangent()
+        A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
+        self._mark(A)
+        self._drop_factor()
+        self._ksp = ksp = PETSc.KSP().create(self.model.comm)
+        ksp.setOptionsPrefix(PREFIX)
+        ksp.setOperators(A)
+        ksp.setFromOptions()
+        self._tell_multigrid(ksp, A)
+        self._factored = key
+
+    def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
+        assert self._ksp is not None
+        self._ksp.solve(b, x)
+        return int(self._ksp.getIterationNumber())
+
+    def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, scale: float) -> float:
+        """One or two steps of iterative refinement after a direct solve; the relative residual, checked."""
+        equations, ksp = self.equations, self._ksp
+        assert ksp is not None
+        reason = ksp.getConvergedReason()
+        direct = ksp.getType() == "preonly"
+        residual = self._free_norm(r) / scale
+        while direct and REFINED_RESIDUAL < residual < LARGEST_RESIDUAL:
+            r.scale(-1.0)
+            ksp.solve(r, d)
+            x.axpy(1.0, d)
+            equations.residual(x, r)
+            refined = self._free_norm(r) / scale
+            if refined >= residual / 2:
+                if refined > residual:
+                    x.axpy(-1.0, d)
+                break
+            residual = refined
+        if reason < 0 or not residual < (LARGEST_RESIDUAL if direct else LARGEST_ITERATIVE_RESIDUAL):
+            few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
+            raise SolveError(
+                f"linear solve failed: {_reason(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
+                "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
+                f"says{few}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
+            )
+        return residual
+
+    def _free_norm(self, r: PETSc.Vec) -> float:
+        r.array[self.equations.held] = 0.0
+        return float(r.norm())
+
+    def _newton(self, x: PETSc.Vec, r: PETSc.Vec, scale: float) -> tuple[PETSc.Vec, int, float]:
+        """SNES from displacements that satisfy the supports."""
+        equations = self.equations
+
+        def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+            equations.residual(x, b)
+            b.array[equations.held] = 0.0
+
+        def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+            equations.tangent()
+            P.zeroRowsColumns(equations.held_rows, 1.0)
+
+        A = equations.tangent()
+        A.zeroRowsColumns(equations.held_rows, 1.0)
+        snes = PETSc.SNES().create(self.model.comm)
+        snes.setOptionsPrefix(PREFIX)
+        snes.setFunction(function, r)
+        snes.setJacobian(jacobian, A)
+        if not is_set("snes_atol", self._given):
+            snes.setTolerances(atol=TOLERANCE * scale)
+        snes.setFromOptions()
+        self._tell_multigrid(snes.getKSP(), A)
+        snes.solve(None, x)
+        reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
+        last = float(snes.getFunctionNorm()) / scale
+        ksp_reason = snes.getKSP().getConvergedReason()
+        snes.destroy()
+        stalled = reason == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
+        if reason < 0 and not stalled:
+            failed = f"; the layer's law failed at {equations.failed} points" if equations.failed else ""
+            raise SolveError(
+                f"Newton's method failed after {steps} steps: {_reason(PETSc.SNES.ConvergedReason, reason)}"
+                + (f" (linear solver: {_reason(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")
+                + f", residual {last:.1e} of the forces{failed}; try a smaller step or load, "
+                f"-{PREFIX}snes_linesearch_type basic, or -{PREFIX}snes_monitor to watch it"
+            )
+        return x, steps + 1, last
+
+    # ---------------------------------------------------------------- matrices
+    def _mark(self, A: PETSc.Mat) -> None:
+        model = self.model
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
+        definite = model.symmetric and model.linear and not self.equations.constraint
+        A.setOption(PETSc.Mat.Option.SPD, definite)
+
+    def _tell_multigrid(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
+        """Rigid motions for algebraic multigrid; nobody else reads them."""
+        if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
+            A.setNearNullSpace(PETSc.NullSpace().create(vectors=_orthonormal(self.model), comm=self.model.comm))
 
 
 def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
@@ -96,24 +300,14 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
 
     Direct: MUMPS, Cholesky where the tangent is symmetric, else LU; AMF ordering. Large models start with conjugate
     gradients (GMRES without symmetry) and algebraic multigrid that knows the rigid motions; very stiff layers slow it down
-    so much that factorising is faster.
+    so much that factorising is faster. Incompressible layers make a saddle point: direct.
     """
     direct = {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
-    if unknowns < MULTIGRID_FROM[model.joint.dim]:
+    saddle = any(p.law.constrained for p in model.layer_points)
+    if saddle or unknowns < MULTIGRID_FROM[model.joint.dim]:
         return [direct]
     return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
-
-
-def _mark(A: PETSc.Mat, model: Model) -> None:
-    A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
-    A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear)
-
-
-def _tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
-    """Rigid motions for algebraic multigrid; nobody else reads them."""
-    if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
-        A.setNearNullSpace(PETSc.NullSpace().create(vectors=_orthonormal(model), comm=model.comm))
 
 
 def _orthonormal(model: Model) -> list[PETSc.Vec]:
@@ -127,118 +321,6 @@ def _orthonormal(model: Model) -> list[PETSc.Vec]:
     return basis
 
 
-def _linear(model: Model) -> tuple[fem.Function, int, float]:
-    """A u = b with one or two steps of iterative refinement after a direct solve."""
-    bcs = model.conditions.bcs
-    u, trial, test = fem.Function(model.V), ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-    a, L = fem.form(work(model.points, trial, test)), fem.form(model.external_work(test))
-    A = dolfinx.fem.petsc.assemble_matrix(a, bcs=bcs)
-    A.assemble()
-    _mark(A, model)
-    b = dolfinx.fem.petsc.assemble_vector(L)
-    dolfinx.fem.petsc.apply_lifting(b, [a], [bcs])
-    b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-    dolfinx.fem.petsc.set_bc(b, bcs)
-
-    ksp = PETSc.KSP().create(model.comm)
-    ksp.setOptionsPrefix(PREFIX)
-    ksp.setOperators(A)
-    ksp.setFromOptions()
-    _tell_multigrid(ksp, A, model)
-    x, r, correction = u.x.petsc_vec, b.duplicate(), b.duplicate()
-    size = max(b.norm(), 1e-300)
-    ksp.solve(b, x)
-    iterations, residual = ksp.getIterationNumber(), _residual(A, x, b, r, size)
-    direct = ksp.getType() == "preonly"
-    while direct and REFINED_RESIDUAL < residual < LARGEST_RESIDUAL:
-        ksp.solve(r, correction)
-        correction.aypx(1.0, x)
-        refined = _residual(A, correction, b, r, size)
-        if refined >= residual / 2:
-            break
-        correction.copy(x)
-        residual = refined
-    reason = ksp.getConvergedReason()
-    for thing in (A, b, r, correction, ksp):
-        thing.destroy()
-    if reason < 0 or not residual < (LARGEST_RESIDUAL if direct else LARGEST_ITERATIVE_RESIDUAL):
-        raise SolveError(
-            f"linear solve failed: {_reason(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
-            "a body without supports and without a stiff enough layer can move freely; with an iterative solver try "
-            f"-{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
-        )
-    u.x.scatter_forward()
-    return u, iterations, residual
-
-
-def _residual(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec, r: PETSc.Vec, size: float) -> float:
-    A.mult(x, r)
-    r.aypx(-1.0, b)
-    return float(r.norm() / size)
-
-
 def _reason(kind: Any, value: int) -> str:
     names = {v: k for k, v in vars(kind).items() if isinstance(v, int) and not k.startswith("_")}
     return names.get(value, str(value))
-
-
-class _Equations:
-    """Residual and tangent of a model for SNES."""
-
-    def __init__(self, model: Model) -> None:
-        self.model, self.u = model, fem.Function(model.V)
-        test, du = ufl.TestFunction(model.V), ufl.TrialFunction(model.V)
-        residual = work(model.points, self.u, test) - model.external_work(test)
-        self.F, self.J = fem.form(residual), fem.form(ufl.derivative(residual, self.u, du))
-        self.A = dolfinx.fem.petsc.create_matrix(self.J)
-        self.b, self.x = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
-
-    def put(self, x: PETSc.Vec) -> None:
-        """Take over a trial solution, ghosts included."""
-        x.copy(self.u.x.petsc_vec)
-        self.u.x.scatter_forward()
-
-    def residual(self, snes: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
-        bcs = self.model.conditions.bcs
-        self.put(x)
-        with b.localForm() as local:
-            local.set(0)
-        dolfinx.fem.petsc.assemble_vector(b, self.F)
-        dolfinx.fem.petsc.apply_lifting(b, [self.J], [bcs], x0=[self.u.x.petsc_vec], alpha=-1.0)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        dolfinx.fem.petsc.set_bc(b, bcs, self.u.x.petsc_vec, -1.0)
-
-    def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        P.zeroEntries()
-        dolfinx.fem.petsc.assemble_matrix(P, self.J, bcs=self.model.conditions.bcs)
-        P.assemble()
-
-
-def _newton(model: Model) -> tuple[fem.Function, int, float]:
-    """Newton's method from zero displacements."""
-    equations = _Equations(model)
-    _mark(equations.A, model)
-    snes = PETSc.SNES().create(model.comm)
-    snes.setOptionsPrefix(PREFIX)
-    snes.setFunction(equations.residual, equations.b)
-    snes.setJacobian(equations.tangent, equations.A)
-    snes.setFromOptions()
-    _tell_multigrid(snes.getKSP(), equations.A, model)
-    snes.setConvergenceHistory()
-    snes.solve(None, equations.x)
-    reason, iterations = snes.getConvergedReason(), snes.getIterationNumber()
-    history = snes.getConvergenceHistory()[0]
-    first = max(float(history[0]) if len(history) else 0.0, 1e-300)
-    last = float(snes.getFunctionNorm())
-    ksp_reason = snes.getKSP().getConvergedReason()
-    equations.put(equations.x)
-    for thing in (snes, equations.A, equations.b, equations.x):
-        thing.destroy()
-    if reason < 0:
-        raise SolveError(
-            f"Newton's method failed after {iterations} steps: {_reason(PETSc.SNES.ConvergedReason, reason)}"
-            + (f" (linear solver: {_reason(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")
-            + f", residual {last:.1e} of {first:.1e} at the start; try a smaller load, -{PREFIX}snes_linesearch_type bt, "
-            f"or -{PREFIX}snes_monitor to watch it"
-        )
-    return equations.u, iterations, last / first

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 from forms.work import energy
@@ -31,6 +33,39 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Audit:
+    """Energy balance of a step: supplied = stored + dissipated + remainder, to the solver's tolerance.
+
+    Energies (per unit thickness in 2D), all of them increments but `layer`.
+
+    Attributes:
+        supplied: work of the loads and of moving supports.
+        stored: in bodies and layer.
+        dissipated: in the layer.
+        remainder: what the time scheme adds (backward Euler: the energy of the increments; midpoint: zero, for laws with
+            a quadratic energy).
+        layer: energy stored in the layer at the end of the step, where its law acts at points.
+        total: energy stored in bodies and layer at the end of the step.
+
+    Of laws that declare no energy all but the first are NaN.
+    """
+
+    supplied: float = 0.0
+    stored: float = 0.0
+    dissipated: float = 0.0
+    remainder: float = 0.0
+    layer: float = 0.0
+    total: float = 0.0
+
+    @property
+    def imbalance(self) -> float:
+        """What the balance misses, over the largest of its terms and of the energy that is stored."""
+        terms = (self.supplied, self.stored, self.dissipated, self.remainder)
+        largest = max(abs(self.total), *map(abs, terms)) if all(map(math.isfinite, terms)) else math.nan
+        return (terms[0] - sum(terms[1:])) / largest if largest else 0.0
+
+
+@dataclass(frozen=True)
 class State:
     """Equilibrium of a model at a time.
 
@@ -39,12 +74,18 @@ class State:
         u: displacement, in model.V.
         t: time.
         report: how it was found.
+        p: pressure in an incompressible layer, on the cells of the meshed layer or on S; else None.
+        memory: internal values of the layer's laws that act at points, (points, values) for each.
+        audit: energy balance of the step that led here.
     """
 
     model: Model
     u: fem.Function
     t: float
     report: Report
+    p: fem.Function | None = None
+    memory: tuple[npt.NDArray[np.float64], ...] = ()
+    audit: Audit = Audit()
 
     def integral(self, form: Any) -> float:
         """Value of a UFL form without arguments, summed over the ranks. Collective."""
@@ -56,9 +97,15 @@ class State:
         For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron).
         """
         model = self.model
+        model.coordinates.t.value = self.t
+        at_points = any(p.law.pointwise for p in model.layer_points)
+        in_forms = [p for p in model.layer_points if not p.law.pointwise]
+        layer = (self.audit.layer if at_points else 0.0) + (
+            self.integral(energy(in_forms, self.u)) if in_forms else 0.0
+        )
         return {
             "bodies": self.integral(energy(model.bodies, self.u)),
-            "layer": self.integral(energy(model.layer_points, self.u)) if model.layer_points else 0.0,
+            "layer": layer,
             "loads": self.integral(model.external_work(self.u)),
         }
 

@@ -53,10 +53,11 @@ class Table:
 
     @classmethod
     def load(cls, path: str | Path) -> Table:
-        """Read a table back from its csv file."""
+        """Read a table back from its csv file; a last line that was cut short is left out."""
         table = cls()
-        with Path(path).open(newline="") as file:
-            table.rows = [{name: _value(text) for name, text in row.items()} for row in csv.DictReader(file)]
+        lines = Path(path).read_text().splitlines(keepends=True)
+        whole = [line for line in lines if line.endswith("\n")]
+        table.rows = [{name: _value(text) for name, text in row.items()} for row in csv.DictReader(whole)]
         return table
 
     @property

@@ -1,0 +1,36 @@
+"""Incompressible layers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from forms.elastic import LinearLaw, lame
+from forms.kinematics import Expr
+from forms.law import Step, positive
+
+
+@dataclass(frozen=True)
+class Incompressible(LinearLaw):
+    """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; p is a field of its own.
+
+    As a layer's law: [u_N] = 0, t_N = p free, t_T = mu [u_T]. The paper gives the constraint alone, Eqs. (25)-(29). It is
+    no penalty: in the meshed layer and on S it is held against every pressure of degree 1.
+
+    Attributes:
+        mu: shear modulus, stress (in a layer: stress per thickness); > 0.
+
+    Raises:
+        LawError: mu out of range.
+    """
+
+    mu: float
+    powers: ClassVar = {"mu": 1}
+    constrained: ClassVar = True
+
+    def check(self) -> None:
+        positive(self, "mu")
+
+    def stress(self, step: Step) -> Expr:
+        """The stress without p I."""
+        return lame(0, self.mu, step.mid)

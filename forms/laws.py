@@ -1,0 +1,25 @@
+"""All laws by name."""
+
+from forms.elastic import Anisotropic, LinearElastic
+from forms.incompressible import Incompressible
+from forms.law import Law, LawError, Step
+from forms.point import PointLaw
+from forms.series import Stack
+from forms.traction import JumpStep, TractionLaw
+from forms.viscous import KelvinVoigt, Maxwell, Norton
+
+__all__ = [
+    "Anisotropic",
+    "Incompressible",
+    "JumpStep",
+    "KelvinVoigt",
+    "Law",
+    "LawError",
+    "LinearElastic",
+    "Maxwell",
+    "Norton",
+    "PointLaw",
+    "Stack",
+    "Step",
+    "TractionLaw",
+]

@@ -1,0 +1,91 @@
+"""Stack: sublayers in series."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from forms.law import Law, LawError, require
+
+
+@dataclass(frozen=True)
+class Stack(Law):
+    """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.
+
+    The meshed layer has a stratum for each sublayer. On S each point solves for the sublayers' shares g_i of the jump,
+    strains e + sym(g_i (x) n) with equal tractions and sum a_i g_i = 0, with the history of each law; any laws will do.
+
+    Between linear elastic sublayers the compliances add, K = (sum_i a_i K_i^-1)^-1: for isotropic ones the harmonic means
+    of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.
+
+    Attributes:
+        sublayers: (fraction, law) of each sublayer; fractions of the layer's thickness, > 0, adding up to 1. A Stack
+            among them is taken apart.
+
+    Raises:
+        LawError: fractions out of range, a law that a stack cannot hold.
+    """
+
+    sublayers: tuple[tuple[float, Law], ...]
+
+    def __init__(self, *sublayers: tuple[float, Law]) -> None:
+        try:
+            given = [(float(a), law) for a, law in sublayers]
+        except (TypeError, ValueError) as error:
+            raise LawError(f"Stack needs pairs (fraction, law): {error}") from error
+        flat: list[tuple[float, Law]] = []
+        for a, law in given:
+            flat += [(a * b, part) for b, part in law.sublayers] if isinstance(law, Stack) else [(a, law)]
+        object.__setattr__(self, "sublayers", tuple(flat))
+        self.check()
+
+    def check(self) -> None:
+        require(len(self.sublayers) > 0, self, "number of sublayers", 0, ">= 1")
+        require(min(self.fractions) > 0, self, "fractions", self.fractions, "each > 0")
+        total = sum(self.fractions)
+        require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
+        for law in self.laws:
+            require(
+                isinstance(law, Law) and law.in_series, self, "a sublayer", law, "laws that give a stress for a strain"
+            )
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Thickness fractions, from the lower to the upper face."""
+        return tuple(a for a, _ in self.sublayers)
+
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """Laws, from the lower to the upper face."""
+        return tuple(law for _, law in self.sublayers)
+
+    @property
+    def pointwise(self) -> bool:
+        return True
+
+    @property
+    def has_energy(self) -> bool:
+        return all(law.has_energy for law in self.laws)
+
+    @property
+    def linear(self) -> bool:  # type: ignore[override]
+        return all(law.linear for law in self.laws)
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        return all(law.symmetric for law in self.laws)
+
+    @property
+    def rate(self) -> bool:  # type: ignore[override]
+        return any(law.rate for law in self.laws)
+
+    def with_laws(self, laws: Sequence[Law]) -> Stack:
+        """The same fractions with other laws, unchecked."""
+        return self.with_parameters({"sublayers": tuple(zip(self.fractions, laws, strict=True))})
+
+    def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
+        return self.with_laws([law.mapped(change) for law in self.laws])
+
+    def plane_stress(self) -> Stack:
+        return self.with_laws([law.plane_stress() for law in self.laws])

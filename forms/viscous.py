@@ -1,0 +1,199 @@
+"""Laws with rate or memory: Kelvin-Voigt, Maxwell, Norton."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import ufl
+
+from forms.elastic import lame
+from forms.kinematics import Expr
+from forms.law import Law, Step, positive, require
+
+REST = 1e-12
+
+
+def require_moduli(law: Law, lmbda: float, mu: float) -> None:
+    """Raise LawError unless mu > 0 and lmbda + 2 mu/3 > 0."""
+    require(math.isfinite(mu) and mu > 0, law, "mu", mu, "> 0")
+    bound = -2 / 3 * mu
+    require(math.isfinite(lmbda) and lmbda > bound, law, "lmbda", lmbda, f"> -2 mu/3 = {bound:g}")
+
+
+def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
+    """Energy of an isotropic elastic solid, lmbda (tr e)^2/2 + mu e:e."""
+    return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
+
+
+@dataclass(frozen=True)
+class KelvinVoigt(Law):
+    """Elastic spring and viscous dashpot in parallel: stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : rate.
+
+    As a layer's law, Eqs. (16)-(17): t = K_L [u] + K_th d[u]/dt with K_L = mu, lmbda + 2 mu and K_th = mu theta_mu,
+    lmbda theta_lmbda + 2 mu theta_mu (tangential, normal).
+
+    Attributes:
+        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        theta_lmbda, theta_mu: viscosity over modulus, times; theta_mu > 0, lmbda theta_lmbda + 2 mu theta_mu/3 >= 0.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+    lmbda: float
+    mu: float
+    theta_lmbda: float
+    theta_mu: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    linear: ClassVar = True
+    rate: ClassVar = True
+    quadratic: ClassVar = True
+
+    def check(self) -> None:
+        require_moduli(self, self.lmbda, self.mu)
+        positive(self, "theta_mu")
+        bulk = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
+        allowed = "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0"
+        require(math.isfinite(bulk) and bulk >= 0, self, "theta_lmbda", self.theta_lmbda, allowed)
+
+    def _viscous(self, rate: Expr) -> Expr:
+        return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, rate)
+
+    def stress(self, step: Step) -> Expr:
+        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step.rate)
+
+    def energy(self, step: Step) -> Expr:
+        return isotropic_energy(self.lmbda, self.mu, step.e)
+
+    def dissipation(self, step: Step) -> Expr:
+        return ufl.inner(self._viscous(step.rate), step.rate)
+
+
+@dataclass(frozen=True)
+class Maxwell(Law):
+    """Elastic spring and viscous dashpot in series, E rate = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
+
+    Equation (18) prints strains on the left for strain rates; s is the three-dimensional stress, s_33 included. The
+    deviator relaxes with the time t1, the mean stress with t_v, 1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu).
+
+    As a layer's law with t1 = t2: dt/dt + t/t1 = K_L d[u]/dt, t_T with mu and t_N with lmbda + 2 mu. Equation (19) prints
+    other coefficients. With t1 != t2 the normal traction is a sum of two parts that relax differently: no single
+    differential equation of first order holds for it.
+
+    Attributes:
+        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        t1: relaxation time of the deviator, > 0.
+        t2: relaxation time of the trace in Eq. (18), >= 3 nu t1/(1 + nu), where the mean stress does not relax; default t1.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+    lmbda: float
+    mu: float
+    t1: float
+    t2: float | None = None
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    linear: ClassVar = True
+    internal: ClassVar = {"stress": (3, 3)}
+    quadratic: ClassVar = True
+
+    def check(self) -> None:
+        require_moduli(self, self.lmbda, self.mu)
+        positive(self, "t1")
+        if self.t2 is None:
+            object.__setattr__(self, "t2", self.t1)
+        nu = self.lmbda / (2 * (self.lmbda + self.mu))
+        bound = 3 * nu * self.t1 / (1 + nu)
+        allowed = f"> 0 and >= 3 nu t1/(1 + nu) = {bound:g}"
+        t2 = self.t2
+        require(t2 is not None and math.isfinite(t2) and t2 > 0 and t2 >= bound, self, "t2", t2, allowed)
+
+    @property
+    def _bulk(self) -> Expr:
+        return self.lmbda + 2 * self.mu / 3
+
+    @property
+    def _volumetric_rate(self) -> Expr:
+        """1/t_v, with (1 + nu)/(1 - 2 nu) = (3 lmbda + 2 mu)/(2 mu) and nu/(1 - 2 nu) = lmbda/(2 mu)."""
+        t2: Expr = self.t2
+        return ((3 * self.lmbda + 2 * self.mu) / self.t1 - 3 * self.lmbda / t2) / (2 * self.mu)
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        old, increment = step.q["stress"], step.e - step.e_old
+        deviator = self._relaxed(step, ufl.dev(old), 2 * self.mu * ufl.dev(increment), 1 / self.t1)
+        mean = self._relaxed(step, ufl.tr(old) / 3, self._bulk * ufl.tr(increment), self._volumetric_rate)
+        return {"stress": deviator + mean * ufl.Identity(3)}
+
+    @staticmethod
+    def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
+        """End value of x with x_new - x_old = elastic - dt rate x(t + theta dt)."""
+        x = step.dt * rate
+        return ((1 - (1 - step.theta) * x) * old + elastic) / (1 + step.theta * x)
+
+    def stress(self, step: Step) -> Expr:
+        return step.between(step.q["stress"], self.advance(step)["stress"])
+
+    def _complementary(self, stress: Expr) -> tuple[Expr, Expr]:
+        """Elastic energy of the deviator and of the mean part of a stress."""
+        s, mean = ufl.dev(stress), ufl.tr(stress) / 3
+        return ufl.inner(s, s) / (4 * self.mu), mean**2 / (2 * self._bulk)
+
+    def energy(self, step: Step) -> Expr:
+        return sum(self._complementary(step.q["stress"]))
+
+    def dissipation(self, step: Step) -> Expr:
+        shear, volumetric = self._complementary(self.stress(step))
+        return 2 * shear / self.t1 + 2 * volumetric * self._volumetric_rate
+
+
+@dataclass(frozen=True)
+class Norton(Law):
+    """Elastic spring parallel to a power-law dashpot, stress = C(lmbda, mu) : e + eta |rate|^(p - 2) rate.
+
+    As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
+    of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
+
+    Attributes:
+        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        eta: viscosity, stress times time^(p - 1) (in a layer: stress (time/length)^(p - 1)); > 0.
+        p: exponent > 1. 2: a linear dashpot; near 1: almost rigid below a threshold.
+        rest: rate below which the dashpot is linear, so that its tangent stays finite at rest for p < 2: |rate|^2 stands
+            for |rate|^2 + rest^2. 1/time (in a layer: length/time); > 0. Below p = 1.2 Newton's method needs one that is
+            not much smaller than 1e-4 of the rates.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+    lmbda: float
+    mu: float
+    eta: float
+    p: float
+    rest: float = REST
+    rate: ClassVar = True
+    quadratic: ClassVar = True
+
+    @property
+    def powers(self) -> Mapping[str, float]:  # type: ignore[override]
+        return {"lmbda": 1, "mu": 1, "eta": self.p - 1, "rest": -1}
+
+    def check(self) -> None:
+        require_moduli(self, self.lmbda, self.mu)
+        positive(self, "eta", "rest")
+        require(math.isfinite(self.p) and self.p > 1, self, "p", self.p, "> 1")
+
+    def _viscous(self, rate: Expr) -> Expr:
+        return self.eta * (ufl.inner(rate, rate) + self.rest**2) ** (self.p / 2 - 1) * rate
+
+    def stress(self, step: Step) -> Expr:
+        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step.rate)
+
+    def energy(self, step: Step) -> Expr:
+        return isotropic_energy(self.lmbda, self.mu, step.e)
+
+    def dissipation(self, step: Step) -> Expr:
+        return ufl.inner(self._viscous(step.rate), step.rate)

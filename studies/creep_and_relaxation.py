@@ -1,0 +1,226 @@
+"""Creep and relaxation of columns: interface law, meshed layer and closed forms; orders of the time steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from forms import KelvinVoigt, Law, LinearElastic, Maxwell, Norton, Stack
+from geometry import sandwich
+from thinlayer import Adaptive, Model, State, Surface, Table, ThinLayer, march, observed_orders, plotting
+from thinlayer.progress import track
+from thinlayer.record import Record
+
+Array = npt.NDArray[np.floating[Any]]
+BODY = LinearElastic.young(E=100.0, nu=0.3)
+LMBDA, MU = 60.0, 40.0
+EPS = 0.1  # any thickness gives the same in kept geometry
+THETA_LMBDA, THETA_MU, T1 = 0.3, 0.5, 0.7
+DT, END, AT = 0.1, 2.0, 1.0  # of the curves; the time at which errors are measured
+STEPS = (0.05, 0.025, 0.0125)
+EXACT = 1e-9  # error below which a scheme has no error of its own: a Maxwell layer's jump grows linearly
+SCHEMES = {"Euler": (1.0, 1), "midpoint": (0.5, 2)}  # theta, order
+INTERFACE, FULL, CLOSED = "interface law", "meshed layer", "closed form"
+
+
+@dataclass(frozen=True)
+class Pull:
+    """One of the two ways to load a column.
+
+    Attributes:
+        name: "sheared" or "pulled".
+        axis: component that moves, 0 or 1.
+        stress: traction on top, held from t = 0 on.
+        end: displacement of the top, likewise.
+        share: |[u] (x)_s n|^2 over |[u]|^2.
+    """
+
+    name: str
+    axis: int
+    stress: float
+    end: float
+    share: float
+
+    def modulus(self, lmbda: float, mu: float) -> float:
+        """Stress over strain of a column with these moduli, or viscosities."""
+        return lmbda + 2 * mu if self.axis else mu
+
+
+PULLS = (Pull("sheared", 0, 0.5, 0.05, 0.5), Pull("pulled", 1, 1.0, 0.02, 1.0))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A layer's law and a way of loading.
+
+    Attributes:
+        law: the layer's law.
+        exact: closed form of what is measured, at times t > 0.
+        relaxes: whether the top is moved and the traction measured; otherwise the traction is held, the jump measured.
+    """
+
+    law: Law
+    exact: Callable[[Pull, Array], Array]
+    relaxes: bool = False
+
+
+def kelvin_voigt(pull: Pull, t: Array) -> Array:
+    """Jump under a held traction."""
+    K, G = pull.modulus(LMBDA, MU), pull.modulus(LMBDA * THETA_LMBDA, MU * THETA_MU)
+    return pull.stress / K * (1 - np.exp(-K / G * t))
+
+
+def maxwell(pull: Pull, t: Array) -> Array:
+    """Jump under a held traction."""
+    return pull.stress / pull.modulus(LMBDA, MU) * (1 + t / T1)
+
+
+def relaxation(pull: Pull, t: Array) -> Array:
+    """Traction of a Maxwell layer under a held end; the bodies give way too."""
+    K = pull.modulus(LMBDA, MU)
+    ratio = 1 + K / pull.modulus(BODY.lmbda, BODY.mu)  # the bodies are 1 high together
+    return pull.end * K / ratio * np.exp(-t / (T1 * ratio))
+
+
+def norton(law: Norton, pull: Pull, t: Array) -> Array:
+    """Jump under a held traction; p > 2 comes to rest at a finite time."""
+    K, q = pull.modulus(LMBDA, MU), 1 / (law.p - 1)
+    rate = (law.eta * pull.share ** (law.p / 2)) ** -q
+    dashpot = np.maximum(pull.stress ** (1 - q) - (1 - q) * K * rate * t, 0.0) ** (1 / (1 - q))
+    return (pull.stress - dashpot) / K
+
+
+def series(pull: Pull, t: Array) -> Array:
+    """Jump of two halves under a held traction."""
+    return (maxwell(pull, t) + kelvin_voigt(pull, t)) / 2
+
+
+VOIGT, MAXWELL = KelvinVoigt(LMBDA, MU, THETA_LMBDA, THETA_MU), Maxwell(LMBDA, MU, T1)
+LOW, HIGH = Norton(LMBDA, MU, eta=5.0, p=1.5), Norton(LMBDA, MU, eta=8000.0, p=3.0)
+CASES = {
+    "Kelvin-Voigt, creep": Case(VOIGT, kelvin_voigt),
+    "Maxwell, creep": Case(MAXWELL, maxwell),
+    "Maxwell, relaxation": Case(MAXWELL, relaxation, relaxes=True),
+    "Norton p = 1.5, creep": Case(LOW, partial(norton, LOW)),
+    "Norton p = 3, creep": Case(HIGH, partial(norton, HIGH)),
+    "Maxwell + Kelvin-Voigt, creep": Case(Stack((0.5, MAXWELL), (0.5, VOIGT)), series),
+}
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Columns sheared and pulled by a sudden load that is held: both models over time, then the error at t = 1.
+
+    The curves are those of the midpoint rule. Adaptive steps are told a tolerance of 1e-4 for each.
+
+    Args:
+        record: where to write.
+        quick: longer and fewer steps.
+    """
+    steps = STEPS[:2] if quick else STEPS
+    record.parameters = {"eps": EPS, "body": str(BODY), "layers": [str(case.law) for case in CASES.values()], "dt": DT}
+    times = until(END, 2 * DT if quick else DT)
+    curves, difference = {"t": np.array(times)}, 0.0
+    orders = Table(path=record.path("orders.csv") if record.root else None)
+    for title, pull in track([(title, pull) for title in CASES for pull in PULLS], "columns", "{0[0]}"):
+        column = Column(record, CASES[title], pull)
+        found = {kind: column.follow(model, times) for kind, model in column.models.items()}
+        difference = max(difference, float(np.abs(found[FULL] / found[INTERFACE] - 1).max()))
+        found[CLOSED] = column.case.exact(pull, curves["t"])
+        curves |= {f"{title}: {kind}, {pull.name}": values for kind, values in found.items()}
+        orders.append({"case": title, "load": pull.name} | column.errors(steps))
+    rows = zip(*curves.values(), strict=True)
+    record.write("table.csv", Table(dict(zip(curves, row, strict=True)) for row in rows))
+    record.say(f"closed forms at t = {AT:g}, relative errors by length of the steps\n{orders}")
+    draw(record)
+    record.check("largest relative difference of both models", difference, high=1e-8)
+    for scheme, (_, order) in SCHEMES.items():
+        observed = orders[f"{scheme} order"]
+        record.check(f"lowest observed order, {scheme}", np.nanmin(observed), low=0.9 * order)
+        record.check(f"highest observed order, {scheme}", np.nanmax(observed), high=1.1 * order)
+    record.check("largest error of the midpoint rule", orders[f"midpoint {steps[-1]:g}"].max(), high=2e-4)
+    record.check("largest error with adaptive steps", orders["adaptive error"].max(), high=1e-3)
+
+
+def until(end: float, dt: float) -> list[float]:
+    """Ends of equal steps from 0."""
+    return [(k + 1) * dt for k in range(round(end / dt))]
+
+
+class Column:
+    """Two bodies with a layer between them.
+
+    Attributes:
+        models: label -> model.
+    """
+
+    def __init__(self, record: Record, case: Case, pull: Pull) -> None:
+        self.record, self.case, self.pull = record, case, pull
+        joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
+        moves, stays = ("xy"[pull.axis], "yx"[pull.axis])
+        supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {stays: 0.0}, "RIGHT": {stays: 0.0}}
+        setup = {"body": BODY, "layer": ThinLayer(case.law, EPS), "supports": supports}
+        if case.relaxes:
+            supports["TOP"] = {moves: pull.end}
+        else:
+            setup["tractions"] = {"TOP": pull.stress * np.eye(2)[pull.axis]}
+        self.models = {INTERFACE: Model.interface(joint, **setup), FULL: Model.full(joint, **setup)}
+        self.surface = Surface(self.models[INTERFACE])
+
+    def follow(self, model: Model, times: Sequence[float]) -> Array:
+        """What is measured at the ends of the steps of the midpoint rule."""
+        history = march(model, times, theta=0.5)
+        self.record.solved(history.last)
+        return np.array([self._measured(history.at(t)) for t in times])
+
+    def _measured(self, state: State) -> float:
+        """Component along the load of the jump, or of the traction; S is 1 long."""
+        surface = self.surface
+        field = surface.traction(state) if self.case.relaxes else surface.jump(state)
+        return surface.integral(surface.frame(field)[self.pull.axis])
+
+    def errors(self, steps: Sequence[float]) -> dict[str, float | None]:
+        """Closed form at the time AT, relative errors of the interface law there, and their last observed orders."""
+        exact = float(self.case.exact(self.pull, np.array(AT)))
+
+        def error(times: Sequence[float] | Adaptive, theta: float) -> tuple[float, int]:
+            history = march(self.models[INTERFACE], times, theta=theta)
+            self.record.solved(history.last)
+            return abs(self._measured(history.last) / exact - 1), len(history) - 1
+
+        row: dict[str, float | None] = {"exact": exact}
+        for scheme, (theta, _) in SCHEMES.items():
+            errors = [error(until(AT, dt), theta)[0] for dt in steps]
+            row |= {f"{scheme} {dt:g}": one for dt, one in zip(steps, errors, strict=True)}
+            row[f"{scheme} order"] = observed_orders(steps, errors)[-1] if errors[-1] > EXACT else None
+        row["adaptive error"], row["adaptive steps"] = error(Adaptive(end=AT, first=0.01, tolerance=1e-4), 0.5)
+        return row
+
+
+def draw(record: Record) -> None:
+    """Draw the curves from table.csv."""
+    if not record.root:
+        return
+    table, fine = Table.load(record.path("table.csv")), np.append(np.linspace(0.0, END, 201), np.nan)
+    parts: dict[str, dict[str, tuple[Array, Array]]] = {title: {} for title in CASES}
+    styles, colours = {CLOSED: "--"}, {CLOSED: "black"}
+    for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):
+        for pull, colour in zip(PULLS, plotting.COLOURS, strict=False):
+            label = f"{kind}, {pull.name}"
+            styles[label], colours[label] = style, colour
+            for title, part in parts.items():
+                part[label] = table["t"][shown], table[f"{title}: {label}"][shown]
+    for title, case in CASES.items():  # both in one line, with a gap
+        parts[title][CLOSED] = np.tile(fine, 2), np.concatenate([case.exact(pull, fine) for pull in PULLS])
+    plotting.panels(
+        parts,
+        xlabel="time",
+        ylabels={title: "traction on S" if case.relaxes else "jump across S" for title, case in CASES.items()},
+        styles=styles,
+        colours=colours,
+        save=record.path("creep_and_relaxation.png"),
+    )

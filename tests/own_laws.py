@@ -1,0 +1,165 @@
+"""Laws that a user would write, with every feature of a law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import ufl
+
+from forms.elastic import lame
+from forms.law import Law
+from forms.point import PointLaw
+from forms.traction import TractionLaw
+from forms.viscous import isotropic_energy
+
+
+@dataclass(frozen=True)
+class StandardSolid(Law):
+    """Spring parallel to a spring and dashpot in series, which act on the deviator; memory: the dashpot's strain."""
+
+    lmbda: float
+    mu: float
+    mu_1: float
+    t_1: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "mu_1": 1}
+    linear: ClassVar = True
+    internal: ClassVar = {"viscous": (3, 3)}
+    quadratic: ClassVar = True
+
+    def advance(self, step):
+        x, old = step.dt / self.t_1, step.q["viscous"]
+        return {"viscous": ((1 - (1 - step.theta) * x) * old + x * ufl.dev(step.mid)) / (1 + step.theta * x)}
+
+    def _branch(self, step):
+        return ufl.dev(step.mid) - step.between(step.q["viscous"], self.advance(step)["viscous"])
+
+    def stress(self, step):
+        return lame(self.lmbda, self.mu, step.mid) + 2 * self.mu_1 * self._branch(step)
+
+    def energy(self, step):
+        branch = ufl.dev(step.e) - step.q["viscous"]
+        return isotropic_energy(self.lmbda, self.mu, step.e) + self.mu_1 * ufl.inner(branch, branch)
+
+    def dissipation(self, step):
+        branch = self._branch(step)
+        return 2 * self.mu_1 / self.t_1 * ufl.inner(branch, branch)
+
+
+@dataclass(frozen=True)
+class Hardening(Law):
+    """Memory of all three shapes, no quadratic energy: stiffer with the strain gone through, and in closing."""
+
+    lmbda: float
+    mu: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    symmetric: ClassVar = False
+    internal: ClassVar = {"path": (), "drift": (3,), "mean": (3, 3)}
+
+    def _changed(self, step):
+        increment = step.e - step.e_old
+        return ufl.inner(increment, increment)
+
+    def advance(self, step):
+        q, change = step.q, self._changed(step)
+        drift = q["drift"] + ufl.dot(step.e - step.e_old, step.n)
+        return {"path": q["path"] + change, "drift": drift, "mean": (q["mean"] + step.e) / 2}
+
+    def stress(self, step):
+        pulled = ufl.sym(ufl.outer(step.q["drift"], step.n)) + step.q["mean"]
+        closing = self.lmbda * ufl.tr(step.mid) ** 2 * ufl.Identity(3)
+        hardened = (1 + step.q["path"] + self._changed(step)) * lame(self.lmbda, self.mu, step.mid)
+        return hardened + self.mu * pulled - closing
+
+    def energy(self, step):
+        return (1 + step.q["path"]) * isotropic_energy(self.lmbda, self.mu, step.e)
+
+
+@dataclass(frozen=True)
+class Mises(PointLaw):
+    """Elastic, ideally plastic: |dev stress| <= limit, a return along the deviator at t + theta dt."""
+
+    lmbda: float
+    mu: float
+    limit: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    quadratic: ClassVar = True
+    memory: ClassVar = 6  # plastic strain
+    energetic: ClassVar = True
+
+    @staticmethod
+    def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):
+        lmbda, mu, limit = parameters
+        mean = (lmbda + 2 * mu / 3) * (theta * (e[0] + e[1] + e[2]) + (1 - theta) * (e_old[0] + e_old[1] + e_old[2]))
+        trial, size = np.zeros(6), 0.0
+        for i in range(6):
+            mid, hydrostatic = theta * e[i] + (1 - theta) * e_old[i], 0.0
+            if i < 3:
+                hydrostatic = (theta * (e[0] + e[1] + e[2]) + (1 - theta) * (e_old[0] + e_old[1] + e_old[2])) / 3
+            trial[i] = 2 * mu * (mid - hydrostatic - q[i])
+            size += trial[i] ** 2
+        size = np.sqrt(size)
+        k = min(1.0, limit / size) if size > 0 else 1.0
+        dissipated, stored, change, tr, tr_change = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(6):
+            stress[i] = k * trial[i] + (mean if i < 3 else 0.0)
+            flow = (1 - k) * trial[i] / (2 * mu * theta)
+            q_new[i] = q[i] + flow
+            dissipated += stress[i] * flow
+            elastic, elastic_old = e[i] - q_new[i], e_old[i] - q[i]
+            stored += mu * elastic**2
+            change += mu * (elastic - elastic_old) ** 2
+            if i < 3:
+                tr += elastic
+                tr_change += elastic - elastic_old
+            for j in range(6):
+                projector = (1.0 if i == j else 0.0) - (1 / 3 if i < 3 and j < 3 else 0.0)
+                slip = trial[i] * trial[j] / size**2 if k < 1 else 0.0
+                bulk = lmbda + 2 * mu / 3 if i < 3 and j < 3 else 0.0
+                tangent[i, j] = theta * (bulk + 2 * mu * k * (projector - slip))
+        energies[0] = stored + lmbda * tr**2 / 2
+        energies[1] = dissipated
+        energies[2] = (2 * theta - 1) * (change + lmbda * tr_change**2 / 2)
+        return True
+
+
+@dataclass(frozen=True)
+class Fragile(Mises):
+    """A law that is not defined for every strain."""
+
+    @staticmethod
+    def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):
+        for i in range(6):
+            stress[i] = parameters[1] * e[i]
+            tangent[i, i] = parameters[1]
+            q_new[i] = 0.0
+        return e[0] < 0.5
+
+
+@dataclass(frozen=True)
+class Slipping(TractionLaw):
+    """Springs, the tangential one in series with a dashpot whose slip is remembered; stiffer when closed."""
+
+    k_N: float
+    k_T: float
+    viscosity: float
+    closed: float
+    symmetric: ClassVar = False
+    internal: ClassVar = {"slip": (3,), "path": ()}
+
+    def _slip(self, step):
+        w_T = step.mid - ufl.dot(step.mid, step.n) * step.n
+        x = step.dt * self.k_T / self.viscosity
+        return (step.q["slip"] + step.theta * x * w_T) / (1 + step.theta * x)
+
+    def traction(self, step):
+        w_N = ufl.dot(step.mid, step.n)
+        return (self.k_N * w_N - self.closed * w_N**2) * step.n + self.k_T * (
+            step.mid - w_N * step.n - self._slip(step)
+        )
+
+    def evolve(self, step):
+        slip = step.q["slip"] + (self._slip(step) - step.q["slip"]) / step.theta
+        change = step.w - step.w_old
+        return {"slip": slip, "path": step.q["path"] + ufl.inner(change, change)}

@@ -1,0 +1,327 @@
+"""The Fourier problem in time: orders of every law's limit, numbers from other codes, and wrong laws' floors.
+
+Q2 at h = 1/8 is fine enough: the errors of the layer differ by less than 3e-4 of themselves from those of transfer
+matrices (`test_against_transfer_matrices`), at the smallest thickness too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import ufl
+
+from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
+from studies.problems import FOURIER_LAYER, fourier
+from tests import reference
+from thinlayer import Model, Surface, ThinLayer, compare, march, observed_orders, solve
+
+H = 1 / 8
+EPS = (1 / 64, 1 / 128)
+LMBDA, MU = reference.LAYER
+K_N, K_T = LMBDA + 2 * MU, MU
+
+KELVIN_VOIGT = KelvinVoigt(LMBDA, MU, theta_lmbda=0.3, theta_mu=0.5)
+MAXWELL = Maxwell(LMBDA, MU, t1=0.7)
+TWO_TIMES = Maxwell(LMBDA, MU, t1=0.7, t2=3.0)
+THINNING = Norton(LMBDA, MU, eta=5.0, p=1.5)
+THICKENING = Norton(LMBDA, MU, eta=2000.0, p=3.0)
+VISCOUS_STACK = Stack((0.4, Maxwell(50.0, 40.0, 0.7, 1.2)), (0.6, KelvinVoigt(60.0, 30.0, 0.3, 0.5)))
+NORTON_STACK = Stack((0.5, FOURIER_LAYER), (0.5, THINNING))
+SUBLAYERS = (0.3, LinearElastic.young(60.0, 0.1)), (0.7, LinearElastic.young(20.0, 0.42))
+
+
+def errors(law_at, times, *, limits=(None,), eps=EPS, cell="quadrilateral", theta=1.0, bodies="kept"):
+    """Relative errors of traction and jump at the last time, (thicknesses, 2), beside each of the laws for S.
+
+    None stands for the layer's own law; `law_at` is that law, or a function of the thickness.
+    """
+    joint, setup = fourier(H, cell=cell)
+    found = []
+    for e in eps:
+        law = law_at(e) if callable(law_at) else law_at
+        full = march(Model.full(joint, layer=ThinLayer(law, e), bodies=bodies, **setup), times, theta=theta)
+        for limit in limits:
+            interface = Model.interface(joint, layer=ThinLayer(limit or law, e), **setup)
+            row = compare(full, march(interface, times, theta=theta))
+            found.append((row["error_traction"], row["error_jump"]))
+    return np.array(found).reshape(len(eps), len(limits), 2).swapaxes(0, 1)
+
+
+def steps(dt: float, n: int = 5) -> list[float]:
+    return [dt * k for k in range(1, n + 1)]
+
+
+def last_orders(found, eps=EPS):
+    return [observed_orders(eps, column)[-1] for column in found.T]
+
+
+# ---------------------------------------------------------------- orders
+@pytest.mark.parametrize(
+    ("law", "dt", "options"),
+    [
+        (KELVIN_VOIGT, 0.1, {}),
+        (KELVIN_VOIGT, 0.1, {"theta": 0.5}),
+        (KELVIN_VOIGT, 0.1, {"bodies": "extended"}),
+        (KELVIN_VOIGT, 0.1, {"cell": "triangle"}),
+        (MAXWELL, 0.1, {}),
+        (MAXWELL, 0.1, {"theta": 0.5}),
+        (TWO_TIMES, 0.3, {}),
+        (TWO_TIMES, 0.3, {"bodies": "extended"}),
+        (THINNING, 0.05, {}),
+        (THINNING, 0.05, {"bodies": "extended"}),
+        (THINNING, 0.05, {"cell": "triangle"}),
+        (THICKENING, 0.05, {}),
+        (THICKENING, 0.05, {"theta": 0.5}),
+        (VISCOUS_STACK, 0.1, {}),
+        (NORTON_STACK, 0.01, {}),
+        (NORTON_STACK, 0.01, {"bodies": "extended"}),
+    ],
+    ids=str,
+)
+def test_order_one(law, dt, options):
+    (found,) = errors(law, steps(dt, 3), **options)
+    assert last_orders(found) == pytest.approx([1.0, 1.0], abs=0.07)
+
+
+@pytest.mark.parametrize("bodies", ["kept", "extended"])
+def test_order_one_of_an_incompressible_layer(bodies):
+    """Its order comes down to 1 later than the others' (the jump's: 1.17, 1.09, 1.05)."""
+    joint, setup = fourier(H, cell="quadrilateral")
+    eps = (1 / 128, 1 / 256)
+    rows = []
+    for e in eps:
+        layer = ThinLayer(Incompressible(MU), e)
+        full = solve(Model.full(joint, layer=layer, bodies=bodies, **setup))
+        rows.append(compare(full, solve(Model.interface(joint, layer=layer, **setup))))
+    found = np.array([(row["error_traction"], row["error_jump"]) for row in rows])
+    assert last_orders(found, eps) == pytest.approx([1.0, 1.0], abs=0.07)
+
+
+# ---------------------------------------------------------------- numbers of other codes
+# Norton, p = 1.5, eta = 5, five steps of 0.01, from a code with exact bodies and spectral accuracy on S: L2(S) norms of
+# traction and jump; amplitudes of [u_1], t_1 on sin(pi x) and of [u_2], t_2 on cos(pi x)
+NORMS = (0.56140781698, 7.0602412711e-4)
+AMPLITUDES = (-5.4416625381e-4, 8.3329822607e-4, -0.28467299625, 0.74086839010)
+
+
+def amplitudes(surface: Surface, state) -> list[float]:
+    """First Fourier amplitudes of jump and traction: U, V, S, T."""
+    x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
+    s, c = ufl.sin(ufl.pi * x), ufl.cos(ufl.pi * x)
+    w, t = surface.jump(state), surface.traction(state)
+    return [2 * surface.integral(f) for f in (w[0] * s, w[1] * c, t[0] * s, t[1] * c)]
+
+
+@pytest.mark.parametrize(("cell", "bound"), [("quadrilateral", 2e-6), ("triangle", 5e-6)])
+def test_norton_against_a_spectral_code(cell, bound):
+    joint, setup = fourier(1 / 32, cell=cell)
+    end = march(Model.interface(joint, layer=ThinLayer(THINNING, 0.1), **setup), steps(0.01), keep="last").last
+    surface = Surface(end.model)
+    norms = [surface.norm(surface.traction(end)), surface.norm(surface.jump(end))]
+    assert norms == pytest.approx(NORMS, rel=bound)
+    assert amplitudes(surface, end) == pytest.approx(AMPLITUDES, rel=bound)
+
+
+LINEAR = {
+    "Kelvin-Voigt": (KELVIN_VOIGT, [(1.0, reference.kelvin_voigt(LMBDA, MU, 0.3, 0.5))], 1.0),
+    "Maxwell": (MAXWELL, [(1.0, reference.maxwell(LMBDA, MU, 0.7, 0.7))], 1.0),
+    "Maxwell, midpoint": (MAXWELL, [(1.0, reference.maxwell(LMBDA, MU, 0.7, 0.7))], 0.5),
+    "two times": (TWO_TIMES, [(1.0, reference.maxwell(LMBDA, MU, 0.7, 3.0))], 1.0),
+    "stack": (
+        VISCOUS_STACK,
+        [(0.4, reference.maxwell(50.0, 40.0, 0.7, 1.2)), (0.6, reference.kelvin_voigt(60.0, 30.0, 0.3, 0.5))],
+        1.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_against_transfer_matrices(name):
+    """Amplitudes of both models after five steps of a load sin 2t, and their errors, which agree ten times better."""
+    law, layer, theta = LINEAR[name]
+    joint, setup = fourier(H, cell="quadrilateral")
+    factor = lambda t: ufl.sin(2 * t)
+    wave = lambda x, t: (0.5 * factor(t) * ufl.sin(ufl.pi * x[0]), factor(t) * ufl.cos(ufl.pi * x[0]))
+    setup["tractions"] = {"TOP": wave}
+    dt = 0.1
+    loads = np.sin(2 * dt * np.arange(6))
+    for eps in (1 / 8, 1 / 128):
+        found = []
+        for build in (Model.full, Model.interface):
+            found.append(march(build(joint, layer=ThinLayer(law, eps), **setup), steps(dt), theta=theta).last)
+        surface = Surface(found[1].model)
+        for state, thickness in zip(found, (eps, None), strict=True):
+            exact = reference.marched(layer, loads, dt, theta, thickness)[-1]
+            assert amplitudes(surface, state) == pytest.approx(exact, rel=1e-3), thickness
+        row = compare(*found)
+        exact = reference.marched_errors(layer, loads, dt, theta, eps)
+        assert (row["error_traction"], row["error_jump"]) == pytest.approx(exact, rel=3e-4)
+
+
+def test_reference_in_time():
+    """One step of the series is one elastic problem; after long times a Kelvin-Voigt layer is its spring."""
+    dt = 0.1
+    for eps in (None, 1 / 16):
+        first = reference.marched([(1.0, reference.kelvin_voigt(LMBDA, MU, 0.3, 0.5))], [0.0, 1.0], dt, 1.0, eps)[1]
+        moduli = LMBDA * (1 + 0.3 / dt), MU * (1 + 0.5 / dt)
+        elastic = reference.marched([(1.0, lambda d, moduli=moduli: moduli)], [0.0, 1.0], dt, 1.0, eps)[1]
+        assert first == pytest.approx(elastic, rel=1e-12)
+    slow = reference.marched([(1.0, reference.kelvin_voigt(LMBDA, MU, 0.3, 0.5))], [0.0, *[1.0] * 20], 100.0)[-1]
+    _, below, above, _ = reference.interface_states()
+    assert slow == pytest.approx([*(above - below)[:2], *below[2:]], rel=1e-9)
+
+
+# ---------------------------------------------------------------- wrong laws
+def parts(v, n):
+    normal = ufl.dot(v, n)
+    return normal, v - normal * n
+
+
+@dataclass(frozen=True)
+class Springs(TractionLaw):
+    """Elastic traction of two stiffnesses."""
+
+    K_T: float
+    K_N: float
+    linear: ClassVar = True
+
+    def traction(self, step):
+        normal, tangential = parts(step.mid, step.n)
+        return self.K_N * normal * step.n + self.K_T * tangential
+
+
+@dataclass(frozen=True)
+class Relaxing(TractionLaw):
+    """A differential equation of first order, dt/dt + t/time = K d[u]/dt, for either part of the traction."""
+
+    K_T: float
+    K_N: float
+    time_T: float
+    time_N: float
+    linear: ClassVar = True
+    internal: ClassVar = {"t": (3,)}
+
+    def evolve(self, step):
+        old, change = parts(step.q["t"], step.n), parts(step.w - step.w_old, step.n)
+
+        def new(K, time, old, change):
+            x = step.dt / time
+            return ((1 - (1 - step.theta) * x) * old + K * change) / (1 + step.theta * x)
+
+        normal = new(self.K_N, self.time_N, old[0], change[0])
+        return {"t": normal * step.n + new(self.K_T, self.time_T, old[1], change[1])}
+
+    def traction(self, step):
+        return step.theta * self.evolve(step)["t"] + (1 - step.theta) * step.q["t"]
+
+
+@dataclass(frozen=True)
+class Dashpot(TractionLaw):
+    """Eqs. (22)-(24) with a number for the 1/2 of the tangential part; without it there is no potential."""
+
+    eta: float
+    p: float
+    half: float
+    symmetric: ClassVar = False
+    rate: ClassVar = True
+
+    def traction(self, step):
+        (normal, tangential), (v_N, v_T) = parts(step.mid, step.n), parts(step.rate, step.n)
+        viscosity = self.eta * (v_N**2 + ufl.inner(v_T, v_T) / 2 + 1e-24) ** (self.p / 2 - 1)
+        return (K_N * normal + viscosity * v_N) * step.n + K_T * tangential + self.half * viscosity * v_T
+
+
+@pytest.mark.parametrize(
+    ("law", "limit", "dt"),
+    [
+        (MAXWELL, Relaxing(K_T, K_N, 0.7, 0.7), 0.1),
+        (THINNING, Dashpot(5.0, 1.5, 0.5), 0.05),
+        (THICKENING, Dashpot(2000.0, 3.0, 0.5), 0.05),
+    ],
+    ids=str,
+)
+def test_right_traction_laws_are_the_layers_law(law, limit, dt):
+    """What stands beside the wrong laws below: the same classes with the right numbers, errors of the law to rounding."""
+    found, right = errors(law, steps(dt, 3), limits=(limit, None), eps=EPS[-1:])
+    assert found == pytest.approx(right, rel=1e-6)
+
+
+NU = LMBDA / (2 * (LMBDA + MU))
+E = 2 * MU * (1 + NU)
+SHEAR, BULK = 4 / 3 * MU, LMBDA + 2 / 3 * MU  # of the normal traction's two parts, which relax with t1 and T_V
+T1, T2 = TWO_TIMES.t1, TWO_TIMES.t2
+T_V = (1 - 2 * NU) / ((1 + NU) / T1 - 3 * NU / T2)
+AT_FIRST = (SHEAR + BULK) / (SHEAR / T1 + BULK / T_V)  # time with which their sum begins to relax
+
+
+def average(quantity, power: int) -> float:
+    """Mean over the sublayers: power 1 arithmetic, -1 harmonic."""
+    return sum(a * quantity(law) ** power for a, law in SUBLAYERS) ** power
+
+
+MU_HARMONIC = average(lambda law: law.mu, -1)
+STACK = Stack(*SUBLAYERS)
+
+
+@pytest.mark.parametrize(
+    ("law", "dt", "wrong", "floors"),
+    [
+        pytest.param(MAXWELL, 0.1, Relaxing(E / (1 + NU), -E * NU / (1 - NU), 0.7, 0.7), (2.0, 0.65), id="(19)"),
+        pytest.param(MAXWELL, 0.1, Relaxing(E / (1 + NU), K_N, 0.7, 0.7), (0.12, 0.11), id="(19), its shear alone"),
+        pytest.param(THINNING, 0.05, Dashpot(5.0, 1.5, 1.0), (0.08, 0.3), id="Norton without 1/2"),
+        pytest.param(TWO_TIMES, 0.3, Relaxing(K_T, K_N, T1, T1), (0.29, 0.18), id="one ODE, t1"),
+        pytest.param(TWO_TIMES, 0.3, Relaxing(K_T, K_N, T1, AT_FIRST), (0.17, 0.055), id="one ODE, time at first"),
+        pytest.param(
+            STACK,
+            0.1,
+            Springs(average(lambda law: law.mu, 1), average(lambda law: law.lmbda + 2 * law.mu, 1)),
+            (0.04, 0.028),
+            id="arithmetic means",
+        ),
+        pytest.param(
+            STACK,
+            0.1,
+            Springs(MU_HARMONIC, average(lambda law: law.lmbda, -1) + 2 * MU_HARMONIC),
+            (0.28, 0.15),
+            id="(52), lmbda harmonic",
+        ),
+    ],
+)
+def test_wrong_laws_leave_a_floor(law, dt, wrong, floors):
+    """Errors beside a wrong law stay, those of the right one go to zero with order 1."""
+    found, right = errors(law, steps(dt), limits=(wrong, None))
+    assert last_orders(right) == pytest.approx([1.0, 1.0], abs=0.07)
+    assert max(last_orders(found)) < 0.2
+    assert (found[-1] > floors).all()
+    assert (found[-1] > 8 * right[-1]).all()
+
+
+def test_norton_viscosity_scaled_as_a_modulus():
+    """p = 3 and eta ~ eps: the dashpot of the layer stiffens without bound, no law on S with a fixed eta is its limit.
+
+    eta is given per eps^(p - 1), so that eta ~ eps are parameters ~ eps^(2 - p).
+    """
+    scaled = lambda e: Norton(LMBDA, MU, THICKENING.eta * (e / EPS[0]) ** (2 - THICKENING.p), p=THICKENING.p)
+    (found,), (right,) = errors(scaled, steps(0.05), limits=(THICKENING,)), errors(THICKENING, steps(0.05))
+    assert found[0] == pytest.approx(right[0])
+    assert last_orders(right) == pytest.approx([1.0, 1.0], abs=0.07)
+    assert max(last_orders(found)) < 0
+    assert (found[-1] > 8 * right[-1]).all()
+
+
+# ---------------------------------------------------------------- histories
+def test_an_earlier_state_knows_its_loads():
+    """Body forces that grow with time act at S too: the reaction of a kept state is that of its own time."""
+    joint, setup = fourier(H, cell="quadrilateral")
+    setup["body_force"] = lambda x, t: (0.0, 100.0 * t)
+    model = Model.interface(joint, layer=ThinLayer(MAXWELL, 0.1), **setup)
+    surface = Surface(model)
+    alone = march(model, [0.1]).last
+    traction, loads = surface.norm(surface.traction(alone)), alone.energies()["loads"]
+    early = march(model, [0.1, 0.2]).at(0.1)
+    assert np.abs(early.u.x.array - alone.u.x.array).max() < 1e-12 * np.abs(alone.u.x.array).max()
+    assert surface.norm(surface.traction(early)) == pytest.approx(traction, rel=1e-12)
+    assert early.energies()["loads"] == pytest.approx(loads, rel=1e-12)

@@ -1,0 +1,383 @@
+"""Incompressible layers: the constraint, its multiplier, stability of the pair of spaces, and what they work with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import dolfinx.fem.petsc
+import numpy as np
+import pytest
+import scipy.linalg
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from scipy.sparse import csr_matrix
+from scipy.sparse.linalg import splu
+
+from forms.laws import Anisotropic, Incompressible, LawError, LinearElastic, Stack
+from forms.work import work
+from geometry import GeometryError, Joint, block, ring, sandwich
+from studies.problems import FOURIER_BODY, fourier
+from tests import reference
+from tests.test_tips import partly
+from thinlayer import Model, ModelError, SolveError, State, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer.pointwise.constraint import Constraint
+from thinlayer.solvers import Solver
+
+MU = 40.0
+LAW = Incompressible(MU)
+CELLS = ["triangle", "quadrilateral"]
+BUILDS = [Model.full, Model.interface]
+EXACT = 1e-10  # of a residual, relative to the sum of its terms' sizes
+STIFF = 1e10  # lmbda per thickness of transfer matrices, in place of infinity
+
+
+def sparse(A: PETSc.Mat) -> csr_matrix:
+    indptr, indices, values = A.getValuesCSR()
+    return csr_matrix((values, indices, indptr), shape=A.getSize())
+
+
+def volume_change(model: Model) -> tuple[State, float]:
+    """Equilibrium, and the largest int q tr e(u) of all pressures' basis functions q over the sum of its terms' sizes."""
+    with Solver(model) as solver:
+        state = solver.step(solver.rest(0.0), 0.0)
+        G = sparse(solver.equations.constraint.G)
+    u = state.u.x.array
+    return state, float(np.abs(G @ u).max() / (abs(G) @ np.abs(u)).max())
+
+
+def normal(surface: Surface, f) -> ufl.core.expr.Expr:
+    return ufl.dot(f, surface.sides.n)
+
+
+def size(surface: Surface, f) -> float:
+    """L2(S) norm of a scalar."""
+    return float(np.sqrt(surface.integral(f**2)))
+
+
+def pressed(joint: Joint, **supports) -> dict:
+    """Clamped below, pushed and sheared from above."""
+    t = (0.3, -1.0, 0.1)[: joint.dim]
+    return {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0} | supports, "tractions": {"TOP": t}}
+
+
+# ---------------------------------------------------------------- many structures
+def rigid_base(cell):
+    tractions = {"TOP": lambda x, t: (x[0] * (1 - x[0]), x[0] ** 2 * (3 - 2 * x[0]))}
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    return block(1.0, 0.5, 1 / 8, cell=cell), {"body": FOURIER_BODY, "supports": rollers, "tractions": tractions}
+
+
+def rubber_ring(cell):
+    joint = ring(0.5, 1.0, 1.5, 0.25, degree=2, cell=cell)
+    push = lambda x, t: (0.2 * x[1] - x[0], 1 - x[1])
+    return joint, {"body": FOURIER_BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": push}}
+
+
+def swapped(cell):
+    joint, setup = fourier(1 / 8, cell=cell)
+    return joint.swapped(), setup
+
+
+def clamped_ends(cell):
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 8, cell=cell)
+    return joint, pressed(joint, LEFT=0.0, RIGHT=0.0)
+
+
+STRUCTURES = {
+    "two bodies": lambda cell: fourier(1 / 8, cell=cell),
+    "swapped": swapped,
+    "rigid base": rigid_base,
+    "clamped ends": clamped_ends,
+    "ring": rubber_ring,
+}
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_structures(name, cell):
+    """The constraint holds, the energy balance closes, the meshed layer's errors go to zero with about order 1."""
+    joint, setup = STRUCTURES[name](cell)
+    bodies = "kept" if joint.planar else "extended"
+    eps, rows = (1 / 64, 1 / 128), []
+    for e in eps:
+        states = []
+        for build in BUILDS:
+            state, change = volume_change(build(joint, layer=ThinLayer(LAW, e), bodies=bodies, **setup))
+            assert change < EXACT
+            assert abs(state.audit.imbalance) < 1e-10
+            energies = state.energies()
+            assert energies["bodies"] + energies["layer"] == pytest.approx(energies["loads"] / 2, rel=1e-10)
+            states.append(state)
+        rows.append(compare(*states))
+    for quantity in ("error_traction", "error_jump"):
+        assert 0.9 < observed_orders(eps, [row[quantity] for row in rows])[1] < 1.25
+    assert max(row["error_jump"] for row in rows) < 0.1
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_three_dimensions(cell):
+    joint = sandwich(1.0, 0.5, 0.5, 0.5, depth=0.5, cell=cell, structured=cell == "hexahedron")
+    setup = pressed(joint, LEFT={"x": 0.0}, RIGHT={"x": 0.0})
+    wave = lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]), 0.1)
+    errors = []
+    for e in (1 / 32, 1 / 64):
+        states = []
+        for build in BUILDS:
+            model = build(joint, layer=ThinLayer(LAW, e), sublayers=1, **setup | {"tractions": {"TOP": wave}})
+            state, change = volume_change(model)
+            assert change < EXACT
+            assert abs(state.audit.imbalance) < 1e-10
+            states.append(state)
+        errors.append(compare(*states))
+    for quantity in ("error_traction", "error_jump"):
+        assert errors[1][quantity] < 0.6 * errors[0][quantity]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_s_that_ends_inside(cell):
+    """A crack filled with an incompressible layer cannot open, but it slides; beside it the bodies are bonded."""
+    joint = partly(sandwich(2.0, 1.0, 1.0, 0.25, cell=cell, structured=True), lambda x: x[:, 0] < 1.0)
+    states = [volume_change(Model.interface(joint, layer=ThinLayer(LAW, 0.01), **pressed(joint)))]
+    penalty = LinearElastic(lmbda=1e7, mu=MU)
+    stiff = solve(Model.interface(joint, layer=ThinLayer(penalty, 0.01), **pressed(joint)))
+    (state, change), surface = states[0], Surface(states[0][0].model)
+    assert change < EXACT
+    w = surface.jump(state)
+    assert size(surface, normal(surface, w)) < 0.01 * surface.norm(w)
+    assert surface.norm(w - surface.jump(stiff)) < 0.03 * surface.norm(w)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_varying_thickness(cell):
+    joint, setup = fourier(1 / 8, cell=cell)
+    profile = lambda x: 1 + 0.5 * np.sin(3 * x[0])
+    eps, rows = (1 / 64, 1 / 128), []
+    for e in eps:
+        states = []
+        for build in BUILDS:
+            layer = ThinLayer(LAW, e, profile=profile)
+            state, change = volume_change(build(joint, layer=layer, bodies="extended", **setup))
+            assert change < EXACT
+            states.append(state)
+        rows.append(compare(*states))
+    for quantity in ("error_traction", "error_jump"):
+        assert observed_orders(eps, [row[quantity] for row in rows])[1] == pytest.approx(1.0, abs=0.15)
+
+
+def test_swapped_bodies():
+    found = []
+    for joint in (fourier(1 / 8)[0], fourier(1 / 8)[0].swapped()):
+        state = solve(Model.interface(joint, layer=ThinLayer(LAW, 0.1), **fourier(1 / 8)[1]))
+        surface = Surface(state.model)
+        found.append([surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), norm(state.p)])
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def norm(p: fem.Function) -> float:
+    return float(np.sqrt(fem.assemble_scalar(fem.form(p**2 * ufl.dx))))
+
+
+# ---------------------------------------------------------------- multiplier and traction
+@pytest.mark.parametrize("cell", CELLS)
+def test_traction_is_the_multiplier(cell):
+    """On S: t_N = p, both tested with the same functions of degree 1; t_T = mu [u_T], projected to degree 1."""
+    joint, setup = fourier(1 / 8, cell=cell)
+    setup["supports"] = {"BOTTOM": 0.0}  # no component of the traction on S is held
+    state = solve(Model.interface(joint, layer=ThinLayer(LAW, 0.1), **setup))
+    surface = Surface(state.model)
+    x, t = surface.profile(surface.traction(state))
+    places = state.p.function_space.tabulate_dof_coordinates()[:, 0]
+    p = state.p.x.array[np.argsort(places)]
+    assert x[:, 0] == pytest.approx(np.sort(places), abs=1e-12)
+    assert t[:, 1] == pytest.approx(p, abs=1e-10 * np.abs(p).max())
+    sheared = surface.profile(MU * surface.jump(state))[1][:, 0]
+    assert t[:, 0] == pytest.approx(sheared, abs=1e-10 * np.abs(sheared).max())
+
+
+def exact(eps: float | None) -> np.ndarray:
+    """Amplitudes of jump and traction of the Fourier problem, lmbda = STIFF standing for an infinite one."""
+    return reference.marched([(1.0, lambda d: (STIFF, MU))], [0.0, 1.0], 1.0, eps=eps)[1]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_fourier_problem(cell):
+    """Errors of both models against transfer matrices; the pressure on S is the traction's normal part, p = T cos(pi x)."""
+    joint, setup = fourier(1 / 16, cell=cell)
+    eps = 1 / 32
+    layer = ThinLayer(LAW, eps)
+    states = [solve(build(joint, layer=layer, **setup)) for build in BUILDS]
+    row = compare(*states)
+    full, limit = exact(eps), exact(None)
+    expected = [np.linalg.norm((full - limit)[part]) / np.linalg.norm(limit[part]) for part in (slice(2, 4), slice(2))]
+    assert (row["error_traction"], row["error_jump"]) == pytest.approx(expected, rel=1e-2)
+    p = states[1].p
+    x = ufl.SpatialCoordinate(p.function_space.mesh)[0]
+    error = fem.assemble_scalar(fem.form((p - limit[3] * ufl.cos(ufl.pi * x)) ** 2 * ufl.dx)) ** 0.5
+    assert error < 2e-3 * norm(p)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_pressure_in_the_meshed_layer(cell):
+    """It tends to the multiplier, constant through the thickness."""
+    joint, setup = fourier(1 / 16, cell=cell)
+    limit, eps, errors = exact(None), (1 / 64, 1 / 128), []
+    for e in eps:
+        p = solve(Model.full(joint, layer=ThinLayer(LAW, e), **setup)).p
+        x = ufl.SpatialCoordinate(p.function_space.mesh)[0]
+        difference = fem.assemble_scalar(fem.form((p - limit[3] * ufl.cos(ufl.pi * x)) ** 2 * ufl.dx)) ** 0.5
+        errors.append(difference / norm(p))
+    assert errors[1] < 5e-3
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_opening_of_the_meshed_layer():
+    """|[u_N]| -> 0 with order 1, as transfer matrices have it."""
+    joint, setup = fourier(1 / 16, cell="quadrilateral")
+    eps, openings = (1 / 128, 1 / 256), []
+    for e in eps:
+        layer = ThinLayer(LAW, e)
+        surface = Surface(Model.interface(joint, layer=layer, **setup))
+        openings.append(size(surface, normal(surface, surface.jump(solve(Model.full(joint, layer=layer, **setup))))))
+    assert openings == pytest.approx([abs(exact(e)[1]) * 0.5**0.5 for e in eps], rel=1e-2)
+    assert observed_orders(eps, openings)[1] == pytest.approx(1.0, abs=0.07)
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_newton_and_time(build):
+    """Newton's method, and a march that ends at this load, give the same; the law has no memory."""
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    model = build(joint, layer=ThinLayer(LAW, 0.05), **setup)
+    state = solve(model)
+    for other in (solve(model, method="newton"), march(model, [1.0, 3.0]).last):
+        assert np.abs(other.u.x.array - state.u.x.array).max() < 1e-9 * np.abs(state.u.x.array).max()
+        assert np.abs(other.p.x.array - state.p.x.array).max() < 1e-8 * np.abs(state.p.x.array).max()
+
+
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+def test_pressure_at_the_end_of_a_step(theta):
+    """With a growing load the pressure of a state is that of its time, as its displacements are."""
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    setup["tractions"] = {"TOP": lambda x, t: (0.0, t * ufl.cos(ufl.pi * x[0]))}
+    model = Model.interface(joint, layer=ThinLayer(LAW, 0.05), **setup)
+    state = march(model, [0.5, 1.0], theta=theta).last
+    alone = solve(model, t=1.0)
+    assert np.abs(state.u.x.array - alone.u.x.array).max() < 1e-9 * np.abs(alone.u.x.array).max()
+    assert np.abs(state.p.x.array - alone.p.x.array).max() < 1e-8 * np.abs(alone.p.x.array).max()
+
+
+# ---------------------------------------------------------------- no locking
+@pytest.mark.parametrize("cell", CELLS)
+def test_no_locking(cell):
+    """The solution on coarse meshes, one cell through the thickness, is that on fine ones, however thin the layer is."""
+    for eps in (1e-1, 1e-3):
+        expected = exact(eps)[:2]
+        for h, sublayers, bound in ((1 / 4, 1, 0.05), (1 / 8, 1, 6e-3), (1 / 16, 1, 1e-3), (1 / 16, 4, 1e-3)):
+            joint, setup = fourier(h, cell=cell)
+            layer = ThinLayer(LAW, eps)
+            surface = Surface(Model.interface(joint, layer=layer, **setup))
+            state = solve(Model.full(joint, layer=layer, sublayers=sublayers, **setup))
+            x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
+            wave = ufl.as_vector([expected[0] * ufl.sin(ufl.pi * x), expected[1] * ufl.cos(ufl.pi * x)])
+            assert surface.norm(surface.jump(state) - wave) < bound * surface.norm(wave), (eps, h, sublayers)
+
+
+def test_close_to_the_limit_however_thin():
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    eps, rows = (1e-2, 1e-3, 1e-4), []
+    for e in eps:
+        layer = ThinLayer(LAW, e)
+        rows.append(compare(*(solve(build(joint, layer=layer, sublayers=1, **setup)) for build in BUILDS)))
+    for quantity in ("error_traction", "error_jump"):
+        assert observed_orders(eps, [row[quantity] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.05)
+    assert rows[-1]["error_jump"] < 2e-4
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_nearly_incompressible_layers(build):
+    """Elastic layers with growing lmbda come to it with order 1 in mu/lmbda, until their own cells lock."""
+    joint, setup = fourier(1 / 16, cell="quadrilateral")
+    state = solve(build(joint, layer=ThinLayer(LAW, 0.1), **setup))
+    differences = []
+    for lmbda in (1e3, 1e4, 1e5):
+        near = solve(build(joint, layer=ThinLayer(LinearElastic(lmbda, MU), 0.1), **setup))
+        differences.append(np.abs(near.u.x.array - state.u.x.array).max() / np.abs(state.u.x.array).max())
+    assert np.log10(differences[0] / differences[1]) == pytest.approx(1.0, abs=0.1)
+    assert differences[2] < 4 * MU / 1e5
+
+
+# ---------------------------------------------------------------- stability
+def schur(model: Model, degree: int) -> np.ndarray:
+    """G K^-1 G^T with displacements of a degree: the square of a pressure's norm sup_v (int q tr e(v))^2/a(v, v)."""
+    V = model.V if degree == 2 else model.space(degree)
+    fine = lambda p: replace(p, measure=p.measure.reconstruct(metadata={"quadrature_degree": 2 * degree + 1}))
+    constraint = Constraint(model.domain, V, fine(model.layer_points[0]))
+    stiffness = work([fine(p) for p in model.points], ufl.TrialFunction(V), ufl.TestFunction(V))
+    K = dolfinx.fem.petsc.assemble_matrix(fem.form(stiffness))
+    K.assemble()
+    free = np.setdiff1d(np.arange(K.getSize()[0]), model.supports.held(V))
+    G = sparse(constraint.G)[:, free]
+    return G @ splu(sparse(K)[free][:, free].tocsc()).solve(G.T.toarray())
+
+
+@pytest.mark.parametrize(("cell", "bound"), [("triangle", 0.45), ("quadrilateral", 0.75)])
+@pytest.mark.parametrize("ends", ["rollers", "clamped", "free"])
+def test_inf_sup_constant(cell, bound, ends):
+    """beta = inf_q sup_{v in V_2}/sup_{v in V_4}: displacements of degree 4 stand for all displacements.
+
+    Norms of their own: in L2 the constant of the continuous problem itself depends on h and eps.
+    """
+    held = {"rollers": {"x": 0.0}, "clamped": 0.0}
+    supports = {"BOTTOM": 0.0} | ({} if ends == "free" else dict.fromkeys(("LEFT", "RIGHT"), held[ends]))
+    for h, eps in ((1 / 4, 1e-1), (1 / 4, 1e-4), (1 / 16, 1e-1), (1 / 16, 1e-4)):
+        joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
+        for build in BUILDS:
+            model = build(joint, layer=ThinLayer(LAW, eps), body=FOURIER_BODY, supports=supports, sublayers=2)
+            beta = scipy.linalg.eigh(schur(model, 2), schur(model, 4), eigvals_only=True)[0] ** 0.5
+            assert bound < beta <= 1 + 1e-6, (model.kind, h, eps)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_s_with_too_few_cells(cell):
+    """One cell between two ends where nothing jumps: a single normal jump for two pressures, refused, not wrong."""
+    joint = sandwich(1.0, 1.0, 1.0, 1.0, cell=cell, structured=True)
+    with pytest.raises(SolveError):
+        solve(Model.interface(joint, layer=ThinLayer(LAW, 0.01), **pressed(joint, LEFT=0.0, RIGHT=0.0)))
+
+
+# ---------------------------------------------------------------- refused
+@pytest.mark.parametrize("build", BUILDS)
+def test_refused(build):
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    squares = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
+    layer = ThinLayer(LAW, 0.1)
+    with pytest.raises(LawError, match="plane stress is not defined for Incompressible"):
+        build(joint, layer=layer, plane="stress", **pressed(joint))
+    for one, element in ((joint, "P1"), (squares, "Q1"), (squares, "S2")):
+        with pytest.raises(ModelError, match=f"needs elements P2 or Q2 for its displacements, not {element}"):
+            build(one, layer=layer, element=element, **pressed(one))
+    with pytest.raises(ModelError, match="Incompressible is for layers"):
+        build(joint, layer=layer, **pressed(joint) | {"body": LAW})
+
+
+def test_refused_laws():
+    with pytest.raises(LawError, match="order=1 of Incompressible"):
+        ThinLayer(LAW, 0.1, order=1)
+    with pytest.raises(LawError, match="a sublayer"):
+        Stack((0.5, LAW), (0.5, LinearElastic(60.0, MU)))
+    for mu in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(LawError, match="allowed: > 0"):
+            Incompressible(mu)
+    joint, setup = fourier(1 / 4)
+    with pytest.raises(GeometryError, match="use bodies='extended'"):
+        Model.full(joint, layer=ThinLayer(LAW, 0.1, profile=lambda x: 1 + x[0]), **setup)
+
+
+def test_not_a_limit_of_springs_without_shear():
+    """t_T is the shear modulus' part of the law: a spring with the same K_T and K_N = 1e9 is the same interface."""
+    joint, setup = fourier(1 / 16)
+    state = solve(Model.interface(joint, layer=ThinLayer(LAW, 0.1), **setup))
+    surface = Surface(state.model)
+    other = solve(Model.interface(joint, layer=ThinLayer(Anisotropic.springs(1e6, MU), 0.1), **setup))
+    for field in (surface.jump, surface.traction):
+        assert surface.norm(field(other) - field(state)) < 5e-3 * surface.norm(field(state))

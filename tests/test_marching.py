@@ -1,0 +1,322 @@
+"""Marching: what is recorded, adaptive steps and halving, errors, runs that are killed and resumed."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+
+from forms.laws import KelvinVoigt, LinearElastic, Maxwell, Norton, PointLaw
+from geometry import sandwich
+from tests.test_parallel import CLEAN, CLONE, mpirun
+from thinlayer import Adaptive, Model, ModelError, SolveError, Surface, ThinLayer, compare, march, piecewise, solve
+
+BODY = LinearElastic.young(100.0, 0.3)
+SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
+SUDDEN = Maxwell(60.0, 40.0, t1=0.7)
+JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
+SETUP = {"body": BODY, "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}}
+PULL = {"TOP": (0.0, 1.0)}
+K_N, G_N = 140.0, 60.0 * 0.3 + 80.0 * 0.5
+
+
+def interface(law=SLOW, tractions=PULL, supports=None):
+    setup = SETUP | ({"supports": SETUP["supports"] | supports} if supports else {})
+    return Model.interface(JOINT, layer=ThinLayer(law, 0.1), tractions=tractions, **setup)
+
+
+def opening(model):
+    surface = Surface(model)
+    return {"opening": lambda state: surface.integral(surface.jump(state)[1])}
+
+
+# ---------------------------------------------------------------- what is recorded
+def test_a_law_with_a_rate_starts_at_rest():
+    """Backward Euler creep of a spring and a dashpot in parallel, w_n = (1/K)(1 - (1 + K dt/G)^-n)."""
+    model = interface()
+    history = march(model, [0.1, 0.2, 0.3], observe=opening(model))
+    assert history.t == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    n = np.arange(4)
+    assert history.table["opening"] == pytest.approx((1 - (1 + K_N * 0.1 / G_N) ** -n) / K_N, rel=1e-9, abs=1e-14)
+    assert [state.t for state in history] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert history.at(0.2).t == pytest.approx(0.2)
+    with pytest.raises(ModelError, match=r"no state at t = 0\.15 is kept"):
+        history.at(0.15)
+
+
+def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
+    model = interface(SUDDEN)
+    history = march(model, [1.1, 1.2], start=1.0, observe=opening(model))
+    assert history.t == pytest.approx([1.0, 1.1, 1.2])
+    assert history.table["opening"] == pytest.approx((1 + np.array([0.0, 0.1, 0.2]) / 0.7) / K_N, rel=1e-9)
+    assert solve(model, 1.0).u.x.array == pytest.approx(history.at(1.0).u.x.array, abs=1e-12)
+    with pytest.raises(ModelError, match="KelvinVoigt depends on the strain rate"):
+        solve(interface())
+
+
+def test_loads_are_taken_between_the_ends_of_a_midpoint_step():
+    """A load that grows in time, from rest; the equilibrium of bodies and layer holds at every end of a step."""
+    model = interface(SUDDEN, {"TOP": lambda x, t: (0.0, t**2)})
+    history = march(model, [0.1, 0.2, 0.3], theta=0.5)
+    surface = Surface(model)
+    for state in history:
+        assert surface.integral(surface.traction(state)[1]) == pytest.approx(state.t**2, rel=1e-9, abs=1e-12)
+
+
+def test_midpoint_from_rest_starts_with_two_half_steps_of_backward_euler():
+    model = interface()
+    history = march(model, [0.1, 0.2], theta=0.5, observe=opening(model))
+    assert history.t == pytest.approx([0.0, 0.05, 0.1, 0.2])
+    x = K_N * 0.1 / G_N
+    half = (1 + x / 2) ** -2.0
+    assert history.table["opening"][[2, 3]] == pytest.approx(
+        [(1 - half) / K_N, (1 - half * (1 - x / 2) / (1 + x / 2)) / K_N], rel=1e-9
+    )
+
+
+@pytest.mark.parametrize("theta", [0.5, 0.75, 1.0])
+@pytest.mark.parametrize("law", [SLOW, SUDDEN, Norton(60.0, 40.0, eta=5.0, p=1.5)], ids=lambda law: type(law).__name__)
+def test_energy_balance(law, theta):
+    """Loads and moving supports supply what is stored, dissipated and left over by the scheme; nothing for midpoint."""
+    moved = {"TOP": {"x": lambda x, t: 0.02 * t}}
+    history = march(interface(law, {"TOP": lambda x, t: (0.0, ufl.cos(3 * t))}, moved), [0.05, 0.1, 0.3], theta=theta)
+    table = history.table
+    assert np.abs(table["imbalance"]).max() < 1e-10
+    later = slice(3, None) if theta == 0.5 and law.rate else slice(1, None)
+    assert (table["dissipated"][1:] > 0).all()
+    remainder = table["remainder"][later] / np.abs(table["supplied"]).max()
+    assert (np.abs(remainder) < 1e-13).all() if theta == 0.5 else (remainder > 0).all()
+
+
+def test_states_know_the_loads_of_their_time():
+    """Body forces reach S: tractions of earlier states are those of their own loads."""
+    setup = SETUP | {"body_force": lambda x, t: (0.0, t)}
+    model = Model.interface(JOINT, layer=ThinLayer(SUDDEN, 0.1), **setup)
+    history, surface = march(model, [1.0, 2.0]), Surface(model)
+    for state in history:
+        assert surface.integral(surface.traction(state)[1]) == pytest.approx(0.5 * state.t, rel=1e-9, abs=1e-12)
+        assert state.energies()["loads"] == pytest.approx(state.t * mean_displacement(state), rel=1e-9, abs=1e-12)
+
+
+def mean_displacement(state):
+    return state.integral(state.u[1] * ufl.dx)
+
+
+def test_keep_last():
+    history = march(interface(), [0.1, 0.2], keep="last")
+    assert len(history) == 3
+    assert [state.t for state in history] == pytest.approx([0.2])
+    with pytest.raises(ModelError, match=r"there are states at 0\.2"):
+        history.at(0.1)
+
+
+def test_compare_takes_histories_and_states_of_the_same_time():
+    full = Model.full(JOINT, layer=ThinLayer(SLOW, 0.1), tractions=PULL, **SETUP)
+    one, other = march(full, [0.1, 0.2]), march(interface(), [0.1, 0.2])
+    assert compare(one, other)["error_jump"] < 1e-9
+    assert compare(one, other, at=0.1)["jump"] < compare(one, other)["jump"]
+    with pytest.raises(ModelError, match=r"states of the same time, not t = 0\.1 and 0\.2"):
+        compare(one.at(0.1), other)
+
+
+# ---------------------------------------------------------------- steps
+@pytest.mark.parametrize(("theta", "order"), [(1.0, 1), (0.5, 2)])
+def test_adaptive_steps(theta, order):
+    """The error follows the tolerance; the steps grow as the creep slows down."""
+    errors, counts = [], []
+    for tolerance in (4e-3, 4e-4, 4e-5):
+        model = interface()
+        history = march(
+            model, Adaptive(2.0, 0.01, tolerance, at=[0.7, 1.0]), theta=theta, observe=opening(model), keep="last"
+        )
+        exact = (1 - np.exp(-K_N * history.t / G_N)) / K_N
+        errors.append(np.abs(history.table["opening"] - exact).max() * K_N)
+        counts.append(len(history))
+        assert {0.7, 1.0, 2.0} <= set(history.t)
+        steps = history.table["dt"][1:]
+        assert steps.max() > 4 * steps.min()
+    assert errors[0] < 0.05
+    assert errors[0] > 1.5 * errors[1] > 2 * errors[2]
+    assert counts[2] / counts[1] == pytest.approx(10 ** (1 / (order + 1)), rel=0.4)
+
+
+@dataclass(frozen=True)
+class Brittle(PointLaw):
+    """Elastic, but gives up where the strain changes by more than `most` in a step."""
+
+    k: float
+    most: float
+
+    def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):
+        largest = 0.0
+        for i in range(6):
+            stress[i] = parameters[0] * (theta * e[i] + (1 - theta) * e_old[i])
+            tangent[i, i] = theta * parameters[0]
+            largest = max(largest, abs(e[i] - e_old[i]))
+        return largest <= parameters[1]
+
+
+def test_failing_steps_are_halved_and_recover():
+    """From t = 2.5 strains grow by 0.4 t: steps of 1 are too long then, steps of 3/8 are not."""
+    pull = lambda x, t: (0.0, ufl.conditional(ufl.lt(t, 2.5), 0.0, t - 2.5) * 4.0)
+    model = interface(Brittle(10.0, 0.17), {"TOP": pull})
+    history = march(model, [1.0, 2.0, 3.0, 6.0])
+    elastic = Brittle(10.0, 1e9)
+    steps = history.table["dt"][1:]
+    assert history.t[-1] == 6.0
+    assert {1.0, 2.0, 3.0} <= set(history.t)
+    assert steps[0] == steps[1] == 1.0
+    assert steps[2:].max() <= 0.5
+    assert history.last.u.x.array == pytest.approx(solve(interface(elastic, {"TOP": pull}), 6.0).u.x.array, abs=1e-9)
+
+
+def test_a_step_that_fails_however_short_keeps_what_was_done(tmp_path):
+    jump = piecewise({0.0: (0.0, 0.0), 2.0: (0.0, 0.0), 2.0001: (0.0, 1e3), 9.0: (0.0, 1e3)})
+    with pytest.raises(SolveError, match=r"step \d+, from t = 2.* failed at \d+ points") as caught:
+        march(interface(Brittle(10.0, 0.1), {"TOP": jump}), [1.0, 2.0, 3.0], out=tmp_path)
+    assert caught.value.history.t[-1] >= 2.0
+    rows = list(csv.DictReader((tmp_path / "table.csv").open()))
+    assert [float(row["t"]) for row in rows] == pytest.approx(caught.value.history.t)
+
+
+def test_piecewise_loads():
+    """Linear between given times, and an error elsewhere, before anything is solved."""
+    load = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, 2.0), 3.0: (0.0, 1.0)})
+    model = interface(SUDDEN, {"TOP": load})
+    history, surface = march(model, [0.5, 1.0, 2.0]), Surface(model)
+    pulls = [surface.integral(surface.traction(state)[1]) for state in history]
+    assert pulls == pytest.approx([0.0, 1.0, 2.0, 1.5], abs=1e-9)
+    with pytest.raises(ModelError, match=r"the loads are not finite at t = 3\.5: traction on 'TOP'"):
+        march(model, [0.5, 3.5])
+    with pytest.raises(ModelError, match=r"displacement is not finite at t = 2"):
+        march(interface(supports={"TOP": {"y": piecewise({0.0: 0.0, 1.0: 0.1})}}, tractions={}), [0.5, 2.0])
+    for bad in ({}, {0.0: (0.0, 1.0)}, {0.0: (0.0, 1.0), 1.0: 2.0}, {0.0: "a", 1.0: "b"}, [1, 2]):
+        with pytest.raises(ModelError, match="piecewise"):
+            piecewise(bad)
+
+
+# ---------------------------------------------------------------- bad input
+@pytest.mark.parametrize(
+    ("times", "options", "message"),
+    [
+        ([], {}, "increase"),
+        ([0.2, 0.1], {}, "increase"),
+        ([0.0, 0.1], {}, "increase"),
+        ([0.1, float("nan")], {}, "finite"),
+        ("soon", {}, "sequence of numbers"),
+        (0.1, {}, "sequence of numbers"),
+        ([0.1], {"theta": 0.4}, "theta is 0.4"),
+        ([0.1], {"keep": "some"}, "'all', 'last'"),
+        ([0.1], {"resume": True}, "needs out="),
+        ([0.1], {"observe": {"t": len}}, "column 't'"),
+        (Adaptive(-1.0, 0.1), {}, "increase"),
+    ],
+)
+def test_bad_input(times, options, message, tmp_path):
+    if not options.get("resume"):
+        options = {"out": tmp_path / "out"} | options
+    with pytest.raises(ModelError, match=message):
+        march(interface(), times, **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_adaptive_steps():
+    for values in ({"first": 0.0}, {"first": 0.1, "tolerance": -1.0}, {"first": 0.1, "largest": 0.0}):
+        with pytest.raises(ModelError, match="allowed: > 0"):
+            Adaptive(1.0, **values)
+    with pytest.raises(ModelError, match="at has t = 2; times increase to end = 1"):
+        Adaptive(1.0, 0.1, at=[2.0])
+
+
+def test_only_the_same_march_is_resumed(tmp_path):
+    march(interface(), [0.1, 0.2], out=tmp_path)
+    first = (tmp_path / "table.csv").read_text()
+    longer = march(interface(), [0.1, 0.2, 0.3], out=tmp_path, resume=True)
+    assert (tmp_path / "table.csv").read_text().startswith(first)
+    assert len(longer) == 4
+    with pytest.raises(
+        ModelError, match=r"another march \(law: KelvinVoigt.*theta_mu=0.5.* there, Kelvin.*theta_mu=0.6"
+    ):
+        march(interface(KelvinVoigt(60.0, 40.0, 0.3, 0.6)), [0.1], out=tmp_path, resume=True)
+    assert [state.t for state in longer] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    for name in ("states/000002.npz", "march.json"):
+        (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:700])
+        with pytest.raises(ModelError, match=f"{Path(name).name} cannot be read"):
+            march(interface(), [0.1], out=tmp_path, resume=True)
+    assert len(march(interface(), [0.1], out=tmp_path)) == 2
+    assert len(list((tmp_path / "states").iterdir())) == 2
+
+
+# ---------------------------------------------------------------- killed and resumed
+def run(ranks: int, *words: str) -> subprocess.CompletedProcess:
+    if ranks > 1:
+        return mpirun(ranks, "-m", "tests.marching_run", *words)
+    command = [sys.executable, "-m", "tests.marching_run", *words]
+    return subprocess.run(command, env=CLEAN | {"PYTHONPATH": str(CLONE)}, cwd=CLONE, capture_output=True, timeout=240)
+
+
+def test_a_killed_study_is_resumed(tmp_path):
+    """In the middle of the second thickness, on one rank; resumed on two."""
+    words = ["-m", "thinlayer", "run", "sweep_maxwell", "--quick", "--eps", "0.04", "0.02", "--out"]
+    script = tmp_path / "killed.py"
+    script.write_text(
+        "import os, signal, sys\n"
+        "from itertools import count\n"
+        "from thinlayer.solvers import Solver\n"
+        "from thinlayer.cli import main\n"
+        "step, calls = Solver.step, count()\n"
+        "Solver.step = lambda *a: step(*a) if next(calls) < 15 else os.kill(os.getpid(), signal.SIGKILL)\n"
+        "main(sys.argv[1:])\n"
+    )
+    environment = CLEAN | {"PYTHONPATH": str(CLONE)}
+    done = subprocess.run([sys.executable, str(script), *words[2:], str(tmp_path / "a")], env=environment, cwd=CLONE)
+    assert done.returncode == -signal.SIGKILL
+    assert len((tmp_path / "a" / "table.csv").read_text().splitlines()) == 2
+    other = mpirun(1, *words[:-2], "0.01", "--out", str(tmp_path / "a"), "--resume")
+    assert other.returncode == 2
+    assert "had the options" in other.stderr
+    resumed, whole = mpirun(2, *words, str(tmp_path / "a"), "--resume"), mpirun(1, *words, str(tmp_path / "b"))
+    assert (resumed.returncode, whole.returncode) == (0, 0), resumed.stderr + whole.stderr
+    for name in ("table.csv", "table_t1.csv"):
+        a, b = (np.genfromtxt(tmp_path / out / name, delimiter=",", skip_header=1) for out in "ab")
+        assert a == pytest.approx(b, rel=1e-9, nan_ok=True)
+    assert not (tmp_path / "a" / "unfinished").exists()
+
+
+def tables(out: Path) -> dict[str, np.ndarray]:
+    found = {path.parent.name: np.genfromtxt(path, delimiter=",", names=True) for path in out.glob("*/table.csv")}
+    columns = ("t", "dt", "supplied", "stored", "dissipated", "energy")
+    return {name: np.array([table[column] for column in columns]) for name, table in found.items()}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole")
+    done = run(1, str(out))
+    assert done.returncode == 0, done.stderr
+    return tables(out)
+
+
+@pytest.mark.parametrize(
+    ("killed_on", "resumed_on", "row", "writing"),
+    [(1, 1, 4, False), (1, 2, 10, True), (2, 1, 16, False), (2, 2, 22, True)],
+)
+def test_killed_and_resumed(undisturbed, tmp_path, killed_on, resumed_on, row, writing):
+    """A run killed with -9 in a step, or as it writes its files, ends with the table of a run that was left alone."""
+    done = run(killed_on, str(tmp_path), "--kill", str(row), *(["--writing"] if writing else []))
+    assert done.returncode != 0
+    if killed_on == 1:
+        assert done.returncode == -signal.SIGKILL
+    done = run(resumed_on, str(tmp_path), "--resume")
+    assert done.returncode == 0, done.stderr
+    found = tables(tmp_path)
+    assert found.keys() == undisturbed.keys()
+    for name, table in undisturbed.items():
+        assert found[name] == pytest.approx(table, rel=1e-9, abs=1e-13), name

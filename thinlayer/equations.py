@@ -1,0 +1,271 @@
+"""The balance of forces of a model over a time step, as PETSc vectors and matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import dolfinx.fem.petsc
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from forms.work import energy, work
+from thinlayer.loads import ModelError
+from thinlayer.model import Model
+from thinlayer.pointwise.constraint import Constraint
+from thinlayer.pointwise.points import LawPoints, Response
+from thinlayer.state import Audit, State
+
+SAME, SUBSET, DIFFERENT = (
+    PETSc.Mat.Structure.SAME_NONZERO_PATTERN,
+    PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN,
+    PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
+)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A time step: from a state to the time t = old.t + dt, with the balance of forces at old.t + theta dt."""
+
+    old: State
+    t: float
+    dt: float
+    theta: float
+
+
+class Equations:
+    """Residual and tangent of a model. The unknowns are displacements, then the pressures of an incompressible layer.
+
+    The stresses that are linear in the displacements make one matrix, assembled once; compiled laws at points add to it.
+    Collective, as all methods are.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.comm = model, model.comm
+        V = model.V
+        self.u, self.mid = fem.Function(V), fem.Function(V)
+        forms = [p for p in model.points if not p.law.pointwise]
+        linear = [p for p in forms if p.law.linear]
+        self._curved = [p for p in forms if not p.law.linear]
+        trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
+        self.K = dolfinx.fem.petsc.assemble_matrix(fem.form(work(linear or model.bodies, trial, test)))
+        self.K.assemble()
+        if not linear:
+            self.K.zeroEntries()
+        if self._curved:
+            residual = work(self._curved, self.mid, test)
+            self._F, self._J = fem.form(residual), fem.form(ufl.derivative(residual, self.mid, trial))
+        self._L = fem.form(model.external_work(test))
+        self.points = [LawPoints(model.domain, V, p, model.degree_at(p)) for p in model.points if p.law.pointwise]
+        constrained = [p for p in model.points if p.law.constrained]
+        self.constraint = Constraint(model.domain, V, constrained[0]) if constrained else None
+        self.pressure = fem.Function(self.constraint.space) if self.constraint else None
+        self._matrix: PETSc.Mat | None = None
+        self._responses: list[Response] = []
+
+    # ---------------------------------------------------------------- unknowns
+    @cached_property
+    def n_displacements(self) -> int:
+        """Number of displacements of this rank."""
+        dofmap = self.model.V.dofmap
+        return int(dofmap.index_map.size_local * dofmap.index_map_bs)
+
+    @cached_property
+    def n_pressures(self) -> int:
+        """Number of pressures of this rank."""
+        return int(self.constraint.space.dofmap.index_map.size_local) if self.constraint else 0
+
+    def vector(self) -> PETSc.Vec:
+        """A vector of unknowns, zero."""
+        return PETSc.Vec().createMPI((self.n_displacements + self.n_pressures, None), comm=self.comm)
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Take over unknowns, ghosts included."""
+        self.u.x.array[: self.n_displacements] = x.array_r[: self.n_displacements]
+        self.u.x.scatter_forward()
+        if self.pressure is not None:
+            self.pressure.x.array[: self.n_pressures] = x.array_r[self.n_displacements :]
+            self.pressure.x.scatter_forward()
+
+    @cached_property
+    def held(self) -> npt.NDArray[np.int32]:
+        """Displacements of this rank that supports prescribe."""
+        dofs = [bc.dof_indices()[0] for bc in self.model.conditions.bcs]
+        held = np.unique(np.concatenate([np.empty(0, np.int32), *dofs]))
+        return held[held < self.n_displacements].astype(np.int32)
+
+    @property
+    def held_rows(self) -> npt.NDArray[PETSc.IntType]:
+        """Their global numbers among the unknowns."""
+        n = self.n_displacements + self.n_pressures
+        first = self.comm.scan(n) - n
+        return (first + self.held).astype(PETSc.IntType)
+
+    # ---------------------------------------------------------------- a step
+    def begin(self, interval: Interval) -> None:
+        """Set the step that the residual is of.
+
+        Raises:
+            ModelError: loads or supports that are not finite at its time.
+        """
+        self.interval, old = interval, interval.old
+        self.old = old.u.x.petsc_vec
+        self.loads = self.loads_at(interval.t)
+        if interval.theta < 1:
+            before = self.loads_at(old.t)
+            self.loads.aypx(interval.theta, before * (1 - interval.theta))
+        self.prescribed = self._prescribed_at(interval.t)
+        self._e_old = [p.strain(self.old) for p in self.points]
+
+    def check_times(self, times: list[float]) -> None:
+        """Raise ModelError if loads or supports are not finite at one of these times."""
+        for t in times:
+            self.loads_at(t).destroy()
+            self._prescribed_at(t)
+
+    def loads_at(self, t: float) -> PETSc.Vec:
+        """Nodal forces of the loads at a time."""
+        self.model.coordinates.t.value = t
+        b = dolfinx.fem.petsc.assemble_vector(self._L)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        if not np.isfinite(b.norm()):
+            names = self.model.forces.not_finite()
+            raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *names]))
+        return b
+
+    def _prescribed_at(self, t: float) -> npt.NDArray[np.float64]:
+        self.model.coordinates.t.value = t
+        self.model.conditions.update()
+        values = np.zeros(len(self.u.x.array))
+        for bc in self.model.conditions.bcs:
+            bc.set(values, None, 1.0)
+        prescribed = values[self.held]
+        if self.comm.allreduce(int(not np.isfinite(prescribed).all())):
+            raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
+        return np.asarray(prescribed)
+
+    def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
+        """Internal forces less loads; pressures: the layer's change of volume. NaN where a law failed."""
+        self.put(x)
+        now, theta = self.u.x.petsc_vec, self.interval.theta
+        mid = self.mid.x.petsc_vec
+        now.copy(mid)
+        mid.scale(theta)
+        mid.axpy(1 - theta, self.old)
+        self.mid.x.scatter_forward()
+        forces = self.K.createVecLeft()
+        self.K.mult(mid, forces)
+        if self._curved:
+            b = dolfinx.fem.petsc.assemble_vector(self._F)
+            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            self._curved_forces = b
+            forces.axpy(1.0, b)
+        self._responses = [
+            p.respond(p.strain(now), e_old, q, self.interval.dt, theta)
+            for p, e_old, q in zip(self.points, self._e_old, self.interval.old.memory, strict=True)
+        ]
+        self.failed = self.comm.allreduce(sum(r.failed for r in self._responses)) if self.points else 0
+        for p, r in zip(self.points, self._responses, strict=True):
+            forces.axpy(1.0, p.forces(r.stress))
+        if self.constraint and self.pressure is not None:
+            G = self.constraint.G
+            part = G.createVecRight()
+            G.multTranspose(self.pressure.x.petsc_vec, part)
+            forces.axpy(1.0, part)
+            volume = G.createVecLeft()
+            G.mult(now, volume)
+            out.array[self.n_displacements :] = volume.array_r
+        forces.axpy(-1.0, self.loads)
+        out.array[: self.n_displacements] = np.nan if self.failed else forces.array_r
+
+    def tangent(self) -> PETSc.Mat:
+        """Tangent at the last residual's unknowns, supports not yet taken in. The same matrix is filled each time."""
+        theta = self.interval.theta
+        parts = [p.stiffness(r.tangent) for p, r in zip(self.points, self._responses, strict=True)]
+        if self._curved:
+            J = dolfinx.fem.petsc.assemble_matrix(self._J)
+            J.assemble()
+            J.scale(theta)
+            parts.append(J)
+        if self._matrix is None or self.constraint:
+            A = self.K.copy()
+            A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            A.scale(theta)
+            pattern = DIFFERENT
+        else:
+            A, pattern = self._matrix, SUBSET
+            A.zeroEntries()
+            A.axpy(theta, self.K, SUBSET)
+        for part in parts:
+            A.axpy(1.0, part, pattern)
+            part.destroy()
+        A = self._saddle(A) if self.constraint else A
+        if self._matrix is None:
+            self._matrix = A
+        elif A is not self._matrix:
+            A.copy(self._matrix, SAME)
+            A.destroy()
+        return self._matrix
+
+    def _saddle(self, A: PETSc.Mat) -> PETSc.Mat:
+        assert self.constraint is not None
+        G = self.constraint.G
+        turned = PETSc.Mat()
+        G.transpose(turned)
+        nest = PETSc.Mat().createNest([[A, turned], [G, None]], comm=self.comm)
+        whole = nest.convert("aij", PETSc.Mat())
+        whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        for thing in (nest, turned, A):
+            thing.destroy()
+        return whole
+
+    # ---------------------------------------------------------------- an accepted step
+    def audit(self, x: PETSc.Vec) -> tuple[tuple[npt.NDArray[np.float64], ...], Audit]:
+        """Internal values and energy balance at the end of the step, for its solution x."""
+        out = self.vector()
+        self.residual(x, out)
+        r, now = out.array_r[: self.n_displacements], self.u.x.petsc_vec
+        change = now.copy()
+        change.axpy(-1.0, self.old)
+        at_supports = self.comm.allreduce(float(r[self.held] @ change.array_r[self.held]))
+        supplied = self.loads.dot(change) + at_supports
+        stored_now, stored_old, of_change = (self._elastic(v) for v in (now, self.old, change))
+        stored, dissipated, total = stored_now - stored_old, 0.0, stored_now
+        remainder = (2 * self.interval.theta - 1) * of_change
+        if self._curved:
+            before, after = (self._curved_energy(v) for v in (self.old, now))
+            stored += after - before
+            total += after
+            remainder += self._curved_forces.dot(change) - (after - before)
+        layer = np.zeros(3)
+        if self.points:
+            layer = self.comm.allreduce(sum(r.energies for r in self._responses))
+            stored += layer[0] - self.interval.old.audit.layer
+            total += layer[0]
+            dissipated += layer[1]
+            remainder += layer[2]
+        audit = Audit(*map(float, (supplied, stored, dissipated, remainder, layer[0], total)))
+        return tuple(r.memory for r in self._responses), audit
+
+    def _elastic(self, u: PETSc.Vec) -> float:
+        v = self.K.createVecLeft()
+        self.K.mult(u, v)
+        return float(u.dot(v)) / 2
+
+    def _curved_energy(self, u: PETSc.Vec) -> float:
+        if not all(p.law.has_energy for p in self._curved):
+            return float("nan")
+        u.copy(self.mid.x.petsc_vec)
+        self.mid.x.scatter_forward()
+        return float(self.comm.allreduce(fem.assemble_scalar(fem.form(energy(self._curved, self.mid)))))
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        for p in self.points:
+            p.destroy()
+        for thing in (self.K, self._matrix, self.constraint):
+            if thing is not None:
+                thing.destroy()

@@ -1,0 +1,86 @@
+"""Tractions and body forces of a model as a linear form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from forms.kinematics import Expr
+from geometry.domain import Domain
+from geometry.joint import LAYER, S, unknown
+from thinlayer.loads import Coordinates, Load, ModelError, vector
+
+BodyForce = Load | Mapping[str, Load]
+
+
+class Forces:
+    """The loads on a domain.
+
+    Args:
+        domain: the domain.
+        tractions: facet name -> traction on the outer boundary.
+        body_force: force per volume in the bodies, or region name -> force.
+        at: coordinates for loads that are functions.
+
+    Raises:
+        GeometryError, ModelError: unknown names, a traction on S or inside, loads that are no vectors.
+    """
+
+    def __init__(
+        self, domain: Domain, tractions: Mapping[str, Load] | None, body_force: BodyForce | None, at: Coordinates
+    ) -> None:
+        self.domain, self.at = domain, at
+        self._loads: list[tuple[str, Expr, ufl.Measure]] = []
+        ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
+        dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
+        for name, load in (tractions or {}).items():
+            values = self._outer(name)
+            self._add(f"traction on {name!r}", load, ds(values) if values else None)
+        for name, load in self._by_region(body_force).items():
+            self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
+        self._everywhere = dx
+
+    def _add(self, what: str, load: Load, measure: ufl.Measure | None) -> None:
+        checked = vector(load, self.at, self.domain.joint.dim, what)
+        if measure is not None:
+            self._loads.append((what, checked, measure))
+
+    def _outer(self, name: str) -> tuple[int, ...]:
+        """Facet values of a traction's place; none for the side of a layer that is not there."""
+        if name.split("/")[0] == S:
+            raise ModelError("a traction on S is what the model computes; load another facet set")
+        values = self.domain.values(name)
+        if not self.domain.is_outer(name):
+            raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
+        if not values and not name.endswith(f"/{LAYER}"):
+            raise ModelError(f"traction on {name!r}: this facet set is empty")
+        return values
+
+    def _by_region(self, body_force: BodyForce | None) -> dict[str, Load]:
+        regions = self.domain.joint.bodies
+        if body_force is None:
+            return {}
+        forces = dict(body_force) if isinstance(body_force, Mapping) else dict.fromkeys(regions, body_force)
+        for name in forces:
+            if name not in regions:
+                raise ModelError(unknown("body", name, regions))
+        return forces
+
+    def work(self, v: Expr) -> Expr:
+        """Virtual work of the loads, a UFL form linear in v."""
+        form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
+        for _, load, measure in self._loads:
+            form += ufl.inner(load, v) * measure
+        return form
+
+    def not_finite(self) -> list[str]:
+        """The loads that are not finite at the present time. Collective."""
+        found = []
+        for what, load, measure in self._loads:
+            total = fem.assemble_scalar(fem.form(ufl.inner(load, load) * measure))
+            if self.domain.comm.allreduce(int(not np.isfinite(total))):
+                found.append(what)
+        return found

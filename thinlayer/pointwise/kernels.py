@@ -1,0 +1,173 @@
+"""Laws as compiled functions of one point.
+
+A law written in UFL is differentiated by UFL and compiled by FFCx; a `PointLaw` is compiled by numba. Either is then a C
+function of two arrays of numbers,
+
+    in:  e (6), e_old (6), q, n (3), dt, theta, parameters
+    out: stress (6), q_new, tangent (36), energies (3)
+
+in Mandel's order. `points.c` calls them point by point, and solves the local problem of a `Stack`. Numbers stay out of the
+compiled code: a law is compiled once, whatever its parameters and its thickness.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import jit
+from mpi4py import MPI
+
+from forms.kinematics import Expr, from_mandel, mandel
+from forms.law import Law, LawError, Step, shaped
+from forms.point import PointLaw
+from forms.series import Stack
+from forms.traction import TractionLaw
+
+Array = npt.NDArray[np.float64]
+ARGUMENTS = 7  # of the C functions that FFCx writes; fewer in older releases, which ignore the rest
+FIXED_IN, FIXED_OUT = 6 + 6 + 3 + 2, 6 + 36 + 3
+SIZES = {(): 1, (3,): 3, (3, 3): 6}  # of an internal variable
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """One law at one point, compiled.
+
+    Attributes:
+        address: of the C function.
+        memory: number of internal values.
+        parameters: real parameters, one after the other.
+        fraction: of the thickness.
+        keep: what must live as long as the address is used.
+    """
+
+    address: int
+    memory: int
+    parameters: Array
+    fraction: float = 1.0
+    keep: Any = field(default=None, repr=False, compare=False)
+
+
+def kernels(comm: MPI.Intracomm, law: Law) -> list[Kernel]:
+    """The compiled functions of a law with real parameters, one for each sublayer. Collective."""
+    if isinstance(law, Stack):
+        return [_kernel(comm, one, a) for a, one in law.sublayers]
+    return [_kernel(comm, law, 1.0)]
+
+
+def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
+    values = [np.ravel(np.asarray(value, float)) for value in law.parameters().values()]
+    numbers = np.concatenate([np.empty(0), *values])
+    kind: Any = type(law)
+    if isinstance(law, PointLaw):
+        address, keep = _compiled_by_numba(kind, len(numbers))
+        return Kernel(address, law.memory, numbers, fraction, keep)
+    address, keep = _compiled_by_ffcx(comm, law)
+    return Kernel(address, _memory(law), numbers, fraction, keep)
+
+
+def _memory(law: Law) -> int:
+    for name, shape in law.internal.items():
+        if shape not in SIZES:
+            allowed = ", ".join(map(str, SIZES))
+            raise LawError(
+                f"{type(law).__name__}: internal variable {name!r} has the shape {shape}; allowed: {allowed}"
+            )
+    return sum(SIZES[shape] for shape in law.internal.values())
+
+
+# ---------------------------------------------------------------- laws written in UFL
+_COMPILED: dict[Any, tuple[int, Any]] = {}
+
+
+def _compiled_by_ffcx(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
+    parameters = law.parameters()
+    choices = [(f.name, getattr(law, f.name)) for f in fields(law) if f.name not in parameters]
+    key = (type(law), repr(choices), tuple(np.shape(value) for value in parameters.values()))
+    if comm.allreduce(int(key not in _COMPILED)):
+        expression, module, _ = jit.ffcx_jit(comm, (point_expression(law), np.zeros((1, 1))))
+        address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
+        _COMPILED[key] = address, (expression, module)
+    return _COMPILED[key]
+
+
+def point_expression(law: Law) -> Expr:
+    """The law at one point, UFL: a vector of the outputs, of one Constant with all inputs."""
+    shapes = {name: np.shape(value) for name, value in law.parameters().items()}
+    memory = _memory(law)
+    length = FIXED_IN + memory + sum(math.prod(shape) for shape in shapes.values())
+    domain = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
+    numbers = ufl.Constant(domain, shape=(length,))
+    inputs = iter(numbers[i] for i in range(length))
+
+    def take(shape: tuple[int, ...]) -> Expr:
+        if shape == ():
+            return next(inputs)
+        return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])])
+
+    end, old = ufl.variable(take((6,))), take((6,))
+    q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
+    n, dt, theta = take((3,)), take(()), take(())
+    symbolic = law.with_parameters({name: take(shape) for name, shape in shapes.items()})
+    step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
+    step = step if law.rate or isinstance(law, TractionLaw) else step.without_rate()
+
+    stress = mandel(shaped(law, "stress", symbolic.stress(step), (3, 3)))
+    new = symbolic.advance(step)
+    if not isinstance(new, dict) or set(new) != set(law.internal):
+        given = sorted(new) if isinstance(new, dict) else repr(new)
+        raise LawError(f"{type(law).__name__}.advance gives {given}; it must give {sorted(law.internal)}")
+    tangent = ufl.diff(stress, end)
+    rows = [stress[i] for i in range(6)]
+    for name, shape in law.internal.items():
+        rows += _packed(shaped(law, f"advance[{name!r}]", new[name], shape), shape)
+    rows += [tangent[i, j] for i in range(6) for j in range(6)]
+    return ufl.as_vector([*rows, *_energies(symbolic, step, new)])
+
+
+def _energies(law: Law, step: Step, new: dict[str, Expr]) -> list[Expr]:
+    """Stored, dissipated, remainder; zero for laws that declare no energy."""
+    if not law.has_energy:
+        return [ufl.as_ufl(0.0)] * 3
+    return [law.energy(Step(step.e, step.n, q=new)), step.dt * law.dissipation(step), law.remainder(step)]
+
+
+def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
+    return {(): lambda: values[0], (3,): lambda: values, (3, 3): lambda: from_mandel(values)}[shape]()
+
+
+def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
+    if shape == ():
+        return [ufl.as_ufl(value)]
+    flat = mandel(value) if shape == (3, 3) else value
+    return [flat[i] for i in range(SIZES[shape])]
+
+
+# ---------------------------------------------------------------- laws written for one point
+@cache
+def _compiled_by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
+    import numba  # takes half a second
+
+    kernel, memory = numba.njit(law.kernel), law.memory
+    pointer = numba.types.CPointer(numba.types.double)
+
+    @numba.cfunc(numba.void(*[pointer] * ARGUMENTS))
+    def function(out_, w, in_, x, entity, permutation, custom):  # type: ignore[no-untyped-def]
+        z = numba.carray(in_, FIXED_IN + memory + n_parameters)
+        out = numba.carray(out_, FIXED_OUT + memory)
+        a, b = 12 + memory, 6 + memory
+        ok = kernel(
+            z[:6], z[6:12], z[12:a], z[a + 3], z[a + 4], z[a : a + 3], z[a + 5 :],
+            out[:6], out[b : b + 36].reshape((6, 6)), out[6:b], out[b + 36 :],
+        )  # fmt: skip
+        if not ok:
+            out[0] = np.nan
+
+    return function.address, function

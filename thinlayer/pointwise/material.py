@@ -1,0 +1,121 @@
+"""Laws with real parameters, run over arrays of points."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sysconfig
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+import numpy.typing as npt
+from dolfinx import jit
+from mpi4py import MPI
+
+from forms.law import Law
+from thinlayer.pointwise.kernels import Array, kernels
+
+SOURCE = Path(__file__).with_name("points.c")
+_LIBRARY: list[Any] = []  # the module compiled from it, once loaded
+
+
+def _library(comm: MPI.Intracomm) -> Any:
+    """The compiled points.c. Collective."""
+    if comm.allreduce(int(not _LIBRARY)):
+        if comm.rank == 0:
+            _build()
+        comm.barrier()
+        _LIBRARY.append(_load())
+    return _LIBRARY[0]
+
+
+def _module_file() -> Path:
+    """Where the compiled source is kept: beside FFCx's, named by its content."""
+    folder = Path(jit.get_options()["cache_dir"]).expanduser()
+    name = hashlib.sha256(SOURCE.read_bytes() + cffi.__version__.encode()).hexdigest()[:16]
+    return folder / f"thinlayer_points_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+
+
+def _build() -> None:
+    """Compile, in a folder of its own: another process may be doing the same."""
+    file = _module_file()
+    if file.exists():
+        return
+    file.parent.mkdir(parents=True, exist_ok=True)
+    text = SOURCE.read_text()
+    builder = cffi.FFI()
+    builder.cdef(text[text.rindex("int run(") :].split("{")[0] + ";")
+    builder.set_source(file.name.split(".")[0], text, extra_compile_args=["-O2"])
+    with tempfile.TemporaryDirectory(dir=file.parent) as folder:
+        Path(builder.compile(tmpdir=folder)).replace(file)
+
+
+def _load() -> Any:
+    file = _module_file()
+    spec = importlib.util.spec_from_file_location(file.name.split(".")[0], file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+class Material:
+    """A law with real parameters, ready to be run over points. Collective.
+
+    Attributes:
+        memory: number of internal values at a point.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, law: Law) -> None:
+        self.law, self._kernels = law, kernels(comm, law)
+        self._library = _library(comm)
+        self._addresses = np.array([k.address for k in self._kernels], np.intp)
+        self._memories = np.array([k.memory for k in self._kernels], np.int32)
+        self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
+        self._fractions = np.array([k.fraction for k in self._kernels])
+        self._parameters = np.concatenate([k.parameters for k in self._kernels])
+        layers = len(self._kernels)
+        self.memory = int(self._memories.sum()) + (3 * layers if layers > 1 else 0)
+
+    def update(
+        self, slots: Sequence[int], e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float
+    ) -> tuple[Array, Array, Array, Array, int]:
+        """Stress (points, m), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
+
+        Args:
+            slots: the m Mandel components that strains have here; the others are zero.
+            e, e_old: (points, m) strains at the end and the beginning of the step.
+            q: (points, memory) internal values at the beginning.
+            n: (points, 3) director.
+            dt, theta: the step.
+
+        Raises:
+            ValueError: arrays of the wrong shape.
+        """
+        components = np.array(list(slots), np.int32)
+        points, m = len(e), len(components)
+        shapes = {"e": (e, m), "e_old": (e_old, m), "q": (q, self.memory), "n": (n, 3)}
+        for name, (array, width) in shapes.items():
+            if array.shape != (points, width):
+                raise ValueError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
+        s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
+        q_new = np.empty((points, self.memory))
+        law = self._given(self._addresses, self._memories, self._counts, self._fractions, self._parameters)
+        failed = self._library.lib.run(
+            len(self._kernels), *law,
+            m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta,
+            *self._given(s, C, q_new, energies),
+        )  # fmt: skip
+        if failed < 0:
+            raise MemoryError("points")
+        return s, C, q_new, energies, int(failed)
+
+    def _given(self, *arrays: npt.NDArray[Any]) -> list[Any]:
+        """Pointers to arrays, made contiguous (outputs are)."""
+        kinds = {"int32": "int32_t[]", "int64": "intptr_t[]", "float64": "double[]"}
+        return [self._library.ffi.from_buffer(kinds[a.dtype.name], np.ascontiguousarray(a)) for a in arrays]

@@ -1,0 +1,252 @@
+/* Laws at points: calls the compiled function of each law, and solves the local problem of sublayers in series.
+ *
+ * A law is a C function of two arrays of numbers,
+ *     in:  e (6), e_old (6), q, n (3), dt, theta, parameters      out: stress (6), q_new, tangent (6 x 6), energies (3)
+ * in Mandel's order 11, 22, 33, 12, 13, 23. It adds to its output. A law that fails leaves a NaN in its stress. */
+#include <math.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+typedef void function(double *, const double *, const double *, const double *, const int *, const uint8_t *, void *);
+
+typedef struct {
+    function *law;
+    int memory, n_parameters;
+    double fraction;
+    double *in, *out;
+    double across[6][3];     /* n . tangent, for each component of strain */
+    double t[3], g[3], step[3];
+} sublayer;
+
+static const double root2 = 1.4142135623730951;
+
+static void evaluate(sublayer *a)
+{
+    memset(a->out, 0, (45 + a->memory) * sizeof(double));
+    a->law(a->out, NULL, a->in, NULL, NULL, NULL, NULL);
+}
+
+static double *tangent(const sublayer *a) { return a->out + 6 + a->memory; }
+static double *energies(const sublayer *a) { return a->out + 42 + a->memory; }
+
+/* e += sym(g (x) n) */
+static void add_share(double *e, const double *g, const double *n)
+{
+    for (int i = 0; i < 3; i++) e[i] += g[i] * n[i];
+    e[3] += (g[0] * n[1] + g[1] * n[0]) / root2;
+    e[4] += (g[0] * n[2] + g[2] * n[0]) / root2;
+    e[5] += (g[1] * n[2] + g[2] * n[1]) / root2;
+}
+
+/* t = s n, for components of s that lie `stride` apart */
+static void traction(const double *s, int stride, const double *n, double *t)
+{
+    const double s3 = s[3 * stride] / root2, s4 = s[4 * stride] / root2, s5 = s[5 * stride] / root2;
+    t[0] = s[0] * n[0] + s3 * n[1] + s4 * n[2];
+    t[1] = s[stride] * n[1] + s3 * n[0] + s5 * n[2];
+    t[2] = s[2 * stride] * n[2] + s4 * n[0] + s5 * n[1];
+}
+
+/* Solve A x = b in place for `columns` right-hand sides, rows of A and b `stride` apart; returns whether A is regular. */
+static int solve(double *A, int size, int stride, int columns)
+{
+    for (int k = 0; k < size; k++) {
+        int pivot = k;
+        for (int i = k + 1; i < size; i++)
+            if (fabs(A[i * stride + k]) > fabs(A[pivot * stride + k])) pivot = i;
+        if (!(fabs(A[pivot * stride + k]) > 0)) return 0;
+        if (pivot != k)
+            for (int j = k; j < size + columns; j++) {
+                const double x = A[k * stride + j];
+                A[k * stride + j] = A[pivot * stride + j], A[pivot * stride + j] = x;
+            }
+        for (int i = k + 1; i < size; i++) {
+            const double f = A[i * stride + k] / A[k * stride + k];
+            if (f != 0)
+                for (int j = k + 1; j < size + columns; j++) A[i * stride + j] -= f * A[k * stride + j];
+        }
+    }
+    for (int c = size; c < size + columns; c++)
+        for (int k = size - 1; k >= 0; k--) {
+            double x = A[k * stride + c];
+            for (int j = k + 1; j < size; j++) x -= A[k * stride + j] * A[j * stride + c];
+            A[k * stride + c] = x / A[k * stride + k];
+            if (!isfinite(A[k * stride + c])) return 0;
+        }
+    return 1;
+}
+
+/* Tractions of all sublayers for a strain e of the whole; returns whether the laws succeeded. */
+static int tractions(sublayer *layers, int count, const double *e, const double *n)
+{
+    int finite = 1;
+    for (int i = 0; i < count; i++) {
+        sublayer *a = &layers[i];
+        memcpy(a->in, e, 6 * sizeof(double));
+        add_share(a->in, a->g, n);
+        evaluate(a);
+        traction(a->out, 1, n, a->t);
+        for (int k = 0; k < 6; k++) traction(tangent(a) + k, 6, n, a->across[k]);
+        for (int j = 0; j < 3; j++) finite = finite && isfinite(a->t[j]);
+    }
+    return finite;
+}
+
+/* Steps of the shares and the common traction t: K_i dg_i - t = -t_i, sum a_i dg_i = 0; with `columns` 7, their slopes
+ * along the components of strain as well. A singular K_i (a sublayer that yields) is allowed, two are not. */
+static int linearised(sublayer *layers, int count, const double *n, double *A, int columns)
+{
+    const int size = 3 * count + 3, stride = size + 7;
+    memset(A, 0, size * stride * sizeof(double));
+    for (int i = 0; i < count; i++) {
+        const sublayer *a = &layers[i];
+        double K[3][3];
+        for (int k = 0; k < 3; k++) traction(&a->across[0][k], 3, n, K[k]);
+        for (int j = 0; j < 3; j++) {
+            double *row = A + (3 * i + j) * stride;
+            for (int k = 0; k < 3; k++) row[3 * i + k] = K[j][k];
+            row[3 * count + j] = -1;
+            A[(3 * count + j) * stride + 3 * i + j] = a->fraction;
+            row[size] = -a->t[j];
+            for (int k = 0; k < 6; k++) row[size + 1 + k] = -a->across[k][j];
+        }
+    }
+    return solve(A, size, stride, columns);
+}
+
+/* Newton for the sublayers' shares g_i of the jump: equal tractions, sum a_i g_i = 0. Fills stress and tangent.
+ * A step is halved while the work of the tractions along it, which grows with its length if the laws are monotone, is more
+ * than half of that at its beginning. Converged: shares to 1e-9 and tractions to 1e-8, or nothing but rounding is left. */
+static int in_series(sublayer *layers, int count, const double *e, const double *n, double *A, double *s, double C[6][6])
+{
+    const int size = 3 * count + 3, stride = size + 7;
+    double mean[3] = {0}, slope = 0, length = 0;
+    int converged = 0, iteration = 0;
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < 3; j++) mean[j] += layers[i].fraction * layers[i].g[j];
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < 3; j++) layers[i].g[j] -= mean[j];
+    for (; iteration < 300; iteration++) {
+        if (!tractions(layers, count, e, n)) return 0;
+        if (converged) break;
+        if (length > 1e-9 && slope < 0) {
+            double now = 0;
+            for (int i = 0; i < count; i++)
+                for (int j = 0; j < 3; j++) now += layers[i].fraction * layers[i].t[j] * layers[i].step[j];
+            if (now > -0.5 * slope) { /* half way back */
+                length /= 2;
+                for (int i = 0; i < count; i++)
+                    for (int j = 0; j < 3; j++) layers[i].g[j] -= length * layers[i].step[j];
+                continue;
+            }
+        }
+        if (!linearised(layers, count, n, A, 1)) return 0;
+        double whole = 0, largest = 0, force = 0, lack = 0;
+        for (int k = 0; k < 6; k++) whole = fmax(whole, fabs(e[k]));
+        slope = 0, length = 1;
+        for (int i = 0; i < count; i++)
+            for (int j = 0; j < 3; j++) {
+                sublayer *a = &layers[i];
+                a->step[j] = A[(3 * i + j) * stride + size];
+                a->g[j] += a->step[j];
+                slope += a->fraction * a->t[j] * a->step[j];
+                whole = fmax(whole, fabs(a->g[j]));
+                largest = fmax(largest, fabs(a->step[j]));
+                force = fmax(force, fabs(a->t[j]));
+                lack = fmax(lack, fabs(a->t[j] - A[(3 * count + j) * stride + size]));
+            }
+        converged = largest <= 1e-15 * whole || (largest <= 1e-9 * whole && lack <= 1e-8 * force);
+    }
+    if (!converged || !linearised(layers, count, n, A, 7)) return 0;
+    memset(s, 0, 6 * sizeof(double));
+    memset(C, 0, 36 * sizeof(double));
+    for (int k = 0; k < 6; k++)
+        for (int i = 0; i < count; i++) {
+            const sublayer *a = &layers[i];
+            double change[3], strain[6] = {0};
+            for (int j = 0; j < 3; j++) change[j] = A[(3 * i + j) * stride + size + 1 + k];
+            strain[k] = 1;
+            add_share(strain, change, n);
+            s[k] += a->fraction * a->out[k];
+            for (int j = 0; j < 6; j++)
+                for (int m = 0; m < 6; m++) C[j][k] += a->fraction * tangent(a)[6 * j + m] * strain[m];
+        }
+    return 1;
+}
+
+/* Run a law over points; returns the number of points where it failed (where the stress is NaN), or -1 without memory.
+ *
+ * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
+ * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each. */
+int run(int count, const intptr_t *addresses, const int32_t *memories, const int32_t *n_parameters, const double *fractions,
+        const double *parameters, int m, const int32_t *slots, int points, int width, const double *e, const double *e_old,
+        const double *q, const double *n, double dt, double theta, double *stress, double *C, double *q_new, double *energy)
+{
+    sublayer *layers = calloc(count, sizeof(sublayer));
+    int room = (3 * count + 3) * (3 * count + 10), failed = 0;
+    for (int i = 0; i < count; i++) room += 62 + 2 * memories[i] + n_parameters[i];
+    double *numbers = calloc(room, sizeof(double)), *next = numbers;
+    if (!layers || !numbers) {
+        free(layers), free(numbers);
+        return -1;
+    }
+    for (int i = 0; i < count; i++) {
+        sublayer *a = &layers[i];
+        a->law = (function *)addresses[i], a->memory = memories[i], a->n_parameters = n_parameters[i];
+        a->fraction = fractions[i];
+        a->in = next, a->out = a->in + 17 + a->memory + a->n_parameters;
+        next = a->out + 45 + a->memory;
+        memcpy(a->in + 17 + a->memory, parameters, a->n_parameters * sizeof(double));
+        parameters += a->n_parameters;
+    }
+    double *system = next;
+    for (int k = 0; k < points; k++, e += m, e_old += m, q += width, q_new += width, n += 3) {
+        double now[6] = {0}, s[6], D[6][6];
+        const double *old = q + (count > 1 ? 3 * count : 0);
+        for (int j = 0; j < m; j++) now[slots[j]] = e[j];
+        for (int i = 0; i < count; i++) {
+            sublayer *a = &layers[i];
+            double *tail = a->in + 12 + a->memory;
+            memset(a->in, 0, 12 * sizeof(double));
+            for (int j = 0; j < m; j++) a->in[6 + slots[j]] = e_old[j];
+            if (count > 1) {
+                memcpy(a->g, q + 3 * i, sizeof a->g);
+                add_share(a->in + 6, a->g, n);
+            }
+            memcpy(a->in + 12, old, a->memory * sizeof(double));
+            old += a->memory;
+            memcpy(tail, n, 3 * sizeof(double));
+            tail[3] = dt, tail[4] = theta;
+        }
+        if (count > 1) {
+            if (!in_series(layers, count, now, n, system, s, D)) s[0] = NAN;
+        } else {
+            memcpy(layers->in, now, sizeof now);
+            evaluate(layers);
+            memcpy(s, layers->out, sizeof s);
+            memcpy(D, tangent(layers), sizeof D);
+        }
+        double *new = q_new + (count > 1 ? 3 * count : 0);
+        memset(energy + 3 * k, 0, 3 * sizeof(double));
+        for (int i = 0; i < count; i++) {
+            const sublayer *a = &layers[i];
+            if (count > 1) memcpy(q_new + 3 * i, a->g, sizeof a->g);
+            memcpy(new, a->out + 6, a->memory * sizeof(double));
+            new += a->memory;
+            for (int j = 0; j < 3; j++) energy[3 * k + j] += a->fraction * energies(a)[j];
+        }
+        int finite = isfinite(s[0]);
+        for (int i = 0; i < m; i++) {
+            stress[k * m + i] = s[slots[i]];
+            finite = finite && isfinite(s[slots[i]]);
+            for (int j = 0; j < m; j++) {
+                C[(k * m + i) * m + j] = D[slots[i]][slots[j]];
+                finite = finite && isfinite(D[slots[i]][slots[j]]);
+            }
+        }
+        if (!finite) failed++, stress[k * m] = NAN;
+    }
+    free(layers), free(numbers);
+    return failed;
+}

@@ -1,0 +1,57 @@
+"""History: the accepted steps of a march."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from thinlayer.loads import ModelError
+from thinlayer.model import Model
+from thinlayer.state import State
+from thinlayer.table import Table
+
+SAME_TIME = 1e-9  # relative to the span of a march
+
+
+@dataclass
+class History:
+    """The accepted steps of a march.
+
+    Attributes:
+        model: the model.
+        table: a row for each accepted state: t, dt, iterations, residual, its energy balance (`thinlayer.state.Audit`),
+            and what the march was told to observe.
+        states: the states that are kept, by their row.
+    """
+
+    model: Model
+    table: Table = field(default_factory=Table)
+    states: dict[int, State] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def __iter__(self) -> Iterator[State]:
+        return iter(self.states.values())
+
+    @property
+    def last(self) -> State:
+        """State of the last accepted step."""
+        return self.states[max(self.states)]
+
+    @property
+    def t(self) -> npt.NDArray[np.float64]:
+        """Times of all accepted states."""
+        return self.table["t"]
+
+    def at(self, t: float) -> State:
+        """The state at a time; raises ModelError if no step ended there or its state was not kept."""
+        near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
+        rows = [row for row in self.states if abs(self.states[row].t - t) <= near]
+        if not rows:
+            kept = ", ".join(f"{state.t:g}" for state in self)
+            raise ModelError(f"no state at t = {t:g} is kept; there are states at {kept}")
+        return self.states[rows[-1]]
