@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
@@ -60,15 +61,17 @@ class LinearElastic(LinearLaw):
     @classmethod
     def young(cls, E: float, nu: float) -> LinearElastic:
         """From Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
-        if not (math.isfinite(E) and E > 0):
-            raise LawError(f"LinearElastic: E is {E}; allowed: > 0")
-        if not -1 < nu < 0.5:
-            raise LawError(f"LinearElastic: nu is {nu}; allowed: -1 < nu < 0.5")
+        if not (isinstance(E, Real) and math.isfinite(E) and E > 0):
+            raise LawError(f"LinearElastic: E is {E!r}; allowed: > 0")
+        if not (isinstance(nu, Real) and -1 < nu < 0.5):
+            raise LawError(f"LinearElastic: nu is {nu!r}; allowed: -1 < nu < 0.5")
         return cls(E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu)))
 
     @classmethod
     def shear(cls, mu: float, nu: float) -> LinearElastic:
         """From the shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
+        if not (isinstance(mu, Real) and isinstance(nu, Real)):
+            raise LawError(f"LinearElastic: mu is {mu!r}, nu is {nu!r}; allowed: numbers")
         return cls.young(2 * mu * (1 + nu), nu)
 
     def stress(self, step: Step) -> Expr:
@@ -136,4 +139,5 @@ class Anisotropic(LinearLaw):
         condensed[np.ix_(IN_PLANE, IN_PLANE)] = (
             C[np.ix_(IN_PLANE, IN_PLANE)] - coupling @ np.linalg.pinv(C[np.ix_(out, out)]) @ coupling.T
         )
+        condensed[3:5, 3:5] = C[3:5, 3:5]  # strains there are zero; sublayers in series need a stiffness
         return self.with_parameters({"C": condensed})

@@ -5,8 +5,10 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -97,14 +99,37 @@ class Law:
         known = [name for name in inspect.signature(cls.__init__).parameters if name != "self"]
         for name in named:
             if name not in known:
-                raise LawError(f"{cls.__name__} has no parameter {name!r}; known: {', '.join(known)}")
+                hint = "" if known else " (is it a @dataclass(frozen=True)?)"
+                raise LawError(f"{cls.__name__} has no parameter {name!r}; known: {', '.join(known) or 'none'}{hint}")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
-        for name, value in self.parameters().items():
-            if value is not None and np.asarray(value).dtype.kind not in "iuf":
-                raise LawError(f"{type(self).__name__}: {name} is {value!r}; allowed: numbers")
+        for f in fields(self):
+            self._check_number(f.name, getattr(self, f.name), f.default is None, str(f.type).startswith("float"))
         self.check()
+        self.check_declarations()
+
+    def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
+        if (value is None and may_be_none) or name not in self.parameters():
+            return
+        if value is None or np.asarray(value).dtype.kind not in "iuf" or (scalar and np.ndim(value)):
+            raise LawError(
+                f"{type(self).__name__}: {name} is {value!r}; allowed: {'a number' if scalar else 'numbers'}"
+            )
+
+    def check_declarations(self) -> None:
+        """Raise LawError unless what the class declares fits its parameters."""
+        kind, known = type(self), self.parameters()
+        own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
+        if own and "__dataclass_params__" not in vars(kind):
+            raise LawError(f"{kind.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
+        if not isinstance(self.powers, Mapping) or not isinstance(self.internal, Mapping):
+            raise LawError(f"{kind.__name__}: powers is {{parameter: power}}, internal is {{name: shape}}")
+        for name, power in self.powers.items():
+            if name not in known:
+                raise LawError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
+            if not isinstance(power, Real) or not math.isfinite(power):
+                raise LawError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
 
     def check(self) -> None:
         """Raise LawError if a parameter is out of its range."""
@@ -175,8 +200,8 @@ class Law:
 
     def per_thickness(self, eps: float) -> Self:
         """The law whose real parameters, in a layer of thickness eps (a length > 0), are this law's."""
-        if not (math.isfinite(eps) and eps > 0):
-            raise LawError(f"eps is {eps}; the thickness must be > 0")
+        if not (isinstance(eps, Real) and math.isfinite(eps) and eps > 0):
+            raise LawError(f"eps is {eps!r}; the thickness must be > 0")
         return self.mapped(lambda value, power: value * eps**-power)
 
 
@@ -184,6 +209,22 @@ def require(condition: bool, law: Law, name: str, value: object, allowed: str) -
     """Raise LawError "Law: name is value; allowed: ..." unless the condition holds."""
     if not condition:
         raise LawError(f"{type(law).__name__}: {name} is {value}; allowed: {allowed}")
+
+
+@contextmanager
+def explained(law: Law, method: str) -> Iterator[None]:
+    """Turn errors of a law's method into LawErrors that say which law and what laws are written with."""
+    try:
+        yield
+    except LawError:
+        raise
+    except Exception as error:
+        text = str(error) if len(str(error)) < 200 else f"{str(error)[:200]} ..."
+        raise LawError(
+            f"{type(law).__name__}.{method}: {type(error).__name__}: {text}. Laws are UFL: ufl.exp, "
+            "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
+            f"or internal variables; step.q has {sorted(law.internal) or 'nothing'}"
+        ) from error
 
 
 def shaped(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:

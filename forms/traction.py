@@ -42,6 +42,14 @@ class JumpStep(NamedTuple):
         return cls(jump(step.e), jump(step.e_old), n, step.q, step.dt, step.theta)
 
 
+class _NoRate(JumpStep):
+    __slots__ = ()
+
+    @property
+    def rate(self) -> Expr:
+        raise LawError("a law that asks for step.rate must declare rate = True")
+
+
 class TractionLaw(Law):
     """A law t = t([u]) that no bulk law stands behind: printed formulas, measured curves. On S only, of order 0.
 
@@ -65,7 +73,7 @@ class TractionLaw(Law):
 
     def traction(self, step: JumpStep) -> Expr:
         """Traction at t + theta dt, (3,)."""
-        raise NotImplementedError
+        raise LawError(f"{type(self).__name__} gives no traction; a traction law needs a method traction(step)")
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:
         """Internal variables at the end of the step."""
@@ -73,8 +81,11 @@ class TractionLaw(Law):
 
     def stress(self, step: Step) -> Expr:
         """The symmetric tensor T with T n = t and T : sym(v (x) n) = t . v."""
-        t, n = shaped(self, "traction", self.traction(JumpStep.of(step)), (3,)), step.n
+        t, n = shaped(self, "traction", self.traction(self._jumps(step)), (3,)), step.n
         return ufl.outer(t, n) + ufl.outer(n, t) - ufl.dot(t, n) * ufl.outer(n, n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        return self.evolve(JumpStep.of(step)) if self.internal else {}
+        return self.evolve(self._jumps(step)) if self.internal else {}
+
+    def _jumps(self, step: Step) -> JumpStep:
+        return JumpStep.of(step) if self.rate else _NoRate(*JumpStep.of(step))

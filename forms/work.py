@@ -9,7 +9,7 @@ from typing import Any
 import ufl
 
 from forms.kinematics import Expr, jump_strain, lift, strain
-from forms.law import Law, Step, shaped
+from forms.law import Law, Step, explained, shaped
 from forms.traction import TractionLaw
 
 GAUSS = (-(12**-0.5), 12**-0.5)  # places through a thickness from -1/2 to 1/2
@@ -114,7 +114,8 @@ def work(points: Iterable[Points], u: Expr, v: Expr) -> Expr:
     """Virtual work of the stresses of u in the strains of v, a UFL form linear in v."""
 
     def stress(p: Points) -> Expr:
-        return shaped(p.law, "stress", p.law.stress(p.step(u)), (3, 3))
+        with explained(p.law, "stress"):
+            return shaped(p.law, "stress", p.law.stress(p.step(u)), (3, 3))
 
     return sum(ufl.inner(stress(p), p.strain(v)) * p.weight * p.measure for p in points)
 

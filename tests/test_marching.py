@@ -12,11 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
+from scipy.optimize import brentq
 
-from forms.laws import KelvinVoigt, LinearElastic, Maxwell, Norton, PointLaw
+from forms.laws import KelvinVoigt, Law, LinearElastic, Maxwell, Norton, PointLaw
 from geometry import sandwich
 from tests.test_parallel import CLEAN, CLONE, mpirun
-from thinlayer import Adaptive, Model, ModelError, SolveError, Surface, ThinLayer, compare, march, piecewise, solve
+from thinlayer import (
+    Adaptive,
+    Model,
+    ModelError,
+    OptionError,
+    SolveError,
+    Surface,
+    ThinLayer,
+    compare,
+    march,
+    piecewise,
+    solve,
+)
 
 BODY = LinearElastic.young(100.0, 0.3)
 SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
@@ -202,6 +215,83 @@ def test_piecewise_loads():
             piecewise(bad)
 
 
+def test_adaptive_steps_end_where_piecewise_loads_break():
+    """A pulse that no error estimate would see."""
+    pulse = piecewise({0.0: (0.0, 1.0), 1.0: (0.0, 1.0), 1.05: (0.0, -5.0), 1.1: (0.0, 1.0), 4.0: (0.0, 1.0)})
+    model = interface(SUDDEN, {"TOP": pulse})
+    history = march(model, Adaptive(4.0, 0.01, 1e-4), observe=opening(model), keep="last")
+    assert {1.0, 1.05, 1.1, 4.0} <= set(history.t)
+    exact = (1.0 + (4.0 - 0.1 * 3.0) / 0.7) / K_N
+    assert history.table["opening"][-1] == pytest.approx(exact, rel=2e-3)
+
+
+def test_adaptive_steps_do_not_depend_on_what_is_kept_and_go_on_after_a_target():
+    tractions = {"TOP": lambda x, t: (0.0, ufl.cos(6 * t))}
+    steps = Adaptive(1.0, 0.01, 1e-3, at=[0.3, 0.301, 0.302])
+    all_kept, last_kept = (march(interface(SLOW, tractions), steps, keep=keep) for keep in ("all", "last"))
+    assert all_kept.t == pytest.approx(last_kept.t)
+    after, before = all_kept.table["dt"][all_kept.t > 0.3021][0], all_kept.table["dt"][all_kept.t < 0.3][-1]
+    assert after > before / 2
+
+
+@pytest.mark.parametrize("p", [3.0, 5.0])
+@pytest.mark.parametrize("soft", [1.0, 1e-3, 1e-6])
+def test_a_dashpot_that_is_nothing_at_rest(p, soft):
+    """A sudden load: the first linear step goes far too long, where a large residual has to become small."""
+    law = Norton(60.0 * soft, 40.0 * soft, eta=5.0 * soft, p=p)
+    model, times = interface(law), [0.02, 0.1, 1.0]
+    history = march(model, times, observe=opening(model))
+    w, before = 0.0, 0.0
+    for t in times:
+        balance = lambda x, w=w, dt=t - before: (
+            soft * (K_N * x + 5.0 * (x - w) * abs((x - w) / dt) ** (p - 2) / dt) - 1.0
+        )
+        w, before = brentq(balance, w, 1.0 / (soft * K_N), xtol=1e-16, rtol=1e-14), t
+    assert history.table["opening"][-1] == pytest.approx(w, rel=1e-8)
+    assert np.abs(history.table["imbalance"]).max() < 1e-8
+
+
+def test_moved_sides_of_a_layer_that_is_rigid_at_rest():
+    """The tangent at rest would make the forces of moved supports look a million times too large."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    supports = {
+        "BOTTOM": 0.0,
+        "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(9 * t) * x[1]},
+        "RIGHT/UPPER": {"x": lambda x, t: 0.01 * ufl.cos(9 * t)},
+    }
+    layer = ThinLayer(Norton(60.0, 40.0, eta=5.0, p=1.3), 0.1)
+    for build in (Model.full, Model.interface):
+        history = march(build(joint, body=BODY, supports=supports, layer=layer), [0.1, 0.2, 0.3])
+        assert np.abs(history.table["imbalance"]).max() < 1e-8
+
+
+@dataclass(frozen=True)
+class Ageing(Law):
+    """Linear in the strain at the end of a step, with a modulus that grows with its age."""
+
+    k: float
+    growth: float
+    powers = {"k": 1}
+    internal = {"age": ()}
+    linear = True
+
+    def advance(self, step):
+        return {"age": step.q["age"] + step.dt}
+
+    def stress(self, step):
+        return self.k * (1 + self.growth * step.q["age"]) * step.mid
+
+
+@pytest.mark.parametrize("options", [{}, {"ksp_type": "cg", "pc_type": "gamg"}, {"pc_type": "lu"}])
+def test_a_linear_law_may_change_with_its_memory(options):
+    """Factors of earlier steps are tried and, where they are no longer good, made anew."""
+    model = interface(Ageing(50.0, 0.5))
+    history = march(model, [0.1 * k for k in range(1, 11)], options=options, observe=opening(model))
+    assert len(history) == 11
+    age = np.array([0.0, *(0.1 * k for k in range(10))])
+    assert history.table["opening"] == pytest.approx(1 / (50.0 * (1 + 0.5 * age)), rel=1e-7)
+
+
 # ---------------------------------------------------------------- bad input
 @pytest.mark.parametrize(
     ("times", "options", "message"),
@@ -216,23 +306,70 @@ def test_piecewise_loads():
         ([0.1], {"keep": "some"}, "'all', 'last'"),
         ([0.1], {"resume": True}, "needs out="),
         ([0.1], {"observe": {"t": len}}, "column 't'"),
+        ([0.1], {"observe": {"a": 5}}, "must be a function of a state"),
+        ([0.1], {"observe": len}, "name of a column"),
+        ([0.1], {"observe": {"a": lambda state: None}}, r"observe\['a'\] at t = 0: .* returns a number"),
+        ([0.1], {"theta": "half"}, "theta is 'half'"),
+        ([0.1], {"start": None}, "start is None"),
+        ("12", {}, "sequence of numbers"),
+        ([0.1], {"out": ""}, "name of a folder"),
+        ([0.1], {"options": {"ksp_nonsense": 1}}, "not read"),
         (Adaptive(-1.0, 0.1), {}, "increase"),
     ],
 )
 def test_bad_input(times, options, message, tmp_path):
     if not options.get("resume"):
         options = {"out": tmp_path / "out"} | options
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises((ModelError, OptionError), match=message):
         march(interface(), times, **options)
     assert not (tmp_path / "out").exists()
 
 
 def test_bad_adaptive_steps():
     for values in ({"first": 0.0}, {"first": 0.1, "tolerance": -1.0}, {"first": 0.1, "largest": 0.0}):
-        with pytest.raises(ModelError, match="allowed: > 0"):
+        with pytest.raises(ModelError, match="allowed: a number > 0"):
             Adaptive(1.0, **values)
     with pytest.raises(ModelError, match="at has t = 2; times increase to end = 1"):
         Adaptive(1.0, 0.1, at=[2.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (dict(body=LinearElastic.young(1.0, 0.3)), "bodies"),
+        (dict(supports=SETUP["supports"] | {"BOTTOM": {"y": 0.01, "x": 0.0}}), "supports"),
+        (dict(tractions={"TOP": (0.0, 2.0)}), "loads"),
+        (dict(body_force=(0.0, 1.0)), "loads"),
+        (dict(layer=ThinLayer(SLOW, 0.2)), "eps"),
+        (dict(layer=ThinLayer(SUDDEN, 0.1)), "law"),
+    ],
+)
+def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, what):
+    data = SETUP | {"layer": ThinLayer(SLOW, 0.1), "tractions": PULL}
+    march(Model.interface(JOINT, **data), [0.1], out=tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for resume in (True, False):
+        with pytest.raises(ModelError, match=rf"another march \(.*{what}: .* give another folder"):
+            march(Model.interface(JOINT, **(data | change)), [0.1, 0.2], out=tmp_path, resume=resume)
+    with pytest.raises(ModelError, match=r"start: 0\.0 there, -1\.0 here"):
+        march(Model.interface(JOINT, **data), [0.1, 0.2], out=tmp_path, resume=True, start=-1.0)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    same = KelvinVoigt(np.float64(60.0), 40, theta_lmbda=0.3, theta_mu=0.5)
+    data["layer"] = ThinLayer(same, 0.1)
+    assert len(march(Model.interface(JOINT, **data), [0.1, 0.2], out=tmp_path, resume=True)) == 3
+
+
+def test_files_that_do_not_fit_together(tmp_path):
+    march(interface(), [0.1, 0.2], out=tmp_path)
+    with pytest.raises(ModelError, match=r"is at t = 0\.2; times end before"):
+        march(interface(), [0.1], out=tmp_path, resume=True)
+    states = tmp_path / "states"
+    (states / "000002.npz").write_bytes((states / "000001.npz").read_bytes())
+    with pytest.raises(ModelError, match="another time than row 2"):
+        march(interface(), [0.3], out=tmp_path, resume=True)
+    (states / "000002.npz").unlink()
+    with pytest.raises(ModelError, match=r"000002\.npz cannot be read"):
+        march(interface(), [0.3], out=tmp_path, resume=True)
 
 
 def test_only_the_same_march_is_resumed(tmp_path):
@@ -279,6 +416,9 @@ def test_a_killed_study_is_resumed(tmp_path):
     done = subprocess.run([sys.executable, str(script), *words[2:], str(tmp_path / "a")], env=environment, cwd=CLONE)
     assert done.returncode == -signal.SIGKILL
     assert len((tmp_path / "a" / "table.csv").read_text().splitlines()) == 2
+    wrong = mpirun(1, *[w.replace("maxwell", "stack") for w in words], str(tmp_path / "a"), "--resume")
+    assert wrong.returncode == 2
+    assert "is of the study sweep_maxwell, not sweep_stack" in wrong.stderr
     other = mpirun(1, *words[:-2], "0.01", "--out", str(tmp_path / "a"), "--resume")
     assert other.returncode == 2
     assert "had the options" in other.stderr

@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 from forms import LawError
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
+from thinlayer import Model, ModelError, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 
 
 def test_rows_are_committed_one_by_one(tmp_path):
@@ -30,6 +30,33 @@ def test_rows_are_committed_one_by_one(tmp_path):
     assert table["order_traction"][1] == pytest.approx(2.0)
     assert table["order_jump"][1] == pytest.approx(1.0)
     assert np.isnan(table["order_jump"][0])
+
+
+def test_a_resumed_sweep_keeps_its_rows(tmp_path):
+    """Rows are there already: they stay while others are computed, and orders are those of the whole table."""
+    seen = []
+
+    def run(eps):
+        seen.append(eps)
+        if eps == 0.05:
+            raise RuntimeError("killed")
+        return {"eps": eps, "error_traction": eps**2, "error_jump": 3 * eps}
+
+    path = tmp_path / "t.csv"
+    sweep(run, [0.4, 0.1], path)
+    with pytest.raises(RuntimeError):
+        sweep(run, [0.4, 0.2, 0.1, 0.05], path, resume=True)
+    assert list(Table.load(path)["eps"]) == [0.4, 0.2, 0.1]
+    table = sweep(run, [0.2], path, resume=True)
+    assert seen == [0.4, 0.1, 0.2, 0.05]
+    assert list(table["eps"]) == [0.4, 0.2, 0.1]
+    assert table["order_traction"][1:] == pytest.approx([2.0, 2.0])
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(ModelError, match="is not the table of a sweep"):
+        sweep(run, [0.2], path, resume=True)
+    for bad in (None, 5, (1, 2)):
+        with pytest.raises(ModelError, match="return what compare returns"):
+            sweep(lambda e, bad=bad: bad, [0.2])
 
 
 @pytest.mark.parametrize("eps", [[], [0.1, 0.1], [0.0, 0.1], [float("inf")]])

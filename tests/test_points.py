@@ -14,6 +14,7 @@ from mpi4py import MPI
 from scipy.optimize import minimize_scalar
 
 from forms import (
+    Anisotropic,
     Incompressible,
     KelvinVoigt,
     Law,
@@ -873,3 +874,84 @@ def test_a_rate_that_is_not_declared():
     """Step.rate outside a march: a law must declare rate = True."""
     with pytest.raises(LawError, match="rate = True"):
         KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3)))
+
+
+# ---------------------------------------------------------------- declarations and kernels
+def declared(body: str, decorated: bool = True):
+    """A law's class from source."""
+    names = {"Law": Law, "PointLaw": PointLaw, "dataclass": dataclass, "np": np}
+    decorator = "@dataclass(frozen=True)\n" if decorated else ""
+    exec(f"{decorator}class Mine(Law):\n    k: float = 30.0\n" + body, names)
+    return names["Mine"]
+
+
+@pytest.mark.parametrize(
+    ("body", "decorated", "message"),
+    [
+        ('    powers = {"K": 1}\n', True, "powers has 'K'; parameters: k"),
+        ('    powers = {"k": float("nan")}\n', True, "power of k is nan"),
+        ('    powers = ["k"]\n', True, r"powers is \{parameter: power\}"),
+        ('    internal = ["a"]\n', True, r"internal is \{name: shape\}"),
+        ('    powers = {"k": 1}\n', False, r"no dataclass: write @dataclass\(frozen=True\)"),
+    ],
+)
+def test_what_a_class_declares_fits_its_parameters(body, decorated, message):
+    with pytest.raises(LawError, match=message):
+        declared(body, decorated)()
+
+
+@pytest.mark.parametrize("value", [None, "1", [1.0, 2.0], np.ones(3)])
+def test_parameters_are_numbers(value):
+    for build in (
+        lambda: Norton(1.0, 1.0, value, 1.5),
+        lambda: LinearElastic(1.0, value),
+        lambda: LinearElastic.young(value, 0.3),
+        lambda: ELASTIC.per_thickness(value),
+    ):
+        with pytest.raises(LawError, match=r"allowed|must be > 0"):
+            build()
+
+
+def spoiled_kernel(body: str, memory: object = 0):
+    names: dict = {"np": np}
+    arguments = "e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies"
+    exec(f"def kernel({arguments}):\n" + body, names)
+    return dataclass(frozen=True)(
+        type("Spoiled", (PointLaw,), {"kernel": staticmethod(names["kernel"]), "memory": memory})
+    )
+
+
+@pytest.mark.parametrize(
+    ("body", "memory", "message"),
+    [
+        ("    q_new[3] = 1.0\n    return True\n", 0, "IndexError"),
+        ("    stress[0] = nonsense\n    return True\n", 0, "NameError"),
+        ("    stress[0] = 1.0\n", 0, "returns None"),
+        ("    return True\n", "6", "memory, a number"),
+    ],
+)
+def test_mistakes_in_kernels_are_found_before_they_are_compiled(body, memory, message):
+    with pytest.raises(LawError, match=message):
+        material(spoiled_kernel(body, memory)())
+
+
+def test_errors_in_a_compiled_kernel_are_failed_points():
+    law = spoiled_kernel(
+        "    stress[0] = parameters.sum() + e[0]\n"
+        "    if e[0] > 0.5:\n        raise ValueError('beyond')\n"
+        "    tangent[0, 0] = 1 / (e[0] - 0.25)\n    return True\n"
+    )()
+    e = np.zeros((3, 6))
+    e[1, 0], e[2, 0] = 0.25, 0.75
+    stress, _, _, _, failed = material(law).update(range(6), e, 0 * e, np.zeros((3, 0)), np.tile(E2, (3, 1)), DT, 1.0)
+    assert failed == 2
+    assert np.isnan(stress[:, 0]).tolist() == [False, True, True]
+
+
+def test_sublayers_with_springs_alone_in_plane_stress():
+    """Their stiffness out of the plane is not zero, or they could not be in series."""
+    springs = Anisotropic.springs(K_N, K_T)
+    law = Stack((0.5, springs), (0.5, Anisotropic.springs(2 * K_N, 2 * K_T))).plane_stress()
+    w = np.array([[0.3, 0.7, 0.0]])
+    answer = respond(law, jump_strain(w, E2[None]), 0 * jump_strain(w, E2[None]), np.zeros((1, 6)), E2[None], dt=0.0)
+    assert traction(answer.stress, E2[None])[0] == pytest.approx([0.3 * K_T * 4 / 3, 0.7 * K_N * 4 / 3, 0.0], rel=EXACT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
@@ -9,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from forms import LinearElastic
+from geometry import sandwich
+from thinlayer import Model, Surface, ThinLayer, march
 from thinlayer.catalogue import studies
 
 CLONE = Path(__file__).parent.parent
@@ -36,6 +40,31 @@ def test_scripts_are_short():
     assert len([line for line in first.splitlines() if line.strip()]) <= 20
     law = second[second.index("@dataclass") : second.index("steel =")]
     assert len([line for line in law.splitlines() if line.strip()]) <= 17
+
+
+def test_laws_of_the_documentation_work():
+    """Each in a joint that is loaded step by step, with the values their text says."""
+    names: dict = {}
+    for block in re.findall(r"```python\n(.*?)```", (CLONE / "forms" / "README.md").read_text(), re.DOTALL):
+        exec(block, names)
+    body, pull = LinearElastic.young(100.0, 0.3), {"TOP": lambda x, t: (t, 0.0)}
+    supports = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+    joint = sandwich(1.0, 0.5, 0.5, 0.5)
+    slips = {}
+    for name, law in {
+        "Hardening": names["Hardening"](k=20.0, c=5.0),
+        "Mises": names["Mises"](kappa=80.0, mu=20.0, limit=0.6),
+        "Cohesive": names["Cohesive"](k=20.0, w_0=1.0),
+    }.items():
+        model = Model.interface(joint, body=body, supports=supports, tractions=pull, layer=ThinLayer(law, 0.1))
+        surface = Surface(model)
+        slip = {"slip": lambda state, s=surface: s.integral(s.jump(state)[0])}
+        slips[name] = march(model, [0.2, 0.4], observe=slip).table["slip"]
+    w = slips["Hardening"][-1]
+    assert 20.0 * w + 5.0 * w**3 / 4 == pytest.approx(0.4, rel=1e-8)
+    assert slips["Mises"] == pytest.approx([0.0, 0.01, 0.02], rel=1e-8, abs=1e-12)  # elastic up to 0.6/sqrt 2
+    w = slips["Cohesive"][-1]
+    assert 20.0 * w * math.exp(-(w**2)) == pytest.approx(0.4, rel=1e-8)
 
 
 def test_pictures_exist():

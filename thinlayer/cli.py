@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from thinlayer.catalogue import Study, studies
 
-OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED = 0, 1, 2, 3
+OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, INTERRUPTED = 0, 1, 2, 3, 130
 PETSC_PREFIX = "-thinlayer_"
 
 
@@ -149,6 +149,9 @@ def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, 
     except SolveError as error:
         record.close(str(error))
         return _stop(root, SOLVE_FAILED, f"{error}\nwhat was done is kept in {out}")
+    except KeyboardInterrupt:
+        record.close("interrupted")
+        return _stop(root, INTERRUPTED, f"interrupted; what was done is kept in {out}, --resume continues")
     except BaseException as error:
         _abort(MPI.COMM_WORLD, error)
     record.close()

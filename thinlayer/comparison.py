@@ -21,6 +21,7 @@ from thinlayer.table import Row, Table
 from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[Expr], Expr]
+ERRORS = ("eps", "error_traction", "error_jump")
 
 
 def compare(
@@ -45,6 +46,9 @@ def compare(
         ModelError: the states are not a full and an interface model of the same joint, or are of two times; `where` is no
             condition, or holds nowhere on S.
     """
+    for one in (full, interface):
+        if not isinstance(one, (State, History)):
+            raise ModelError(f"compare takes states or histories, as solve and march return them, not {one!r}")
     full, interface = (_state(one, at) for one in (full, interface))
     if (full.model.kind, interface.model.kind) != ("full", "interface"):
         raise ModelError(
@@ -55,6 +59,9 @@ def compare(
     if abs(full.t - interface.t) > SAME_TIME * max(abs(full.t), abs(interface.t)):
         raise ModelError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     assert full.model.layer is not None
+    assert interface.model.layer is not None
+    if full.model.layer.eps != interface.model.layer.eps:
+        raise ModelError(f"compare needs one thickness, not {full.model.layer.eps} and {interface.model.layer.eps}")
     surface = Surface(interface.model)
     part = 1 if where is None else _part(surface, where)
     row = {"eps": float(full.model.layer.eps)}
@@ -85,13 +92,6 @@ def _part(surface: Surface, where: Where) -> Expr:
     return part
 
 
-def _rows_of(path: str | Path) -> dict[float, Row]:
-    """Thickness -> row of a table that may have been cut short; on one rank."""
-    if not Path(path).exists():
-        return {}
-    return {float(row["eps"] or 0): row for row in Table.load(path).rows}
-
-
 def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
     """Observed order between each row and the one before it, log(e_k-1/e_k)/log(eps_k-1/eps_k); None for the first."""
     x, e = np.log(np.array(list(eps), float)), np.log(np.array(list(errors), float))
@@ -110,34 +110,57 @@ def sweep(
         run: eps -> a row with error_traction and error_jump, such as `compare` returns.
         eps: thicknesses, > 0 and different.
         out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails.
-        resume: take the rows that `out` already has for these thicknesses, and compute the others.
+        resume: keep the rows that `out` already has, and compute the others.
 
     Raises:
         LawError: a thickness out of range or given twice, `out` is a folder. ModelError: a row lacks these columns.
     """
     if out is not None and Path(out).is_dir():
         raise LawError(f"{str(out)!r} is a folder; give the name of a csv file")
-    values = sorted((float(e) for e in eps), reverse=True)
+    try:
+        values = sorted((float(e) for e in eps), reverse=True)
+    except (TypeError, ValueError) as error:
+        raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
     if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
         raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
     root = MPI.COMM_WORLD.rank == 0
-    done = _rows_of(out) if resume and out is not None and root else {}
-    done = MPI.COMM_WORLD.bcast(done)
-    table = Table(path=out if root else None)
+    rows = MPI.COMM_WORLD.bcast(_rows_of(out) if resume and out is not None and root else {})
     for e in track(values, "sweep", "eps = {:g}"):
-        if e in done:
-            table.append(done[e])
-            continue
-        row = dict(run(e))
-        missing = {"eps", "error_traction", "error_jump"} - row.keys()
-        if missing:
-            raise ModelError(
-                f"run(eps) returns a row without {', '.join(sorted(missing))}; return what compare returns"
-            )
-        orders = {}
-        for name in ("traction", "jump"):
-            pair = [*table.rows[-1:], row]
-            orders[f"order_{name}"] = observed_orders([r["eps"] for r in pair], [r[f"error_{name}"] for r in pair])[-1]
-        first = {name: row.pop(name) for name in ("eps", "error_traction", "error_jump")}
-        table.append(first | orders | row)
+        if e not in rows:
+            rows[e] = _row(run, e)
+            if root and out is not None:
+                _with_orders(rows).write(out)
+    table = _with_orders(rows)
     return table
+
+
+def _row(run: Callable[[float], Mapping[str, Any]], eps: float) -> Row:
+    row = run(eps)
+    if not isinstance(row, Mapping):
+        raise ModelError(f"run(eps) returns {row!r}; return what compare returns")
+    if missing := {*ERRORS} - row.keys():
+        raise ModelError(f"run(eps) returns a row without {', '.join(sorted(missing))}; return what compare returns")
+    return dict(row)
+
+
+def _with_orders(rows: Mapping[float, Row]) -> Table:
+    """The table of rows by thickness, descending, with the observed orders between each row and the one before."""
+    ordered = [rows[e] for e in sorted(rows, reverse=True)]
+    columns = {name: [math.nan if row[name] is None else float(row[name] or 0.0) for row in ordered] for name in ERRORS}
+    orders = {name: observed_orders(columns["eps"], columns[f"error_{name}"]) for name in ("traction", "jump")}
+    table = Table()
+    for k, row in enumerate(ordered):
+        first = {name: row[name] for name in ERRORS}
+        rest = {name: value for name, value in row.items() if name not in ERRORS}
+        table.append(first | {f"order_{name}": orders[name][k] for name in orders} | rest)
+    return table
+
+
+def _rows_of(path: str | Path) -> dict[float, Row]:
+    """Thickness -> row, without orders, of a sweep's table; on one rank."""
+    if not Path(path).exists():
+        return {}
+    rows = Table.load(path).rows
+    if any(not {*ERRORS} <= row.keys() or not isinstance(row["eps"], float) for row in rows):
+        raise ModelError(f"{str(path)!r} is not the table of a sweep; give another name, or remove it")
+    return {float(row["eps"]): {n: v for n, v in row.items() if not n.startswith("order_")} for row in rows}  # type: ignore[arg-type]

@@ -25,6 +25,8 @@ SAME, SUBSET, DIFFERENT = (
     PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
 )
 
+ROUNDING = 1e-8  # times 1e-6, the largest residual: stiffness times displacement is rounded to 1e-14
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -41,6 +43,14 @@ class Equations:
 
     The stresses that are linear in the displacements make one matrix, assembled once; compiled laws at points add to it.
     Collective, as all methods are.
+
+    Attributes:
+        points: where compiled laws act.
+        constraint: the pressures of an incompressible layer.
+        loads: nodal forces of the loads in the balance of the present step.
+        scale: size of the forces in the last residual: of the bodies' stresses, of the loads, or of what rounding leaves
+            of the stresses of stiff bodies that are moved.
+        failed: number of points where a law failed in the last residual.
     """
 
     def __init__(self, model: Model) -> None:
@@ -65,6 +75,8 @@ class Equations:
         self.pressure = fem.Function(self.constraint.space) if self.constraint else None
         self._matrix: PETSc.Mat | None = None
         self._responses: list[Response] = []
+        self._forces, self._product = self.K.createVecLeft(), self.K.createVecLeft()
+        self._diagonal, self.loads = self.K.getDiagonal(), self.K.createVecLeft()
 
     # ---------------------------------------------------------------- unknowns
     @cached_property
@@ -113,10 +125,12 @@ class Equations:
         """
         self.interval, old = interval, interval.old
         self.old = old.u.x.petsc_vec
-        self.loads = self.loads_at(interval.t)
-        if interval.theta < 1:
-            before = self.loads_at(old.t)
-            self.loads.aypx(interval.theta, before * (1 - interval.theta))
+        self.loads.set(0.0)
+        for t, share in ((interval.t, interval.theta), (old.t, 1 - interval.theta)):
+            if share:
+                b = self.loads_at(t)
+                self.loads.axpy(share, b)
+                b.destroy()
         self.prescribed = self._prescribed_at(interval.t)
         self._e_old = [p.strain(self.old) for p in self.points]
 
@@ -151,18 +165,20 @@ class Equations:
         """Internal forces less loads; pressures: the layer's change of volume. NaN where a law failed."""
         self.put(x)
         now, theta = self.u.x.petsc_vec, self.interval.theta
-        mid = self.mid.x.petsc_vec
+        mid, forces = self.mid.x.petsc_vec, self._forces
         now.copy(mid)
         mid.scale(theta)
         mid.axpy(1 - theta, self.old)
         self.mid.x.scatter_forward()
-        forces = self.K.createVecLeft()
         self.K.mult(mid, forces)
+        self._product.pointwiseMult(self._diagonal, mid)
+        self.scale = max(float(forces.norm()), float(self.loads.norm()), ROUNDING * float(self._product.norm()))
         if self._curved:
             b = dolfinx.fem.petsc.assemble_vector(self._F)
             b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-            self._curved_forces = b
+            self.scale = max(self.scale, float(b.norm()))
             forces.axpy(1.0, b)
+            b.destroy()
         self._responses = [
             p.respond(p.strain(now), e_old, q, self.interval.dt, theta)
             for p, e_old, q in zip(self.points, self._e_old, self.interval.old.memory, strict=True)
@@ -171,13 +187,10 @@ class Equations:
         for p, r in zip(self.points, self._responses, strict=True):
             forces.axpy(1.0, p.forces(r.stress))
         if self.constraint and self.pressure is not None:
-            G = self.constraint.G
-            part = G.createVecRight()
-            G.multTranspose(self.pressure.x.petsc_vec, part)
-            forces.axpy(1.0, part)
-            volume = G.createVecLeft()
-            G.mult(now, volume)
-            out.array[self.n_displacements :] = volume.array_r
+            self.constraint.G.multTranspose(self.pressure.x.petsc_vec, self._product)
+            forces.axpy(1.0, self._product)
+            self.constraint.G.mult(now, self.constraint.volume)
+            out.array[self.n_displacements :] = self.constraint.volume.array_r
         forces.axpy(-1.0, self.loads)
         out.array[: self.n_displacements] = np.nan if self.failed else forces.array_r
 
@@ -225,13 +238,14 @@ class Equations:
     # ---------------------------------------------------------------- an accepted step
     def audit(self, x: PETSc.Vec) -> tuple[tuple[npt.NDArray[np.float64], ...], Audit]:
         """Internal values and energy balance at the end of the step, for its solution x."""
-        out = self.vector()
+        out, change = self.vector(), self._product
         self.residual(x, out)
         r, now = out.array_r[: self.n_displacements], self.u.x.petsc_vec
-        change = now.copy()
+        now.copy(change)
         change.axpy(-1.0, self.old)
         at_supports = self.comm.allreduce(float(r[self.held] @ change.array_r[self.held]))
         supplied = self.loads.dot(change) + at_supports
+        curved = self._curved_work(change)
         stored_now, stored_old, of_change = (self._elastic(v) for v in (now, self.old, change))
         stored, dissipated, total = stored_now - stored_old, 0.0, stored_now
         remainder = (2 * self.interval.theta - 1) * of_change
@@ -239,7 +253,7 @@ class Equations:
             before, after = (self._curved_energy(v) for v in (self.old, now))
             stored += after - before
             total += after
-            remainder += self._curved_forces.dot(change) - (after - before)
+            remainder += curved - (after - before)
         layer = np.zeros(3)
         if self.points:
             layer = self.comm.allreduce(sum(r.energies for r in self._responses))
@@ -247,13 +261,23 @@ class Equations:
             total += layer[0]
             dissipated += layer[1]
             remainder += layer[2]
+        out.destroy()
         audit = Audit(*map(float, (supplied, stored, dissipated, remainder, layer[0], total)))
         return tuple(r.memory for r in self._responses), audit
 
     def _elastic(self, u: PETSc.Vec) -> float:
-        v = self.K.createVecLeft()
-        self.K.mult(u, v)
-        return float(u.dot(v)) / 2
+        self.K.mult(u, self._forces)
+        return float(u.dot(self._forces)) / 2
+
+    def _curved_work(self, change: PETSc.Vec) -> float:
+        """Work of the stresses that are not linear in the displacements, at the last residual's ones."""
+        if not self._curved:
+            return 0.0
+        b = dolfinx.fem.petsc.assemble_vector(self._F)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        found = float(b.dot(change))
+        b.destroy()
+        return found
 
     def _curved_energy(self, u: PETSc.Vec) -> float:
         if not all(p.law.has_energy for p in self._curved):
@@ -266,6 +290,14 @@ class Equations:
         """Free the matrices."""
         for p in self.points:
             p.destroy()
-        for thing in (self.K, self._matrix, self.constraint):
+        for thing in (self.K, self._matrix, self.constraint, self._forces, self._product, self._diagonal, self.loads):
             if thing is not None:
                 thing.destroy()
+
+    def collect(self) -> None:
+        """Free what Python has dropped: PETSc keeps the objects of several ranks until all ranks are asked together."""
+        if self.comm.size > 1:
+            V = self.model.V
+            comms = [self.comm, V.mesh.comm, V.dofmap.index_map.comm, *(p.B.getComm().tompi4py() for p in self.points)]
+            for comm in comms:
+                PETSc.garbage_cleanup(comm)

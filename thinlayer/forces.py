@@ -25,6 +25,9 @@ class Forces:
         body_force: force per volume in the bodies, or region name -> force.
         at: coordinates for loads that are functions.
 
+    Attributes:
+        given: what and where -> the load as it was given.
+
     Raises:
         GeometryError, ModelError: unknown names, a traction on S or inside, loads that are no vectors.
     """
@@ -33,6 +36,7 @@ class Forces:
         self, domain: Domain, tractions: Mapping[str, Load] | None, body_force: BodyForce | None, at: Coordinates
     ) -> None:
         self.domain, self.at = domain, at
+        self.given: dict[str, Load] = {}
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
@@ -44,6 +48,7 @@ class Forces:
         self._everywhere = dx
 
     def _add(self, what: str, load: Load, measure: ufl.Measure | None) -> None:
+        self.given[what] = load
         checked = vector(load, self.at, self.domain.joint.dim, what)
         if measure is not None:
             self._loads.append((what, checked, measure))

@@ -42,6 +42,7 @@ class ThinLayer:
     def __post_init__(self) -> None:
         if not isinstance(self.law, Law):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
+        self.law.check_declarations()
         if not (isinstance(self.eps, (int, float, np.floating)) and math.isfinite(self.eps) and self.eps > 0):
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
         if self.order not in (0, 1):

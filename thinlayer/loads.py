@@ -90,6 +90,8 @@ def piecewise(values: Mapping[float, Value | Sequence[float]]) -> Callable[[Expr
         ModelError: less than two times, values that are no numbers or of different lengths.
     """
     try:
+        if not all(isinstance(t, Real) for t in values):
+            raise TypeError("times are numbers")
         times = sorted(values)
         rows = np.array([values[t] for t in times], float)
         whole = np.isfinite(rows).all() and np.isfinite(np.array(times, float)).all()
@@ -102,6 +104,7 @@ def piecewise(values: Mapping[float, Value | Sequence[float]]) -> Callable[[Expr
         lines = [_line(times, column, t) for column in rows.reshape(len(times), -1).T]
         return lines if rows.ndim == 2 else lines[0]
 
+    at.times = tuple(times)  # type: ignore[attr-defined]
     return at
 
 
@@ -112,6 +115,16 @@ def _line(times: Sequence[float], values: npt.NDArray[np.float64], t: Expr) -> E
     for a, b, u, v in reversed(list(zip(times[:-1], times[1:], values[:-1], values[1:], strict=True))):
         line = ufl.conditional(ufl.le(t, b), u + (t - a) * ((v - u) / (b - a)), line)
     return ufl.conditional(ufl.lt(t, times[0]), nowhere, line)
+
+
+def _scalar(value: Any, what: str) -> Expr:
+    try:
+        found = ufl.as_ufl(value)
+    except Exception as error:
+        raise ModelError(f"{what}: a component gives {value!r}; it must be a number: {error}") from error
+    if found.ufl_shape:
+        raise ModelError(f"{what}: a component gives a tensor of shape {found.ufl_shape}; it must be a number")
+    return found
 
 
 def _call(function: Callable[[Expr, Expr], Any], at: Coordinates, what: str) -> Any:
@@ -142,6 +155,8 @@ class Supports:
     def __init__(
         self, domain: Domain, given: Mapping[Place, Support], at: Coordinates, clamped: Sequence[str] = ()
     ) -> None:
+        if not isinstance(given, Mapping):
+            raise ModelError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
         self.domain, self.at = domain, at
         self.axes = AXES[: domain.joint.dim]
         self.entries: list[tuple[Place, dict[str, Value]]] = []
@@ -157,6 +172,10 @@ class Supports:
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
 
     def _components(self, place: Place, support: Support) -> dict[str, Value]:
+        if callable(support) or support is None:
+            raise ModelError(
+                f"support on {place!r} is {support!r}; allowed: a number, or {{component: number or function}}"
+            )
         given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
         components: dict[str, Value] = dict(given)
         for axis, value in components.items():
@@ -208,7 +227,7 @@ class Conditions:
         if any(callable(entry) for entry in entries):
             scalars = [_call(e, supports.at, f"support on {place!r}") if callable(e) else e for e in entries]
             on_mesh = fem.Constant(V.mesh, np.zeros(len(scalars)))  # a function may give plain numbers
-            expression = ufl.as_vector([ufl.as_ufl(s) for s in scalars]) + on_mesh
+            expression = ufl.as_vector([_scalar(s, f"support on {place!r}") for s in scalars]) + on_mesh
             self._varying.append((value, fem.Expression(expression, interpolation_points(V))))
         elif any(entries):
             numbers = np.array(entries, float)

@@ -50,6 +50,7 @@ class Model:
         layer: the layer; None where the bodies are bonded.
         kind: "full", "interface" or "bonded".
         V: displacement space; broken across S in the interface model.
+        body_laws: law of each body.
         sides: the two sides of S (interface model only).
         bodies, layer_points: where the laws act.
         supports: prescribed displacements.
@@ -78,7 +79,7 @@ class Model:
         self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
         self._check_choices(bodies)
         check_layering(sublayers, bodies)
-        laws = self._body_laws(body)
+        self.body_laws = self._body_laws(body)
         if kind == "interface" and not joint.rigid_base:
             require_no_branches(joint)
         self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
@@ -92,7 +93,7 @@ class Model:
         self._ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         self.bodies = [
             forms.body(constants(in_plane(law, plane), mesh), self._dx(self.domain.cell_values(name), **self._rule))
-            for name, law in laws.items()
+            for name, law in self.body_laws.items()
         ]
         self.sides = self._sides() if kind == "interface" else None
         self.layer_points = self._layer_points()
@@ -274,6 +275,12 @@ class Model:
     def symmetric(self) -> bool:
         """Whether every law has a symmetric tangent."""
         return all(p.law.symmetric for p in self.points)
+
+    @property
+    def break_times(self) -> set[float]:
+        """Times at which piecewise loads and supports break."""
+        given = [*self.forces.given.values(), *(v for _, entry in self.supports.entries for v in entry.values())]
+        return {t for function in given for t in getattr(function, "times", ())}
 
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""

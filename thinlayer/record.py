@@ -14,6 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from geometry.parallel import on_root
 from thinlayer.comparison import sweep
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
@@ -106,7 +107,7 @@ class Record:
         self.parameters: dict[str, Any] = {}
         self.checks: list[Check] = []
         self.solves: list[dict[str, Any]] = []
-        self._begun = False
+        self._begun = self._noted = False
         self._start = time.perf_counter()
         self.root = MPI.COMM_WORLD.rank == 0
 
@@ -117,9 +118,7 @@ class Record:
     def write(self, name: str, table: Table) -> None:
         """Write a table as csv."""
         if self.root:
-            copy = Table(path=self.path(name))
-            for row in table.rows:
-                copy.append(row)
+            table.write(self.path(name))
 
     def say(self, text: object) -> None:
         """Print on rank 0."""
@@ -128,13 +127,22 @@ class Record:
 
     def check_resume(self) -> None:
         """Raise ModelError if the run to resume had other options. Collective."""
-        problem = None
-        if self.root and self.resume and self.path("run.json").exists():
-            before = json.loads(self.path("run.json").read_text())["options"]
-            if before != json.loads(json.dumps(self.options, default=str)):
-                problem = f"--resume: the run in {self.out} had the options {before}, not {self.options}"
+        problem = self._problem() if self.root and self.resume and self.path("run.json").exists() else None
         if problem := MPI.COMM_WORLD.bcast(problem):
             raise ModelError(problem)
+
+    def _problem(self) -> str | None:
+        """What is wrong with resuming the run in the folder."""
+        try:
+            run = json.loads(self.path("run.json").read_text())
+            study, options = run["study"], run["options"]
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            return f"--resume: {self.path('run.json')} cannot be read ({error})"
+        if study != self.study:
+            return f"--resume: the run in {self.out} is of the study {study}, not {self.study}"
+        if options != json.loads(json.dumps(self.options, default=str)):
+            return f"--resume: the run in {self.out} had the options {options}, not {self.options}"
+        return None
 
     def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
         """`thinlayer.sweep` into a table of the folder, resumed if the run is. Collective."""
@@ -148,6 +156,9 @@ class Record:
 
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
         """`thinlayer.march` with files to resume from until the run is done; notes its solves. Collective."""
+        if not (self._begun or self.resume):  # of a run that was killed
+            on_root(MPI.COMM_WORLD, lambda: shutil.rmtree(self.path(MARCHES), ignore_errors=True))
+        self._begun = True
         history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
         self._begin()
         for state in history:
@@ -156,8 +167,8 @@ class Record:
 
     def _begin(self) -> None:
         """Write down the options once there is something to resume."""
-        if not self._begun:
-            self._begun = True
+        if not self._noted:
+            self._noted = True
             self.close("not finished")
 
     def solved(self, state: State) -> State:
@@ -181,7 +192,7 @@ class Record:
         """Write run.json."""
         if not self.root:
             return
-        if not error:
+        if error is None:
             shutil.rmtree(self.path(MARCHES), ignore_errors=True)
         self.out.mkdir(parents=True, exist_ok=True)
         content = {

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
+from numbers import Real
 from typing import Any
 
 from dolfinx import fem
@@ -37,14 +39,15 @@ MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # unknowns; below, factorising is fa
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
-    "snes_rtol": 1e-12,
+    "snes_rtol": 0,  # the first residual says nothing: a dashpot at rest lets the first step go anywhere
     "snes_stol": 0,
-    "snes_max_it": 50,
+    "snes_max_it": 100,
 }
 LARGEST_RESIDUAL = 1e-6
-LARGEST_ITERATIVE_RESIDUAL = 1e-3  # Krylov methods converge in the preconditioned norm: singular systems too
-REFINED_RESIDUAL = 1e-15
-TOLERANCE = 1e-10  # of Newton's method: residual over the forces on the structure
+REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov methods
+WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
+TOLERANCE = 1e-10  # of Newton's method: residual over the forces of the bodies' stresses, or the loads
+OVERSHOOT = 10.0  # residual of a first step over the forces
 
 
 class SolveError(RuntimeError):
@@ -75,11 +78,19 @@ def solve(
         ModelError: a law without an instantaneous response; loads that are not finite.
         ValueError: unknown method, or a linear solve of a non-linear law.
     """
+    _require_model(model)
     slow = [type(p.law).__name__ for p in model.points if p.law.rate]
     if slow:
         raise ModelError(f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)")
+    if not isinstance(t, Real) or not math.isfinite(t):
+        raise ModelError(f"t is {t!r}; it must be a finite number")
     with Solver(model, options=options, method=method) as solver:
         return solver.step(solver.rest(t), t)
+
+
+def _require_model(model: Any) -> None:
+    if not isinstance(model, Model):
+        raise ModelError(f"model is {model!r}; give what Model.full or Model.interface returns")
 
 
 class Solver:
@@ -91,6 +102,7 @@ class Solver:
     def __init__(
         self, model: Model, *, options: Mapping[str, OptionValue] | None = None, method: str | None = None
     ) -> None:
+        _require_model(model)
         self.model, self.method = model, method or ("linear" if model.linear else "newton")
         if self.method not in ("linear", "newton"):
             raise ValueError(f"unknown method {method!r}; allowed: linear, newton")
@@ -100,9 +112,12 @@ class Solver:
         self._choices = linear_solvers(model)
         if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
             self._choices = self._choices[:1]
+        self._own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         self.equations = Equations(model)
         self._ksp: PETSc.KSP | None = None
         self._factored: tuple[float, float] | None = None
+        self._reused = False  # whether the last step took the factor of an earlier one
+        self._vectors = [self.equations.vector() for _ in range(4)]
 
     def __enter__(self) -> Solver:
         return self
@@ -113,6 +128,8 @@ class Solver:
     def close(self) -> None:
         """Free matrices and factors."""
         self._drop_factor()
+        for vector in self._vectors:
+            vector.destroy()
         self.equations.destroy()
 
     def _drop_factor(self) -> None:
@@ -137,12 +154,15 @@ class Solver:
             try:
                 with defaults({**ours, **self._given}):
                     x, iterations, residual = self._advance(old)
-                    require_all_read(self.method, ours.keys() - self._given.keys())
+                    if not self._reused:
+                        require_all_read(self.method, ours.keys() - self._given.keys())
             except SolveError:
+                reused, self._reused = self._reused, False
                 self._drop_factor()
-                if len(self._choices) == 1:
+                if not reused and len(self._choices) == 1:
                     raise
-                self._choices.pop(0)
+                if not reused:
+                    self._choices.pop(0)
             else:
                 break
         memory, audit = self.equations.audit(x)
@@ -162,40 +182,52 @@ class Solver:
     def _advance(self, old: State) -> tuple[PETSc.Vec, int, float]:
         """Unknowns at the end of the step: a linear step from the old ones, then Newton if need be."""
         equations = self.equations
-        x, r, d = equations.vector(), equations.vector(), equations.vector()
+        x, r, d, move = self._vectors
         n, held = equations.n_displacements, equations.held
+        for vector in self._vectors:
+            vector.set(0.0)
         x.array[:n] = old.u.x.array[:n]
         if old.p is not None:
             x.array[n:] = old.p.x.array[: equations.n_pressures]
-        move = equations.vector()
         move.array[held] = equations.prescribed - x.array_r[held]
         if self.method == "linear":
             x.axpy(1.0, move)
         equations.residual(x, r)
         if equations.failed:
             raise SolveError(f"the layer's law failed at {equations.failed} points at the start of the step")
-        forces = max(float(r.norm()), float(equations.loads.norm()))  # reactions of supports among them
+        forces = equations.scale
         r.scale(-1.0)
         if self.method == "linear":
             r.array[held] = 0.0
             self._prepare()
         else:
             self._prepare(move, r)
-        scale = max(forces, float(r.norm()), 1e-300)
         iterations = self._solve_linear(r, d)
         if self.method == "newton":
             d.array[held] = move.array_r[held]
         x.axpy(1.0, d)
         equations.residual(x, r)
         if self.method == "newton":
-            return self._newton(x, r, scale)
-        return x, iterations, self._refine(x, r, d, scale)
+            self._retreat(x, r, d, move, forces)
+            return self._newton(x, r)
+        return x, iterations, self._refine(x, r, d)
+
+    def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
+        """Shorten a first step that a law which stiffens with its rate has made far too long; supports stay moved."""
+        d.axpy(-1.0, move)
+        for _ in range(40):
+            if not forces or self._free_norm(r) <= OVERSHOOT * forces:
+                return
+            x.axpy(-0.75, d)
+            d.scale(0.25)
+            self.equations.residual(x, r)
 
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
         equations = self.equations
         key = (float(f"{equations.interval.dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
-        if move is None and self._factored == key:
+        self._reused = move is None and self._factored == key
+        if self._reused:
             return
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
@@ -213,25 +245,25 @@ class Solver:
         self._ksp.solve(b, x)
         return int(self._ksp.getIterationNumber())
 
-    def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, scale: float) -> float:
-        """One or two steps of iterative refinement after a direct solve; the relative residual, checked."""
+    def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> float:
+        """Steps of iterative refinement after a linear solve; the relative residual, checked."""
         equations, ksp = self.equations, self._ksp
         assert ksp is not None
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
-        residual = self._free_norm(r) / scale
-        while direct and REFINED_RESIDUAL < residual < LARGEST_RESIDUAL:
+        residual = self._relative(r)
+        while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             ksp.solve(r, d)
             x.axpy(1.0, d)
             equations.residual(x, r)
-            refined = self._free_norm(r) / scale
+            refined = self._relative(r)
             if refined >= residual / 2:
                 if refined > residual:
                     x.axpy(-1.0, d)
                 break
             residual = refined
-        if reason < 0 or not residual < (LARGEST_RESIDUAL if direct else LARGEST_ITERATIVE_RESIDUAL):
+        if not residual < LARGEST_RESIDUAL:
             few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
             raise SolveError(
                 f"linear solve failed: {_reason(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
@@ -240,11 +272,15 @@ class Solver:
             )
         return residual
 
+    def _relative(self, r: PETSc.Vec) -> float:
+        """Residual where nothing is held, over the forces."""
+        return self._free_norm(r) / max(self.equations.scale, 1e-300)
+
     def _free_norm(self, r: PETSc.Vec) -> float:
         r.array[self.equations.held] = 0.0
         return float(r.norm())
 
-    def _newton(self, x: PETSc.Vec, r: PETSc.Vec, scale: float) -> tuple[PETSc.Vec, int, float]:
+    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
         """SNES from displacements that satisfy the supports."""
         equations = self.equations
 
@@ -256,19 +292,24 @@ class Solver:
             equations.tangent()
             P.zeroRowsColumns(equations.held_rows, 1.0)
 
+        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
+            if math.isnan(norms[2]):
+                return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS if norms[2] <= TOLERANCE * equations.scale else False
+
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0)
         snes = PETSc.SNES().create(self.model.comm)
         snes.setOptionsPrefix(PREFIX)
         snes.setFunction(function, r)
         snes.setJacobian(jacobian, A)
-        if not is_set("snes_atol", self._given):
-            snes.setTolerances(atol=TOLERANCE * scale)
+        if self._own_test:
+            snes.setConvergenceTest(converged)
         snes.setFromOptions()
         self._tell_multigrid(snes.getKSP(), A)
         snes.solve(None, x)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
-        last = float(snes.getFunctionNorm()) / scale
+        last = float(snes.getFunctionNorm()) / max(equations.scale, 1e-300)
         ksp_reason = snes.getKSP().getConvergedReason()
         snes.destroy()
         stalled = reason == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding

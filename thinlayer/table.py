@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,21 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 Row = dict[str, float | str | None]
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[BinaryIO]:
+    """A file that takes the place of another one when it is whole and on the disk."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.part")
+    with partial.open("wb") as file:
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    os.fsync(folder)
+    os.close(folder)
 
 
 class Table:
@@ -50,6 +66,15 @@ class Table:
             writer.writerow([_text(value) for value in row.values()])
             file.flush()
             os.fsync(file.fileno())
+
+    def write(self, path: str | Path) -> None:
+        """Write all rows to a csv file, which is replaced as a whole."""
+        text = io.StringIO()
+        writer = csv.writer(text)
+        writer.writerow(self.columns)
+        writer.writerows([_text(value) for value in row.values()] for row in self.rows)
+        with replaced(Path(path)) as file:
+            file.write(text.getvalue().encode())
 
     @classmethod
     def load(cls, path: str | Path) -> Table:

@@ -20,6 +20,7 @@ class Constraint:
         region: the cells of the meshed layer, or S.
         space: the pressures.
         G: matrix of int q tr e(v), pressures by displacements.
+        volume: a vector of its rows.
     """
 
     def __init__(self, domain: Domain, V: fem.FunctionSpace, points: Points) -> None:
@@ -29,7 +30,9 @@ class Constraint:
         form = q * ufl.tr(points.strain(v)) * points.weight * points.measure
         self.G = dolfinx.fem.petsc.assemble_matrix(fem.form(form, entity_maps=region.maps))
         self.G.assemble()
+        self.volume = self.G.createVecLeft()
 
     def destroy(self) -> None:
         """Free the matrix."""
         self.G.destroy()
+        self.volume.destroy()

@@ -25,7 +25,7 @@ from dolfinx import jit
 from mpi4py import MPI
 
 from forms.kinematics import Expr, from_mandel, mandel
-from forms.law import Law, LawError, Step, shaped
+from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
 from forms.traction import TractionLaw
@@ -67,6 +67,7 @@ def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
     numbers = np.concatenate([np.empty(0), *values])
     kind: Any = type(law)
     if isinstance(law, PointLaw):
+        _rehearse(law, numbers)
         address, keep = _compiled_by_numba(kind, len(numbers))
         return Kernel(address, law.memory, numbers, fraction, keep)
     address, keep = _compiled_by_ffcx(comm, law)
@@ -119,8 +120,10 @@ def point_expression(law: Law) -> Expr:
     step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
     step = step if law.rate or isinstance(law, TractionLaw) else step.without_rate()
 
-    stress = mandel(shaped(law, "stress", symbolic.stress(step), (3, 3)))
-    new = symbolic.advance(step)
+    with explained(law, "traction" if isinstance(law, TractionLaw) else "stress"):
+        stress = mandel(shaped(law, "stress", symbolic.stress(step), (3, 3)))
+    with explained(law, "advance"):
+        new = symbolic.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
         given = sorted(new) if isinstance(new, dict) else repr(new)
         raise LawError(f"{type(law).__name__}.advance gives {given}; it must give {sorted(law.internal)}")
@@ -129,7 +132,8 @@ def point_expression(law: Law) -> Expr:
     for name, shape in law.internal.items():
         rows += _packed(shaped(law, f"advance[{name!r}]", new[name], shape), shape)
     rows += [tangent[i, j] for i in range(6) for j in range(6)]
-    return ufl.as_vector([*rows, *_energies(symbolic, step, new)])
+    with explained(law, "energy or dissipation"):
+        return ufl.as_vector([*rows, *_energies(symbolic, step, new)])
 
 
 def _energies(law: Law, step: Step, new: dict[str, Expr]) -> list[Expr]:
@@ -151,11 +155,40 @@ def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
 
 
 # ---------------------------------------------------------------- laws written for one point
+def _rehearse(law: PointLaw, parameters: Array) -> None:
+    """Call the kernel once, uncompiled, at rest: mistakes have clear messages there, and indices are checked."""
+    name = type(law).__name__
+    kernel = getattr(law, "kernel", None)
+    if kernel is None or not isinstance(law.memory, int) or law.memory < 0:
+        raise LawError(f"{name} needs a static method kernel(...) and memory, a number >= 0 of internal values")
+    outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(law.memory), np.zeros(3)
+    rest = np.zeros(6), np.zeros(6), np.zeros(law.memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
+    try:
+        with np.errstate(all="ignore"):
+            done = type(law).kernel(*rest, parameters.copy(), *outputs)
+    except ArithmeticError:
+        return
+    except Exception as error:
+        raise LawError(
+            f"{name}.kernel: {type(error).__name__}: {error}; see forms.PointLaw for its arguments"
+        ) from error
+    if not isinstance(done, (bool, np.bool_)):
+        raise LawError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")
+
+
 @cache
 def _compiled_by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
     import numba  # takes half a second
 
-    kernel, memory = numba.njit(law.kernel), law.memory
+    inner, memory = numba.njit(law.kernel, error_model="numpy"), law.memory
+
+    @numba.njit
+    def kernel(*arguments):  # type: ignore[no-untyped-def]
+        try:
+            return inner(*arguments)
+        except Exception:
+            return False
+
     pointer = numba.types.CPointer(numba.types.double)
 
     @numba.cfunc(numba.void(*[pointer] * ARGUMENTS))

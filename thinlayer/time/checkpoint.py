@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import json
-import os
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from forms.law import Law
+from forms.series import Stack
 from thinlayer.equations import Equations
 from thinlayer.exchange import carry
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.pointwise.points import LawPoints, Region
 from thinlayer.state import Audit, Report, State, cell_values
-from thinlayer.table import Table
+from thinlayer.table import Table, replaced
 from thinlayer.time.history import History
 
 Array = npt.NDArray[Any]
@@ -29,19 +30,45 @@ DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)  # tell
 
 
 def fingerprint(model: Model, **choices: Any) -> str:
-    """What must be the same for a march to be resumed; loads, as functions, are not in it."""
-    joint, layer = model.joint, model.layer
+    """What must be the same for a march to be resumed. Loads and supports that are functions count as such."""
+    points, layer = model.domain.joint.points, model.layer
+    weights = np.cos(np.arange(points.size)).reshape(points.shape)
     content = {
         "model": repr(model),
         "cells": len(model.domain.joint.cells),
-        "coordinates": [float(np.abs(joint.points).sum()), float(np.abs(joint.points).max())],
+        "coordinates": [float(f"{(points * w).sum():.8g}") for w in (weights, weights**2)],
         "plane": model.plane,
-        "law": repr(layer.law) if layer else None,
+        "law": described(layer.law) if layer else None,
         "eps": float(layer.eps) if layer else None,
         "order": layer.order if layer else None,
+        "profile": bool(layer and layer.profile),
+        "bodies": {name: described(law) for name, law in model.body_laws.items()},
+        "supports": [[str(place), _numbers(given)] for place, given in model.supports.entries],
+        "loads": {name: _numbers(load) for name, load in model.forces.given.items()},
         **choices,
     }
     return json.dumps(content, sort_keys=True)
+
+
+def described(law: Law) -> Any:
+    """A law as text and numbers, and what its class is written like."""
+    if isinstance(law, Stack):
+        return [[a, described(part)] for a, part in law.sublayers]
+    try:
+        source = hashlib.sha256(inspect.getsource(type(law)).encode()).hexdigest()[:8]
+    except (OSError, TypeError):
+        source = "unknown"
+    choices = {f.name: getattr(law, f.name) for f in fields(law)}
+    return f"{type(law).__name__}({', '.join(f'{k}={_numbers(v)}' for k, v in choices.items())}), code {source}"
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _numbers(v) for k, v in value.items()}
+    if callable(value):
+        return "function"
+    array = np.asarray(value)
+    return array.astype(float).tolist() if array.dtype.kind in "iuf" else str(value)
 
 
 @dataclass
@@ -81,22 +108,25 @@ class Checkpoint:
         """Remove the files of an earlier march."""
         if self.comm.rank == 0 and self.path.exists():
             self.path.unlink()
-            for file in (self.folder / "states").glob("*.npz"):
+            for file in self._files():
                 file.unlink()
 
+    def _files(self) -> list[Path]:
+        return list((self.folder / "states").glob("[0-9]" * 6 + ".npz"))
+
     # ---------------------------------------------------------------- writing
-    def write(self, mark: str, history: History, pace: Pace, new: list[int]) -> None:
-        """Add the states of new rows, and replace the table; states that the history does not keep go."""
-        for row in new:
+    def write(self, mark: str, history: History, pace: Pace, first: int) -> None:
+        """Add the states of the rows from `first` on, and replace the table; states that the history does not keep go."""
+        for row in range(first, len(history)):
             if row in history.states:
                 self._write_state(row, history.states[row])
         if self.comm.rank:
             return
         rows = [list(row.values()) for row in history.table.rows]
         content = {"mark": mark, "pace": asdict(pace), "columns": history.table.columns, "rows": rows}
-        with _replaced(self.path) as file:
+        with replaced(self.path) as file:
             file.write(json.dumps(content).encode())
-        for stale in (self.folder / "states").glob("*.npz"):
+        for stale in self._files():
             if int(stale.stem) not in history.states:
                 stale.unlink()
 
@@ -110,45 +140,51 @@ class Checkpoint:
         if self.comm.rank:
             return
         arrays["t"], arrays["layer"] = np.array(state.t), np.array(state.audit.layer)
-        with _replaced(self._file(row)) as file:
+        with replaced(self._file(row)) as file:
             np.savez(file, allow_pickle=False, **arrays)
 
     # ---------------------------------------------------------------- reading
-    def read(self, mark: str, keep: str) -> tuple[History, Pace] | None:
-        """History and pace of the march; None if there is none.
+    def read(self, mark: str, keep: str, resume: bool) -> tuple[History, Pace] | None:
+        """History and pace of the march; None if there is none, or it is not to be resumed.
 
         Raises:
-            ModelError: the files are of another march, or damaged.
+            ModelError: the files are of another march, or, to be resumed, damaged.
         """
-        content, problem = self.comm.bcast(self._content(mark) if self.comm.rank == 0 else None)
-        if problem:
+        content, problem, other = self.comm.bcast(self._content(mark) if self.comm.rank == 0 else None)
+        if other or (problem and resume):
             raise ModelError(problem)
-        if content is None:
+        if content is None or not resume:
             return None
         table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
         last = len(table) - 1
-        rows = self.comm.bcast([row for row in range(last + 1) if self._file(row).exists()])
+        rows = self.comm.bcast(sorted({last, *(row for row in range(last) if self._file(row).exists())}))
         states = {row: self._read_state(row, table) for row in (rows if keep == "all" else [last])}
         return History(self.model, table, states), Pace(**content["pace"])
 
-    def _content(self, mark: str) -> tuple[dict[str, Any] | None, str | None]:
-        """What march.json says, or what is wrong with it; on rank 0."""
+    def _content(self, mark: str) -> tuple[dict[str, Any] | None, str | None, bool]:
+        """What march.json says, or what is wrong with it, and whether it is of another march; on rank 0."""
         if not self.path.exists():
-            return None, None
+            return None, None, False
         try:
             content = json.loads(self.path.read_text())
-            there, here = json.loads(content["mark"]), json.loads(mark)
-        except (OSError, ValueError, KeyError) as error:
-            return None, f"{self.path} cannot be read ({error}); remove it to start anew"
+            there, here = dict(json.loads(content["mark"])), json.loads(mark)
+            step = content["pace"]["step"]
+            columns = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}
+            widths = {len(row) for row in content["rows"]}
+            if widths != {len(content["columns"])} or columns - {*content["columns"]} or not (step is None or step > 0):
+                raise ValueError("its table or its step is damaged")
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            return None, f"{self.path} cannot be read ({error}); remove it to start anew", False
         if there != here:
             other = [f"{k}: {there.get(k)} there, {here.get(k)} here" for k in here if here[k] != there.get(k)]
-            return None, f"{self.path} is of another march ({'; '.join(other)}); remove it to start anew"
-        return content, None
+            what = f"{self.path} is of another march ({'; '.join(other)}); give another folder, or remove it"
+            return None, what, True
+        return content, None, False
 
     def _read_state(self, row: int, table: Table) -> State:
-        arrays, problem = self._arrays(self._file(row)) if self.comm.rank == 0 else ({}, None)
+        arrays, problem = self._arrays(row, table) if self.comm.rank == 0 else ({}, None)
         if problem := self.comm.bcast(problem):
-            raise ModelError(problem)
+            raise ModelError(f"{self._file(row)} {problem}; remove the folder to start anew")
         u, p = fem.Function(self.model.V), None
         dofmap = u.function_space.dofmap
         cells = np.asarray(dofmap.list)
@@ -171,13 +207,19 @@ class Checkpoint:
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
         return State(self.model, u, t, report, p, tuple(memory), audit)
 
-    @staticmethod
-    def _arrays(path: Path) -> tuple[dict[str, Array], str | None]:
+    def _arrays(self, row: int, table: Table) -> tuple[dict[str, Array], str | None]:
+        """The arrays of a state's file, or what is wrong with it; on rank 0."""
         try:
-            with np.load(path, allow_pickle=False) as file:
-                return dict(file), None
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            return {}, f"{path} cannot be read ({error}); remove the folder to start anew"
+            with np.load(self._file(row), allow_pickle=False) as file:
+                arrays = dict(file)
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            return {}, f"cannot be read ({error})"
+        wanted = {"u", "t", "layer", *(f"memory{k}" for k in range(len(self._points)))}
+        if lacking := wanted - arrays.keys():
+            return {}, f"cannot be read (no {', '.join(sorted(lacking))} in it)"
+        if float(arrays["t"]) != table.rows[row]["t"]:
+            return {}, f"is of another time than row {row} of {self.path}"
+        return arrays, None
 
     def _gather(self, numbers: Array, values: Array) -> Array:
         """All ranks' rows (number, values...) on rank 0, sorted by number, each once."""
@@ -193,21 +235,6 @@ class Checkpoint:
         width = self.comm.bcast(rows.shape[1] if rows is not None else None)
         rows = rows if rows is not None else np.empty((0, width))
         return carry(self.comm, rows[:, 0].astype(np.int64), rows[:, 1:], numbers)
-
-
-@contextmanager
-def _replaced(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes the place of another one when it is whole and on the disk."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".part")
-    with partial.open("wb") as file:
-        yield file
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    os.fsync(folder)
-    os.close(folder)
 
 
 class _Places:

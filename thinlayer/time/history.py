@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +51,8 @@ class History:
 
     def at(self, t: float) -> State:
         """The state at a time; raises ModelError if no step ended there or its state was not kept."""
+        if not isinstance(t, Real) or not math.isfinite(t):
+            raise ModelError(f"t is {t!r}; it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
         rows = [row for row in self.states if abs(self.states[row].t - t) <= near]
         if not rows:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from thinlayer.options import OptionValue
 from thinlayer.progress import track
 from thinlayer.solvers import SolveError, Solver
 from thinlayer.state import State
-from thinlayer.table import Row, Table
+from thinlayer.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
 from thinlayer.time.history import SAME_TIME, History
 
@@ -30,7 +32,8 @@ class Adaptive:
     """Steps whose length follows an estimate of their error.
 
     Each step is taken once as a whole and once as two halves; the halves are accepted if the displacements differ by no
-    more than the tolerance.
+    more than the tolerance. What happens between these three times is not seen: loads that are functions and jump do so at
+    times in `at`; those of `piecewise` loads are added to them.
 
     Attributes:
         end: last time.
@@ -53,10 +56,20 @@ class Adaptive:
     largest: float = math.inf
 
     def __post_init__(self) -> None:
-        for name in ("first", "tolerance", "largest"):
+        for name in ("end", "first", "tolerance", "smallest", "largest"):
             value = getattr(self, name)
-            if not value > 0:
-                raise ModelError(f"Adaptive: {name} is {value}; allowed: > 0")
+            if value is None and name == "smallest":
+                continue
+            good = isinstance(value, Real) and (float(value) > 0 or (name == "end" and math.isfinite(float(value))))
+            if not good:
+                raise ModelError(f"Adaptive: {name} is {value!r}; allowed: a number" + " > 0" * (name != "end"))
+        if (
+            isinstance(self.at, str)
+            or not isinstance(self.at, Iterable)
+            or not all(isinstance(t, Real) for t in self.at)
+        ):
+            raise ModelError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
+        object.__setattr__(self, "at", tuple(map(float, self.at)))
         if self.at and max(self.at) > self.end:
             raise ModelError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
 
@@ -91,38 +104,70 @@ def march(
         start: time of the first state.
         theta: the balance of forces holds at t + theta dt: 1 is backward Euler, order 1; 1/2 the midpoint rule, order 2
             (from rest its first step is made of two of backward Euler, which damp what the sudden load excites).
-        observe: name of a column -> function of a state, evaluated at every accepted state.
+        observe: name of a column -> function of a state that gives a number, the same on all ranks; evaluated at every
+            accepted state.
         keep: "all" states, or "last" alone.
         out: folder for table.csv and the files to resume from, written at every accepted step.
-        resume: continue the march in `out`, if there is one; the model must be the same, times may differ.
+        resume: continue the march in `out`, if there is one; times may be added. The model must be the same: numbers are
+            compared, functions are not. Without it the files of the same march are replaced, those of another one refused.
         options, method: of the solver, see `solve`.
 
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; a checkpoint that does not fit.
         SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
     """
-    plan = _Plan.of(times, start)
-    _check(theta, keep, out, resume, observe or {})
+    start, theta = _number("start", start), _number("theta", theta)
+    _check(model, theta, keep, out, resume, observe)
+    plan = _Plan.of(times, start, model.break_times)
     with Solver(model, options=options, method=method) as solver:
         solver.equations.check_times([start, *plan.targets])
-        return _March(solver, plan, theta, dict(observe or {}), keep, Path(out) if out else None).run(start, resume)
+        return _March(solver, plan, start, theta, dict(observe or {}), keep, Path(out) if out else None).run(resume)
 
 
 COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")
 
 
-def _check(theta: float, keep: str, out: str | Path | None, resume: bool, observe: Observe) -> None:
-    for name in COLUMNS:
-        if name in observe:
+def _number(name: str, value: Any) -> float:
+    if (not isinstance(value, Real) and np.ndim(value)) or not np.issubdtype(np.asarray(value).dtype, np.number):
+        raise ModelError(f"{name} is {value!r}; it must be a number")
+    return float(value)
+
+
+def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe: Any) -> None:
+    if not isinstance(model, Model):
+        raise ModelError(f"model is {model!r}; march takes what Model.full or Model.interface returns")
+    if observe is not None and not isinstance(observe, Mapping):
+        raise ModelError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
+    for name, function in (observe or {}).items():
+        if not isinstance(name, str) or not callable(function):
+            raise ModelError(
+                f"observe[{name!r}] is {function!r}; it must be a function of a state that returns a number"
+            )
+        if name in COLUMNS:
             raise ModelError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
     if keep not in ("all", "last"):
         raise ModelError(f"keep is {keep!r}; allowed: 'all', 'last'")
     if resume and out is None:
-        raise ModelError("resume=True needs out=, the folder of the checkpoint")
-    if out is not None and Path(out).is_file():
-        raise ModelError(f"out: {str(out)!r} is a file; give a folder")
+        raise ModelError("resume=True needs out=, the folder of the march")
+    if out is not None:
+        _check_folder(model, out)
+
+
+def _check_folder(model: Model, out: Any) -> None:
+    """Raise ModelError unless files can be written there. Collective."""
+    if not isinstance(out, (str, Path)) or not str(out):
+        raise ModelError(f"out is {out!r}; it must be the name of a folder")
+    problem = None
+    if model.comm.rank == 0:
+        there = next(path for path in (Path(out).absolute(), *Path(out).absolute().parents) if path.exists())
+        if not there.is_dir():
+            problem = f"out: {str(there)!r} is a file; give a folder"
+        elif not os.access(there, os.W_OK):
+            problem = f"out: no files can be written in {str(there)!r}"
+    if problem := model.comm.bcast(problem):
+        raise ModelError(problem)
 
 
 @dataclass(frozen=True)
@@ -134,16 +179,23 @@ class _Plan:
     smallest: float
 
     @classmethod
-    def of(cls, times: Sequence[float] | Adaptive, start: float) -> _Plan:
+    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> _Plan:
+        """The plan for `times`; adaptive steps also end where piecewise loads break."""
         adaptive = times if isinstance(times, Adaptive) else None
+        if isinstance(times, str):
+            raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
         try:
-            targets = adaptive.targets if adaptive else [float(t) for t in times]  # type: ignore[union-attr]
+            targets = [float(t) for t in (adaptive.targets if adaptive else times)]  # type: ignore[union-attr]
         except (TypeError, ValueError) as error:
             raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
         whole = np.array([start, *targets])
         if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
-            raise ModelError(f"times is {targets} from start = {start:g}; they must be finite and increase from start")
+            raise ModelError(
+                f"times is {targets} from start = {start:g}; they must be finite, increase, "
+                "and come after start, which is not one of them"
+            )
         if adaptive:
+            targets = sorted({*targets, *(t for t in breaks if start < t < targets[-1])})
             return cls(targets, adaptive, adaptive.smallest or adaptive.first / 1e6)
         return cls(targets, None, float(np.diff(whole).min()) / 2**HALVINGS)
 
@@ -157,49 +209,58 @@ class _March:
     """A march under way."""
 
     def __init__(
-        self, solver: Solver, plan: _Plan, theta: float, observe: dict[str, Callable[[State], float]], keep: str,
-        out: Path | None,
+        self, solver: Solver, plan: _Plan, start: float, theta: float, observe: dict[str, Callable[[State], float]],
+        keep: str, out: Path | None,
     ) -> None:  # fmt: skip
-        self.solver, self.plan, self.theta, self.observe, self.keep = solver, plan, theta, observe, keep
-        self.root = solver.model.comm.rank == 0
-        self.table_path = out / "table.csv" if out and self.root else None
+        self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
+        self.observe, self.keep, self.out = observe, keep, out
+        self.comm = solver.model.comm
         self.checkpoint = Checkpoint(out, solver.equations) if out else None
-        self.mark = fingerprint(solver.model, theta=theta, observe=sorted(observe), adaptive=plan.adaptive is not None)
-        self.pace = Pace(plan.adaptive.first if plan.adaptive else None)
+        adaptive = plan.adaptive
+        self.mark = fingerprint(
+            solver.model, start=start, theta=theta, observe=sorted(observe), tolerance=adaptive and adaptive.tolerance
+        )
+        self.pace = Pace(adaptive.first if adaptive else None)
         self.history = History(solver.model)
+        self._written = 0
 
     @property
     def _sudden(self) -> bool:
         """Whether the layer answers a sudden load at once."""
         return not any(p.law.rate for p in self.solver.model.points)
 
-    def run(self, start: float, resume: bool) -> History:
-        found = self.checkpoint.read(self.mark, self.keep) if resume and self.checkpoint else None
+    def run(self, resume: bool) -> History:
+        found = self.checkpoint.read(self.mark, self.keep, resume) if self.checkpoint else None
         if found:
-            restored, self.pace = found
-            self.history = replace(restored, table=Table(restored.table.rows, self.table_path))
+            self.history, self.pace = found
+            self._written = len(self.history)
+            if self.history.last.t > self.plan.targets[-1] * (1 + SAME_TIME):
+                raise ModelError(f"the march in {self.out} is at t = {self.history.last.t:g}; times end before")
+            self._write_table()
         else:
-            self.history.table = Table(path=self.table_path)
-            if self.checkpoint:
-                self.checkpoint.forget()
-            self._begin(start)
+            self._begin()
         for target in track(self.plan.after(self.history.last.t), "march", "t = {:g}"):
             self._reach(target)
         return self.history
 
-    def _begin(self, start: float) -> None:
-        rest = self.solver.rest(start)
+    def _begin(self) -> None:
+        """The first state. One at rest is written together with the first step: until then nothing has been solved."""
+        rest = self.solver.rest(self.start)
+        if not self._sudden:
+            self._note(rest)
+            return
         try:
-            self._accept([self.solver.step(rest, start) if self._sudden else rest])
+            self._accept([self.solver.step(rest, self.start)])
         except SolveError as error:
-            raise SolveError(f"the sudden load at t = {start:g}: {error}", self.history) from error
+            raise SolveError(f"the sudden load at t = {self.start:g}: {error}", self.history) from error
 
     def _reach(self, target: float) -> None:
         """Step to a time, in shorter steps where need be."""
         while self.history.last.t != target:
             old = self.history.last
             left = target - old.t
-            dt = min(self.pace.step or left, left)
+            planned = self.pace.step or left
+            dt = min(planned, left)
             end = target if left - dt < 1e-3 * dt else old.t + dt
             try:
                 states, factor = self._try(old, end)
@@ -213,10 +274,8 @@ class _March:
                 continue
             if self.plan.adaptive:
                 step = (end - old.t) * factor
-                if (
-                    end == target and self.pace.step
-                ):  # a step cut short for the target says nothing against a longer one
-                    step = max(step, self.pace.step)
+                if end == target:  # a step cut short for the target says nothing against a longer one
+                    step = max(step, planned)
                 self.pace.step = min(step, self.plan.adaptive.largest)
             elif self.pace.step is not None:
                 self.pace.step = None if end == target else 2 * dt
@@ -240,7 +299,7 @@ class _March:
             return [*self._chain(old, ends, theta)], 1.0
         whole = self.solver.step(old, end, theta)
         halves = [*self._chain(old, [middle, end], theta)]
-        order = 1 if theta == 1 else 2
+        order = 2 if theta == 0.5 else 1
         size = max(float(halves[-1].u.x.petsc_vec.norm()), self.pace.largest)
         difference = halves[-1].u.x.petsc_vec.copy()
         difference.axpy(-1.0, whole.u.x.petsc_vec)
@@ -256,19 +315,40 @@ class _March:
 
     def _accept(self, states: list[State]) -> None:
         for state in states:
-            before = self.history.last.t if self.history.states else state.t
-            self.history.table.append(self._row(state, state.t - before))
-            if self.keep == "last":
-                self.history.states.clear()
-            self.history.states[len(self.history) - 1] = state
-            self.pace.largest = max(self.pace.largest, float(state.u.x.petsc_vec.norm()))
+            self._note(state)
         if self.checkpoint:
-            rows = range(len(self.history) - len(states), len(self.history))
-            self.checkpoint.write(self.mark, self.history, self.pace, list(rows))
+            if self._written == 0:
+                self.checkpoint.forget()
+            self.checkpoint.write(self.mark, self.history, self.pace, self._written)
+            self._write_table()
+            self._written = len(self.history)
+        self.solver.equations.collect()
+
+    def _note(self, state: State) -> None:
+        before = self.history.last.t if self.history.states else state.t
+        self.history.table.append(self._row(state, state.t - before))
+        if self.keep == "last":
+            self.history.states.clear()
+        self.history.states[len(self.history) - 1] = state
+        self.pace.largest = max(self.pace.largest, float(state.u.x.petsc_vec.norm()))
+
+    def _write_table(self) -> None:
+        if self.out and self.comm.rank == 0:
+            self.history.table.write(self.out / "table.csv")
 
     def _row(self, state: State, dt: float) -> Row:
         values: dict[str, Any] = {"t": state.t, "dt": dt}
         for name in COLUMNS[len(values) :]:
             value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
             values[name] = None if math.isnan(value) else value
-        return values | {name: float(function(state)) for name, function in self.observe.items()}
+        return values | {name: self._observed(name, state) for name in self.observe}
+
+    def _observed(self, name: str, state: State) -> float:
+        """What rank 0 observes: a function of a state is to give the same on all ranks."""
+        try:
+            value = float(self.observe[name](state))
+        except (TypeError, ValueError) as error:
+            raise ModelError(
+                f"observe[{name!r}] at t = {state.t:g}: {error}; it must be a function of a state that returns a number"
+            ) from error
+        return float(self.comm.bcast(value))
