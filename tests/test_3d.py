@@ -14,7 +14,7 @@ from geometry import Joint, block, sandwich
 from tests import reference
 from tests.test_columns import OneSided
 from tests.test_fourier import ABOVE, BELOW
-from thinlayer import Model, SolveError, Surface, ThinLayer, compare, observed_orders, solve, solvers
+from thinlayer import Model, SolveError, Surface, ThinLayer, compare, linear_solvers, observed_orders, solve
 
 TRACTION = np.array([0.3, -0.8, 0.2])
 LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)
@@ -254,7 +254,7 @@ def test_multigrid_is_the_default_of_large_models(monkeypatch):
     joint, setup = fourier_box(4, "hexahedron")
     model = Model.interface(joint, layer=ThinLayer(LinearElastic(*reference.LAYER), 0.1), **setup)
     direct = solve(model)
-    monkeypatch.setitem(solvers.MULTIGRID_FROM, 3, 1000)
+    monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
     iterative = solve(model)
     assert direct.report.iterations == 1
     assert 10 < iterative.report.iterations < 80
@@ -267,8 +267,8 @@ def test_stiff_layers_fall_back_on_factorising(monkeypatch):
     joint, setup = fourier_box(4, "hexahedron")
     layer = ThinLayer(LinearElastic(lmbda=1.5e9, mu=1e9), 0.1)
     model = Model.full(joint, layer=layer, **setup)
-    monkeypatch.setitem(solvers.MULTIGRID_FROM, 3, 1000)
-    monkeypatch.setitem(solvers.MULTIGRID, "ksp_max_it", 30)
+    monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
+    monkeypatch.setitem(linear_solvers.MULTIGRID, "ksp_max_it", 30)
     assert solve(model).report.iterations == 1
     with pytest.raises(SolveError, match="DIVERGED"):
         solve(model, options={"pc_type": "gamg", "ksp_type": "cg"})

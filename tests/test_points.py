@@ -43,11 +43,6 @@ K_N, K_T = LMBDA + 2 * MU, MU
 E2 = np.array([0.0, 1.0, 0.0])
 
 
-@pytest.fixture(autouse=True)
-def collect_garbage():
-    """Nothing of PETSc's is made here: collecting after each test would take longer than the tests."""
-
-
 ELASTIC = LinearElastic(LMBDA, MU)
 KELVIN = KelvinVoigt(LMBDA, MU, 0.3, 0.5)
 MAXWELL, MAXWELL_2 = Maxwell(LMBDA, MU, 0.7), Maxwell(LMBDA, MU, 0.7, 1.5)

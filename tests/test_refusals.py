@@ -9,7 +9,7 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from geometry import GeometryError, sandwich
 from tests.meshes import grid
-from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, compare, plotting, solve, solvers, sweep
+from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, compare, linear_solvers, plotting, solve, sweep
 
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
 JOINT = sandwich(2.0, 1.0, 1.0, 0.5)
@@ -101,7 +101,7 @@ def test_crossing_pieces_of_s():
 
 def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):
     """A layer without tangential stiffness leaves the upper body free; conjugate gradients alone would not notice."""
-    monkeypatch.setitem(solvers.MULTIGRID_FROM, 3, 100)
+    monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 100)
     joint = sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron")
     layer = ThinLayer(Anisotropic(np.diag([1.0, 1, 1, 0, 0, 0]), "layer"), 0.05)
     model = Model.interface(joint, **(SETUP | {"layer": layer, "tractions": {"TOP": (1.0, 0.0, 0.0)}, "element": "Q1"}))

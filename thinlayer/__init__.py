@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from thinlayer.surface import Surface
     from thinlayer.table import Table
     from thinlayer.time.history import History
-    from thinlayer.time.marching import Adaptive, march
+    from thinlayer.time.marching import march
+    from thinlayer.time.plan import Adaptive
 
 __version__ = "0.1.0"
 __all__ = [
@@ -47,7 +48,7 @@ _HOME = {
     "ThinLayer": "layer",
     "ModelError": "loads",
     "piecewise": "loads",
-    "Adaptive": "time.marching",
+    "Adaptive": "time.plan",
     "march": "time.marching",
     "Model": "model",
     "OptionError": "options",

@@ -49,7 +49,7 @@ class Equations:
         constraint: the pressures of an incompressible layer.
         loads: nodal forces of the loads in the balance of the present step.
         scale: size of the forces in the last residual: of the bodies' stresses, of the loads, or of what rounding leaves
-            of the stresses of stiff bodies that are moved.
+            of the stresses of stiff bodies that supports move.
         failed: number of points where a law failed in the last residual.
     """
 
@@ -76,7 +76,8 @@ class Equations:
         self._matrix: PETSc.Mat | None = None
         self._responses: list[Response] = []
         self._forces, self._product = self.K.createVecLeft(), self.K.createVecLeft()
-        self._diagonal, self.loads = self.K.getDiagonal(), self.K.createVecLeft()
+        self.loads = self.K.getDiagonal()
+        self._stiffness = float(self.loads.norm())
 
     # ---------------------------------------------------------------- unknowns
     @cached_property
@@ -132,6 +133,8 @@ class Equations:
                 self.loads.axpy(share, b)
                 b.destroy()
         self.prescribed = self._prescribed_at(interval.t)
+        farthest = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
+        self._rounding = ROUNDING * self._stiffness * farthest
         self._e_old = [p.strain(self.old) for p in self.points]
 
     def check_times(self, times: list[float]) -> None:
@@ -171,8 +174,7 @@ class Equations:
         mid.axpy(1 - theta, self.old)
         self.mid.x.scatter_forward()
         self.K.mult(mid, forces)
-        self._product.pointwiseMult(self._diagonal, mid)
-        self.scale = max(float(forces.norm()), float(self.loads.norm()), ROUNDING * float(self._product.norm()))
+        self.scale = max(float(forces.norm()), float(self.loads.norm()), self._rounding)
         if self._curved:
             b = dolfinx.fem.petsc.assemble_vector(self._F)
             b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
@@ -290,7 +292,7 @@ class Equations:
         """Free the matrices."""
         for p in self.points:
             p.destroy()
-        for thing in (self.K, self._matrix, self.constraint, self._forces, self._product, self._diagonal, self.loads):
+        for thing in (self.K, self._matrix, self.constraint, self._forces, self._product, self.loads):
             if thing is not None:
                 thing.destroy()
 

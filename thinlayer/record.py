@@ -21,7 +21,8 @@ from thinlayer.model import Model
 from thinlayer.state import State
 from thinlayer.table import Table
 from thinlayer.time.history import History
-from thinlayer.time.marching import Adaptive, march
+from thinlayer.time.marching import march
+from thinlayer.time.plan import Adaptive
 
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 PACKAGES = (

@@ -12,30 +12,12 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from thinlayer.equations import Equations, Interval
+from thinlayer.linear_solvers import linear_solvers, mark, tell_multigrid
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.options import PREFIX, OptionValue, defaults, is_set, require_all_read
-from thinlayer.rigid import rigid_motions
 from thinlayer.state import Report, State
 
-DIRECT: dict[str, OptionValue] = {
-    "ksp_type": "preonly",
-    "ksp_rtol": 1e-10,
-    "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_7": 2,
-    "mat_mumps_icntl_14": 100,  # per cent of spare memory: with MUMPS's own 20 it fails now and then on several ranks
-}
-MULTIGRID: dict[str, OptionValue] = {
-    **DIRECT,
-    "ksp_max_it": 200,
-    "pc_type": "gamg",
-    "pc_gamg_threshold": 0.01,
-    "pc_gamg_aggressive_coarsening": 2,
-    "pc_gamg_aggressive_square_graph": False,
-    "mg_levels_ksp_type": "chebyshev",
-    "mg_levels_pc_type": "jacobi",
-}
-MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # unknowns; below, factorising is faster
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
@@ -231,13 +213,13 @@ class Solver:
             return
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
-        self._mark(A)
+        mark(A, self.model, saddle=self.equations.constraint is not None)
         self._drop_factor()
         self._ksp = ksp = PETSc.KSP().create(self.model.comm)
         ksp.setOptionsPrefix(PREFIX)
         ksp.setOperators(A)
         ksp.setFromOptions()
-        self._tell_multigrid(ksp, A)
+        tell_multigrid(ksp, A, self.model)
         self._factored = key
 
     def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
@@ -306,7 +288,7 @@ class Solver:
         if self._own_test:
             snes.setConvergenceTest(converged)
         snes.setFromOptions()
-        self._tell_multigrid(snes.getKSP(), A)
+        tell_multigrid(snes.getKSP(), A, self.model)
         snes.solve(None, x)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
         last = float(snes.getFunctionNorm()) / max(equations.scale, 1e-300)
@@ -322,44 +304,6 @@ class Solver:
                 f"-{PREFIX}snes_linesearch_type basic, or -{PREFIX}snes_monitor to watch it"
             )
         return x, steps + 1, last
-
-    # ---------------------------------------------------------------- matrices
-    def _mark(self, A: PETSc.Mat) -> None:
-        model = self.model
-        A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
-        definite = model.symmetric and model.linear and not self.equations.constraint
-        A.setOption(PETSc.Mat.Option.SPD, definite)
-
-    def _tell_multigrid(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
-        """Rigid motions for algebraic multigrid; nobody else reads them."""
-        if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
-            A.setNearNullSpace(PETSc.NullSpace().create(vectors=_orthonormal(self.model), comm=self.model.comm))
-
-
-def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
-    """PETSc options to try in turn.
-
-    Direct: MUMPS, Cholesky where the tangent is symmetric, else LU; AMF ordering. Large models start with conjugate
-    gradients (GMRES without symmetry) and algebraic multigrid that knows the rigid motions; very stiff layers slow it down
-    so much that factorising is faster. Incompressible layers make a saddle point: direct.
-    """
-    direct = {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
-    unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
-    saddle = any(p.law.constrained for p in model.layer_points)
-    if saddle or unknowns < MULTIGRID_FROM[model.joint.dim]:
-        return [direct]
-    return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
-
-
-def _orthonormal(model: Model) -> list[PETSc.Vec]:
-    basis: list[PETSc.Vec] = []
-    for motion in rigid_motions(model.V, model.joint).values():
-        v = motion.x.petsc_vec.copy()
-        for b in basis:
-            v.axpy(-v.dot(b), b)
-        v.normalize()
-        basis.append(v)
-    return basis
 
 
 def _reason(kind: Any, value: int) -> str:

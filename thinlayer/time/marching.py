@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -21,62 +20,10 @@ from thinlayer.state import State
 from thinlayer.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
 from thinlayer.time.history import SAME_TIME, History
+from thinlayer.time.plan import Adaptive, Plan
 
 Observe = Mapping[str, Callable[[State], float]]
-HALVINGS = 10
 SAFETY, LEAST, MOST = 0.9, 0.2, 3.0  # of the change of an adaptive step
-
-
-@dataclass(frozen=True)
-class Adaptive:
-    """Steps whose length follows an estimate of their error.
-
-    Each step is taken once as a whole and once as two halves; the halves are accepted if the displacements differ by no
-    more than the tolerance. What happens between these three times is not seen: loads that are functions and jump do so at
-    times in `at`; those of `piecewise` loads are added to them.
-
-    Attributes:
-        end: last time.
-        first: length of the first step.
-        tolerance: of the estimated error of a step's displacements, relative to the largest displacements so far (L2
-            norms of nodal values).
-        at: times between start and end that a step must end at.
-        smallest: length below which a step is not shortened further (default: first/1e6).
-        largest: length of the longest step (default: no limit).
-
-    Raises:
-        ModelError: values out of range.
-    """
-
-    end: float
-    first: float
-    tolerance: float = 1e-3
-    at: Sequence[float] = ()
-    smallest: float | None = None
-    largest: float = math.inf
-
-    def __post_init__(self) -> None:
-        for name in ("end", "first", "tolerance", "smallest", "largest"):
-            value = getattr(self, name)
-            if value is None and name == "smallest":
-                continue
-            good = isinstance(value, Real) and (float(value) > 0 or (name == "end" and math.isfinite(float(value))))
-            if not good:
-                raise ModelError(f"Adaptive: {name} is {value!r}; allowed: a number" + " > 0" * (name != "end"))
-        if (
-            isinstance(self.at, str)
-            or not isinstance(self.at, Iterable)
-            or not all(isinstance(t, Real) for t in self.at)
-        ):
-            raise ModelError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
-        object.__setattr__(self, "at", tuple(map(float, self.at)))
-        if self.at and max(self.at) > self.end:
-            raise ModelError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
-
-    @property
-    def targets(self) -> list[float]:
-        """Times that a step ends at."""
-        return sorted({*map(float, self.at), float(self.end)})
 
 
 def march(
@@ -118,7 +65,7 @@ def march(
     """
     start, theta = _number("start", start), _number("theta", theta)
     _check(model, theta, keep, out, resume, observe)
-    plan = _Plan.of(times, start, model.break_times)
+    plan = Plan.of(times, start, model.break_times)
     with Solver(model, options=options, method=method) as solver:
         solver.equations.check_times([start, *plan.targets])
         return _March(solver, plan, start, theta, dict(observe or {}), keep, Path(out) if out else None).run(resume)
@@ -170,46 +117,11 @@ def _check_folder(model: Model, out: Any) -> None:
         raise ModelError(problem)
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """Times to reach, and how long steps may be."""
-
-    targets: list[float]
-    adaptive: Adaptive | None
-    smallest: float
-
-    @classmethod
-    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> _Plan:
-        """The plan for `times`; adaptive steps also end where piecewise loads break."""
-        adaptive = times if isinstance(times, Adaptive) else None
-        if isinstance(times, str):
-            raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
-        try:
-            targets = [float(t) for t in (adaptive.targets if adaptive else times)]  # type: ignore[union-attr]
-        except (TypeError, ValueError) as error:
-            raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
-        whole = np.array([start, *targets])
-        if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
-            raise ModelError(
-                f"times is {targets} from start = {start:g}; they must be finite, increase, "
-                "and come after start, which is not one of them"
-            )
-        if adaptive:
-            targets = sorted({*targets, *(t for t in breaks if start < t < targets[-1])})
-            return cls(targets, adaptive, adaptive.smallest or adaptive.first / 1e6)
-        return cls(targets, None, float(np.diff(whole).min()) / 2**HALVINGS)
-
-    def after(self, t: float) -> list[float]:
-        """Targets still to reach."""
-        near = SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0]))
-        return [target for target in self.targets if target > t + near]
-
-
 class _March:
     """A march under way."""
 
     def __init__(
-        self, solver: Solver, plan: _Plan, start: float, theta: float, observe: dict[str, Callable[[State], float]],
+        self, solver: Solver, plan: Plan, start: float, theta: float, observe: dict[str, Callable[[State], float]],
         keep: str, out: Path | None,
     ) -> None:  # fmt: skip
         self.solver, self.plan, self.start, self.theta = solver, plan, start, theta

@@ -1,0 +1,66 @@
+"""Linear solvers for a model: PETSc options to try, and what multigrid must know."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from thinlayer.model import Model
+from thinlayer.options import OptionValue
+from thinlayer.rigid import rigid_motions
+
+DIRECT: dict[str, OptionValue] = {
+    "ksp_type": "preonly",
+    "ksp_rtol": 1e-10,
+    "pc_factor_mat_solver_type": "mumps",
+    "mat_mumps_icntl_7": 2,
+    "mat_mumps_icntl_14": 100,  # per cent of spare memory: with MUMPS's own 20 it fails now and then on several ranks
+}
+MULTIGRID: dict[str, OptionValue] = {
+    **DIRECT,
+    "ksp_max_it": 200,
+    "pc_type": "gamg",
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_aggressive_coarsening": 2,
+    "pc_gamg_aggressive_square_graph": False,
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_pc_type": "jacobi",
+}
+MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # unknowns; below, factorising is faster
+
+
+def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
+    """PETSc options to try in turn.
+
+    Direct: MUMPS, Cholesky where the tangent is symmetric, else LU; AMF ordering. Large models start with conjugate
+    gradients (GMRES without symmetry) and algebraic multigrid that knows the rigid motions; very stiff layers slow it down
+    so much that factorising is faster. Incompressible layers make a saddle point: direct.
+    """
+    direct = {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
+    unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
+    saddle = any(p.law.constrained for p in model.layer_points)
+    if saddle or unknowns < MULTIGRID_FROM[model.joint.dim]:
+        return [direct]
+    return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
+
+
+def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
+    """Rigid motions for algebraic multigrid; nobody else reads them."""
+    if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
+        A.setNearNullSpace(PETSc.NullSpace().create(vectors=_orthonormal(model), comm=model.comm))
+
+
+def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
+    """Tell PETSc whether a tangent is symmetric and positive definite."""
+    A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
+    A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
+
+
+def _orthonormal(model: Model) -> list[PETSc.Vec]:
+    basis: list[PETSc.Vec] = []
+    for motion in rigid_motions(model.V, model.joint).values():
+        v = motion.x.petsc_vec.copy()
+        for b in basis:
+            v.axpy(-v.dot(b), b)
+        v.normalize()
+        basis.append(v)
+    return basis

@@ -1,0 +1,102 @@
+"""When the steps of a march end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+
+from thinlayer.loads import ModelError
+from thinlayer.time.history import SAME_TIME
+
+HALVINGS = 10
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """Steps whose length follows an estimate of their error.
+
+    Each step is taken once as a whole and once as two halves; the halves are accepted if the displacements differ by no
+    more than the tolerance. What happens between these three times is not seen: loads that are functions and jump do so at
+    times in `at`; those of `piecewise` loads are added to them.
+
+    Attributes:
+        end: last time.
+        first: length of the first step.
+        tolerance: of the estimated error of a step's displacements, relative to the largest displacements so far (L2
+            norms of nodal values).
+        at: times between start and end that a step must end at.
+        smallest: length below which a step is not shortened further (default: first/1e6).
+        largest: length of the longest step (default: no limit).
+
+    Raises:
+        ModelError: values out of range.
+    """
+
+    end: float
+    first: float
+    tolerance: float = 1e-3
+    at: Sequence[float] = ()
+    smallest: float | None = None
+    largest: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("end", "first", "tolerance", "smallest", "largest"):
+            value = getattr(self, name)
+            if value is None and name == "smallest":
+                continue
+            good = isinstance(value, Real) and (float(value) > 0 or (name == "end" and math.isfinite(float(value))))
+            if not good:
+                raise ModelError(f"Adaptive: {name} is {value!r}; allowed: a number" + " > 0" * (name != "end"))
+        if (
+            isinstance(self.at, str)
+            or not isinstance(self.at, Iterable)
+            or not all(isinstance(t, Real) for t in self.at)
+        ):
+            raise ModelError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
+        object.__setattr__(self, "at", tuple(map(float, self.at)))
+        if self.at and max(self.at) > self.end:
+            raise ModelError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
+
+    @property
+    def targets(self) -> list[float]:
+        """Times that a step ends at."""
+        return sorted({*map(float, self.at), float(self.end)})
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Times to reach, and how long steps may be."""
+
+    targets: list[float]
+    adaptive: Adaptive | None
+    smallest: float
+
+    @classmethod
+    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> Plan:
+        """The plan for `times`; adaptive steps also end where piecewise loads break."""
+        adaptive = times if isinstance(times, Adaptive) else None
+        if isinstance(times, str):
+            raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
+        try:
+            targets = [float(t) for t in (adaptive.targets if adaptive else times)]  # type: ignore[union-attr]
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
+        whole = np.array([start, *targets])
+        if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
+            raise ModelError(
+                f"times is {targets} from start = {start:g}; they must be finite, increase, "
+                "and come after start, which is not one of them"
+            )
+        if adaptive:
+            targets = sorted({*targets, *(t for t in breaks if start < t < targets[-1])})
+            return cls(targets, adaptive, adaptive.smallest or adaptive.first / 1e6)
+        return cls(targets, None, float(np.diff(whole).min()) / 2**HALVINGS)
+
+    def after(self, t: float) -> list[float]:
+        """Targets still to reach."""
+        near = SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0]))
+        return [target for target in self.targets if target > t + near]
