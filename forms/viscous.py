@@ -28,8 +28,29 @@ def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
+class SpringBesideDashpot(Law):
+    """An elastic spring and a dashpot in parallel; subclasses have lmbda, mu and give the dashpot's stress."""
+
+    lmbda: float
+    mu: float
+    rate = True
+    quadratic = True
+
+    def _viscous(self, rate: Expr) -> Expr:
+        raise NotImplementedError
+
+    def stress(self, step: Step) -> Expr:
+        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step.rate)
+
+    def energy(self, step: Step) -> Expr:
+        return isotropic_energy(self.lmbda, self.mu, step.e)
+
+    def dissipation(self, step: Step) -> Expr:
+        return ufl.inner(self._viscous(step.rate), step.rate)
+
+
 @dataclass(frozen=True)
-class KelvinVoigt(Law):
+class KelvinVoigt(SpringBesideDashpot):
     """Elastic spring and viscous dashpot in parallel: stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : rate.
 
     As a layer's law, Eqs. (16)-(17): t = K_L [u] + K_th d[u]/dt with K_L = mu, lmbda + 2 mu and K_th = mu theta_mu,
@@ -49,8 +70,6 @@ class KelvinVoigt(Law):
     theta_mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
     linear: ClassVar = True
-    rate: ClassVar = True
-    quadratic: ClassVar = True
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
@@ -61,15 +80,6 @@ class KelvinVoigt(Law):
 
     def _viscous(self, rate: Expr) -> Expr:
         return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, rate)
-
-    def stress(self, step: Step) -> Expr:
-        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step.rate)
-
-    def energy(self, step: Step) -> Expr:
-        return isotropic_energy(self.lmbda, self.mu, step.e)
-
-    def dissipation(self, step: Step) -> Expr:
-        return ufl.inner(self._viscous(step.rate), step.rate)
 
 
 @dataclass(frozen=True)
@@ -151,7 +161,7 @@ class Maxwell(Law):
 
 
 @dataclass(frozen=True)
-class Norton(Law):
+class Norton(SpringBesideDashpot):
     """Elastic spring parallel to a power-law dashpot, stress = C(lmbda, mu) : e + eta |rate|^(p - 2) rate.
 
     As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
@@ -174,8 +184,6 @@ class Norton(Law):
     eta: float
     p: float
     rest: float = REST
-    rate: ClassVar = True
-    quadratic: ClassVar = True
 
     @property
     def powers(self) -> Mapping[str, float]:  # type: ignore[override]
@@ -188,12 +196,3 @@ class Norton(Law):
 
     def _viscous(self, rate: Expr) -> Expr:
         return self.eta * (ufl.inner(rate, rate) + self.rest**2) ** (self.p / 2 - 1) * rate
-
-    def stress(self, step: Step) -> Expr:
-        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step.rate)
-
-    def energy(self, step: Step) -> Expr:
-        return isotropic_energy(self.lmbda, self.mu, step.e)
-
-    def dissipation(self, step: Step) -> Expr:
-        return ufl.inner(self._viscous(step.rate), step.rate)
