@@ -230,10 +230,15 @@ class Equations:
         G = self.constraint.G
         turned = PETSc.Mat()
         G.transpose(turned)
-        nest = PETSc.Mat().createNest([[A, turned], [G, None]], comm=self.comm)
+        rows = G.getSizes()[0]
+        first, n = G.getOwnershipRange()[0], rows[0]
+        places = np.arange(n + 1, dtype=PETSc.IntType)
+        csr = (places, (first + places[:-1]).astype(PETSc.IntType), np.zeros(n))
+        diagonal = PETSc.Mat().createAIJ((rows, rows), csr=csr, comm=self.comm)  # zeros: rows need a diagonal entry
+        nest = PETSc.Mat().createNest([[A, turned], [G, diagonal]], comm=self.comm)
         whole = nest.convert("aij", PETSc.Mat())
         whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        for thing in (nest, turned, A):
+        for thing in (nest, turned, A, diagonal):
             thing.destroy()
         return whole
 
