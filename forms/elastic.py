@@ -24,6 +24,13 @@ def lame(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
 
 
+def require_moduli(law: Law, lmbda: float, mu: float) -> None:
+    """Raise LawError unless mu > 0 and lmbda + 2 mu/3 > 0."""
+    require(math.isfinite(mu) and mu > 0, law, "mu", mu, "> 0")
+    bound = -2 / 3 * mu
+    require(math.isfinite(lmbda) and lmbda > bound, law, "lmbda", lmbda, f"> -2 mu/3 = {bound:g}")
+
+
 class LinearLaw(Law):
     """A law with a constant stiffness tensor."""
 
@@ -54,9 +61,7 @@ class LinearElastic(LinearLaw):
     powers: ClassVar = {"lmbda": 1, "mu": 1}
 
     def check(self) -> None:
-        require(math.isfinite(self.mu) and self.mu > 0, self, "mu", self.mu, "> 0")
-        bound = -2 / 3 * self.mu
-        require(math.isfinite(self.lmbda) and self.lmbda > bound, self, "lmbda", self.lmbda, f"> -2 mu/3 = {bound:g}")
+        require_moduli(self, self.lmbda, self.mu)
 
     @classmethod
     def young(cls, E: float, nu: float) -> LinearElastic:

@@ -9,18 +9,11 @@ from typing import ClassVar
 
 import ufl
 
-from forms.elastic import lame
+from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr
 from forms.law import Law, Step, positive, require
 
 REST = 1e-12
-
-
-def require_moduli(law: Law, lmbda: float, mu: float) -> None:
-    """Raise LawError unless mu > 0 and lmbda + 2 mu/3 > 0."""
-    require(math.isfinite(mu) and mu > 0, law, "mu", mu, "> 0")
-    bound = -2 / 3 * mu
-    require(math.isfinite(lmbda) and lmbda > bound, law, "lmbda", lmbda, f"> -2 mu/3 = {bound:g}")
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:

@@ -359,6 +359,12 @@ def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, 
     assert len(march(Model.interface(JOINT, **data), [0.1, 0.2], out=tmp_path, resume=True)) == 3
 
 
+def test_times_may_be_negative(tmp_path):
+    for resume in (False, True):
+        history = march(interface(), [-2.0, -1.0], start=-3.0, out=tmp_path, resume=resume)
+        assert history.t == pytest.approx([-3.0, -2.0, -1.0])
+
+
 def test_files_that_do_not_fit_together(tmp_path):
     march(interface(), [0.1, 0.2], out=tmp_path)
     with pytest.raises(ModelError, match=r"is at t = 0\.2; times end before"):

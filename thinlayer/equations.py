@@ -176,8 +176,7 @@ class Equations:
         self.K.mult(mid, forces)
         self.scale = max(float(forces.norm()), float(self.loads.norm()), self._rounding)
         if self._curved:
-            b = dolfinx.fem.petsc.assemble_vector(self._F)
-            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            b = self._curved_forces()
             self.scale = max(self.scale, float(b.norm()))
             forces.axpy(1.0, b)
             b.destroy()
@@ -276,12 +275,17 @@ class Equations:
         self.K.mult(u, self._forces)
         return float(u.dot(self._forces)) / 2
 
-    def _curved_work(self, change: PETSc.Vec) -> float:
-        """Work of the stresses that are not linear in the displacements, at the last residual's ones."""
-        if not self._curved:
-            return 0.0
+    def _curved_forces(self) -> PETSc.Vec:
+        """Nodal forces of the stresses that are not linear in the displacements."""
         b = dolfinx.fem.petsc.assemble_vector(self._F)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        return b
+
+    def _curved_work(self, change: PETSc.Vec) -> float:
+        """Their work, at the last residual's displacements."""
+        if not self._curved:
+            return 0.0
+        b = self._curved_forces()
         found = float(b.dot(change))
         b.destroy()
         return found

@@ -146,8 +146,9 @@ class _March:
         if found:
             self.history, self.pace = found
             self._written = len(self.history)
-            if self.history.last.t > self.plan.targets[-1] * (1 + SAME_TIME):
-                raise ModelError(f"the march in {self.out} is at t = {self.history.last.t:g}; times end before")
+            last, end = self.history.last.t, self.plan.targets[-1]
+            if last > end + SAME_TIME * max(abs(end), abs(self.start)):
+                raise ModelError(f"the march in {self.out} is at t = {last:g}; times end before")
             self._write_table()
         else:
             self._begin()
