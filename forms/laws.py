@@ -1,5 +1,6 @@
 """All laws by name."""
 
+from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
 from forms.incompressible import Incompressible
 from forms.law import Law, LawError, Step
@@ -10,7 +11,10 @@ from forms.viscous import KelvinVoigt, Maxwell, Norton
 
 __all__ = [
     "Anisotropic",
+    "ContactLaw",
+    "HolonomicCoulomb",
     "Incompressible",
+    "IncrementalCoulomb",
     "JumpStep",
     "KelvinVoigt",
     "Law",
@@ -22,4 +26,5 @@ __all__ = [
     "Stack",
     "Step",
     "TractionLaw",
+    "Tresca",
 ]

@@ -7,10 +7,11 @@ from typing import Any
 import ufl
 
 from forms import LinearElastic
-from geometry import Joint, sandwich
+from geometry import Joint, block, sandwich
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
+BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
 
 
 def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]:
@@ -30,3 +31,26 @@ def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]
     supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     tractions = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
     return joint, {"body": FOURIER_BODY, "supports": supports, "tractions": tractions}
+
+
+def sliding_bar(n: int, *, depth: bool = False, arrangement: str = "Right") -> tuple[Joint, dict[str, Any]]:
+    """The bar of Fig. 7: a square of 40 mm, in plane strain, pushed along a rigid base AB by 100 MPa and onto it by 50 MPa.
+
+    u_1 = 0 on the right side, and its lower corner B does not move. With a depth it is a cube, its back side on rollers,
+    without the held corner.
+
+    Args:
+        n: squares along each side; S has n + 1 nodes along x.
+        depth: whether it is a cube.
+        arrangement: which diagonals halve the squares.
+
+    Returns:
+        The joint, and the data of its models without their layer.
+    """
+    side = 40.0
+    joint = block(side, side, side / n, structured=True, arrangement=arrangement, depth=side if depth else None)
+    supports: dict[Any, Any] = {"RIGHT": {"x": 0.0}}
+    supports |= {"BACK": {"z": 0.0}} if depth else {(side, 0.0): 0.0}
+    zero = (0.0,) if depth else ()
+    loads = {"LEFT": (100.0, 0.0, *zero), "TOP": (0.0, -50.0, *zero)}
+    return joint, {"body": BAR, "supports": supports, "tractions": loads, "element": "P1"}

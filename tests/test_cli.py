@@ -146,7 +146,10 @@ def test_studies_of_any_joint(tmp_path, name):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "fig7"], "unknown study 'fig7'; known: butt_joint, creep_and_relaxation, fig6_stratified, hard_layer"),
+        (
+            ["run", "fig7"],
+            "unknown study 'fig7'; known: butt_joint, creep_and_relaxation, fig6_stratified, fig8_friction, hard_layer",
+        ),
         (["run", "limits", "--eps", "0.1"], "study limits does not use --eps; it uses: --quick"),
         (["run", "fig6_stratified", "--bodies", "kept"], "does not use --bodies"),
         (["run", "sweep_elastic", "--order", "2"], "invalid choice"),

@@ -23,7 +23,7 @@ README = (CLONE / "README.md").read_text()
 def test_script(tmp_path, number):
     scripts = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
-    assert len(scripts) == len(tables) == 2
+    assert len(scripts) == len(tables) + 1 == 3
     (tmp_path / "script.py").write_text(scripts[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -35,8 +35,19 @@ def test_script(tmp_path, number):
     assert {path.name for path in tmp_path.glob("*.png")} == ({"lap.png", "rates.png"} if number == 0 else set())
 
 
+def test_contact_script(tmp_path):
+    script = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[2]
+    (tmp_path / "script.py").write_text(script)
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    for line in done.stdout.splitlines()[:-1]:
+        assert line.strip() in README
+    assert re.search(r"normal force 1938\.9, equilibrium \S*e-1\d", done.stdout)
+    assert (tmp_path / "contact.png").stat().st_size > 10_000
+
+
 def test_scripts_are_short():
-    first, second = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    first, second, _ = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     assert len([line for line in first.splitlines() if line.strip()]) <= 20
     law = second[second.index("@dataclass") : second.index("steel =")]
     assert len([line for line in law.splitlines() if line.strip()]) <= 17

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from thinlayer.comparison import compare, observed_orders, sweep
+    from thinlayer.contact.report import ContactReport
+    from thinlayer.failure import SolveError
     from thinlayer.layer import ThinLayer
     from thinlayer.loads import ModelError, piecewise
     from thinlayer.model import Model
     from thinlayer.options import OptionError
-    from thinlayer.solvers import SolveError, solve
+    from thinlayer.solvers import solve
     from thinlayer.state import State
     from thinlayer.surface import Surface
     from thinlayer.table import Table
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "Adaptive",
+    "ContactReport",
     "History",
     "Model",
     "ModelError",
@@ -44,6 +47,7 @@ _HOME = {
     "compare": "comparison",
     "observed_orders": "comparison",
     "sweep": "comparison",
+    "ContactReport": "contact.report",
     "History": "time.history",
     "ThinLayer": "layer",
     "ModelError": "loads",
@@ -52,7 +56,7 @@ _HOME = {
     "march": "time.marching",
     "Model": "model",
     "OptionError": "options",
-    "SolveError": "solvers",
+    "SolveError": "failure",
     "solve": "solvers",
     "State": "state",
     "Surface": "surface",

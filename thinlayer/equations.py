@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import dolfinx.fem.petsc
@@ -12,7 +12,10 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.contact import ContactLaw
+from forms.elastic import LinearElastic
 from forms.work import energy, work
+from thinlayer.contact.nodes import ContactNodes
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.pointwise.constraint import Constraint
@@ -47,9 +50,11 @@ class Equations:
     Attributes:
         points: where compiled laws act.
         constraint: the pressures of an incompressible layer.
+        nodes: the nodes of S under a contact law.
         loads: nodal forces of the loads in the balance of the present step.
         scale: size of the forces in the last residual: of the bodies' stresses, of the loads, or of what rounding leaves
             of the stresses of stiff bodies that supports move.
+        least_residual: what rounding leaves of the forces of stiff bodies that supports move.
         failed: number of points where a law failed in the last residual.
     """
 
@@ -61,7 +66,8 @@ class Equations:
         linear = [p for p in forms if p.law.linear]
         self._curved = [p for p in forms if not p.law.linear]
         trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
-        self.K = dolfinx.fem.petsc.assemble_matrix(fem.form(work(linear or model.bodies, trial, test)))
+        pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in model.bodies]
+        self.K = dolfinx.fem.petsc.assemble_matrix(fem.form(work(pattern, trial, test)))
         self.K.assemble()
         if not linear:
             self.K.zeroEntries()
@@ -73,6 +79,7 @@ class Equations:
         constrained = [p for p in model.points if p.law.constrained]
         self.constraint = Constraint(model.domain, V, constrained[0]) if constrained else None
         self.pressure = fem.Function(self.constraint.space) if self.constraint else None
+        self.nodes = ContactNodes(model, self.held) if model.contact else None
         self._matrix: PETSc.Mat | None = None
         self._responses: list[Response] = []
         self._forces, self._product = self.K.createVecLeft(), self.K.createVecLeft()
@@ -117,6 +124,13 @@ class Equations:
         first = self.comm.scan(n) - n
         return (first + self.held).astype(PETSc.IntType)
 
+    def rest(self) -> tuple[npt.NDArray[np.float64], ...]:
+        """Internal values before anything happened."""
+        memory = [p.rest() for p in self.points]
+        if self.nodes:
+            memory.append(np.zeros((len(self.nodes.upper), self.nodes.dim - 1)))
+        return tuple(memory)
+
     # ---------------------------------------------------------------- a step
     def begin(self, interval: Interval) -> None:
         """Set the step that the residual is of.
@@ -135,6 +149,7 @@ class Equations:
         self.prescribed = self._prescribed_at(interval.t)
         farthest = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         self._rounding = ROUNDING * self._stiffness * farthest
+        self.least_residual = np.finfo(float).eps * self._stiffness * farthest
         self._e_old = [p.strain(self.old) for p in self.points]
 
     def check_times(self, times: list[float]) -> None:
@@ -182,7 +197,7 @@ class Equations:
             b.destroy()
         self._responses = [
             p.respond(p.strain(now), e_old, q, self.interval.dt, theta)
-            for p, e_old, q in zip(self.points, self._e_old, self.interval.old.memory, strict=True)
+            for p, e_old, q in zip(self.points, self._e_old, self.interval.old.memory, strict=False)
         ]
         self.failed = self.comm.allreduce(sum(r.failed for r in self._responses)) if self.points else 0
         for p, r in zip(self.points, self._responses, strict=True):
@@ -192,13 +207,22 @@ class Equations:
             forces.axpy(1.0, self._product)
             self.constraint.G.mult(now, self.constraint.volume)
             out.array[self.n_displacements :] = self.constraint.volume.array_r
+        if self.nodes and self.model.contact:
+            self.nodes.add_forces(self.model.contact.traction(self.nodes.jump(now), self._slip), forces)
         forces.axpy(-1.0, self.loads)
         out.array[: self.n_displacements] = np.nan if self.failed else forces.array_r
+
+    @property
+    def _slip(self) -> npt.NDArray[np.float64]:
+        """Slip at the nodes of S under contact at the beginning of the step."""
+        return self.interval.old.memory[-1]
 
     def tangent(self) -> PETSc.Mat:
         """Tangent at the last residual's unknowns, supports not yet taken in. The same matrix is filled each time."""
         theta = self.interval.theta
         parts = [p.stiffness(r.tangent) for p, r in zip(self.points, self._responses, strict=True)]
+        if self.nodes and self.model.contact:
+            parts.append(self.nodes.stiffness(self._contact_tangent(self.nodes, self.model.contact)))
         if self._curved:
             J = dolfinx.fem.petsc.assemble_matrix(self._J)
             J.assemble()
@@ -223,6 +247,13 @@ class Equations:
             A.copy(self._matrix, SAME)
             A.destroy()
         return self._matrix
+
+    def _contact_tangent(self, nodes: ContactNodes, law: ContactLaw) -> npt.NDArray[np.float64]:
+        """Tangents at the nodes of S; at rest, where the law has no stiffness, of bonded springs."""
+        w = nodes.jump(self.u.x.petsc_vec)
+        if self.comm.allreduce(int(w.any())):
+            return law.tangent(w, self._slip)
+        return np.tile(np.diag([law.K_T] * (nodes.dim - 1) + [law.K_N]), (len(w), 1, 1))
 
     def _saddle(self, A: PETSc.Mat) -> PETSc.Mat:
         assert self.constraint is not None
@@ -267,9 +298,29 @@ class Equations:
             total += layer[0]
             dissipated += layer[1]
             remainder += layer[2]
+        memory = [r.memory for r in self._responses]
+        if self.nodes and self.model.contact:
+            at_nodes, slip = self._contact_energies(self.nodes, self.model.contact)
+            memory.append(slip)
+            layer = self.comm.allreduce(at_nodes)
+            total += layer[0]
+            stored += layer[0] - self.interval.old.audit.layer
+            dissipated += layer[1]
+            remainder += layer[2] - (layer[0] - self.interval.old.audit.layer) - layer[1]
+            if not self.model.contact.has_energy:
+                stored = dissipated = remainder = np.nan
         out.destroy()
         audit = Audit(*map(float, (supplied, stored, dissipated, remainder, layer[0], total)))
-        return tuple(r.memory for r in self._responses), audit
+        return tuple(memory), audit
+
+    def _contact_energies(
+        self, nodes: ContactNodes, law: ContactLaw
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Of this rank's nodes: energy stored in springs, dissipated, work of the tractions in the step; the new slip."""
+        w, old = nodes.jump(self.u.x.petsc_vec), nodes.jump(self.old)
+        stored, dissipated = law.energies(w, self._slip)
+        worked = (law.traction(w, self._slip) * (w - old)).sum(axis=1)
+        return np.array([nodes.weights @ e for e in (stored, dissipated, worked)]), law.slip_after(w, self._slip)
 
     def _elastic(self, u: PETSc.Vec) -> float:
         self.K.mult(u, self._forces)
@@ -301,7 +352,7 @@ class Equations:
         """Free the matrices."""
         for p in self.points:
             p.destroy()
-        for thing in (self.K, self._matrix, self.constraint, self._forces, self._product, self.loads):
+        for thing in (self.K, self._matrix, self.constraint, self.nodes, self._forces, self._product, self.loads):
             if thing is not None:
                 thing.destroy()
 

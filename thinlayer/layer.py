@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
+from forms.contact import ContactLaw
 from forms.law import Law, LawError
 from forms.series import Stack
 from forms.traction import TractionLaw
@@ -49,7 +50,7 @@ class ThinLayer:
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and isinstance(self.law, Stack):
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
-        if self.order == 1 and (isinstance(self.law, TractionLaw) or self.law.constrained):
+        if self.order == 1 and (isinstance(self.law, (TractionLaw, ContactLaw)) or self.law.constrained):
             raise LawError(f"order=1 of {type(self.law).__name__}: there is no next-order law of it; use order=0")
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")

@@ -46,7 +46,7 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
 def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
     """Rigid motions for algebraic multigrid; nobody else reads them."""
     if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
-        A.setNearNullSpace(PETSc.NullSpace().create(vectors=_orthonormal(model), comm=model.comm))
+        A.setNearNullSpace(PETSc.NullSpace().create(vectors=rigid_modes(model), comm=model.comm))
 
 
 def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
@@ -55,7 +55,8 @@ def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
 
 
-def _orthonormal(model: Model) -> list[PETSc.Vec]:
+def rigid_modes(model: Model) -> list[PETSc.Vec]:
+    """Orthonormal rigid motions. Collective."""
     basis: list[PETSc.Vec] = []
     for motion in rigid_motions(model.V, model.joint).values():
         v = motion.x.petsc_vec.copy()

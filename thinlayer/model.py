@@ -16,6 +16,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms import work as forms
+from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from forms.series import Stack
@@ -64,7 +65,7 @@ class Model:
         joint: Joint,
         kind: str,
         *,
-        layer: ThinLayer | None = None,
+        layer: ThinLayer | TractionLaw | ContactLaw | None = None,
         body: Law | Mapping[str, Law],
         supports: Mapping[Place, Support],
         tractions: Mapping[str, Load] | None = None,
@@ -75,6 +76,8 @@ class Model:
         sublayers: int = 4,
         comm: MPI.Intracomm | None = None,
     ) -> None:
+        if isinstance(layer, (TractionLaw, ContactLaw)):
+            layer = ThinLayer(layer, 1.0)  # of jumps, not of strains: there is no thickness in it
         self.joint, self.layer, self.kind, self.plane = joint, layer, kind, plane
         self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
         self._check_choices(bodies)
@@ -107,7 +110,7 @@ class Model:
 
         Args:
             joint: the joint; S is inflated by the layer's thickness.
-            layer: ThinLayer.
+            layer: ThinLayer; a law of jumps (contact, `TractionLaw`) may stand alone.
             body: law of the bodies (moduli: stress), or region name -> law.
             supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer.
             tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that
@@ -158,12 +161,25 @@ class Model:
             return
         if not isinstance(layer, ThinLayer):
             raise ModelError(f"layer is {layer!r}; give layer=ThinLayer(law, eps)")
+        if isinstance(layer.law, ContactLaw):
+            self._check_contact()
         if layer.order == 1:
             self._check_order_1(bodies)
-        if self.kind == "full" and isinstance(layer.law, TractionLaw):
+        if self.kind == "full" and isinstance(layer.law, (TractionLaw, ContactLaw)):
             raise ModelError(f"{type(layer.law).__name__} is a law of jump and traction: it has no meshed layer")
         if layer.law.constrained and element not in ("P2", "Q2"):
             raise ModelError(f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}")
+
+    def _check_contact(self) -> None:
+        """Contact laws act at the nodes of S, on displacements of degree 1."""
+        linear = "Q1" if is_tensor(self.joint.cell_type) else "P1"
+        if self.element != linear:
+            raise ModelError(
+                f"a contact law acts at the vertices of S and needs element={linear!r}, not {self.element}: nodes in the "
+                "middle of edges would carry most of the pressure, or none of it"
+            )
+        if self.layer is not None and self.layer.profile is not None:
+            raise ModelError("a contact law has no thickness that could vary along S")
 
     def _check_order_1(self, bodies: str) -> None:
         if bodies != "kept":
@@ -177,7 +193,7 @@ class Model:
 
     # ---------------------------------------------------------------- spaces
     @cached_property
-    def _sides_of_cells(self) -> npt.NDArray[np.int32]:
+    def sides_of_cells(self) -> npt.NDArray[np.int32]:
         """0 below S, 1 in the layer, 2 above: colours of a space that is broken at both faces."""
         joint = self.domain.joint
         return (joint.side[self.domain.original_cells] + 1).astype(np.int32)
@@ -185,7 +201,7 @@ class Model:
     @cached_property
     def _colours(self) -> npt.NDArray[np.int32]:
         """Colours in which displacements are continuous: each body in the interface model, else everything."""
-        return self._sides_of_cells if self.kind == "interface" else np.zeros_like(self._sides_of_cells)
+        return self.sides_of_cells if self.kind == "interface" else np.zeros_like(self.sides_of_cells)
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """A vector space on the model's mesh with the jumps of its displacements. Collective.
@@ -197,7 +213,7 @@ class Model:
         """
         mesh = self.domain.mesh
         element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(self.joint.dim,))
-        colours = self._sides_of_cells if broken_at_faces else self._colours
+        colours = self.sides_of_cells if broken_at_faces else self._colours
         return broken_space(self.comm, mesh, element, colours, self.domain.facets(BONDED))
 
     # ---------------------------------------------------------------- where laws act
@@ -238,7 +254,7 @@ class Model:
         return {"metadata": {"quadrature_degree": degree}}
 
     def _layer_points(self) -> list[forms.Points]:
-        if self.kind == "bonded" or self.layer is None:
+        if self.kind == "bonded" or self.layer is None or self.contact:
             return []
         mesh, law = self.domain.mesh, self.layer.real_law(self.plane)
         if self.sides:
@@ -267,14 +283,20 @@ class Model:
         return self.bodies + self.layer_points
 
     @property
+    def contact(self) -> ContactLaw | None:
+        """The contact law on S, if there is one."""
+        law = self.layer.law if self.layer and self.kind == "interface" else None
+        return law if isinstance(law, ContactLaw) else None
+
+    @property
     def linear(self) -> bool:
         """Whether every law is linear."""
-        return all(p.law.linear for p in self.points)
+        return self.contact is None and all(p.law.linear for p in self.points)
 
     @property
     def symmetric(self) -> bool:
         """Whether every law has a symmetric tangent."""
-        return all(p.law.symmetric for p in self.points)
+        return all(p.law.symmetric for p in self.points) and (self.contact is None or self.contact.symmetric)
 
     @property
     def break_times(self) -> set[float]:

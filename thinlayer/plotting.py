@@ -80,7 +80,7 @@ def rates(
     axes.minorticks_off()
     axes.grid(color="0.9")
     axes.legend(frameon=False)
-    return _finish(figure, save)
+    return finish(figure, save)
 
 
 def curves(
@@ -112,7 +112,7 @@ def curves(
     if ylim:
         axes.set_ylim(*ylim)
     axes.legend(frameon=False)
-    return _finish(figure, save)
+    return finish(figure, save)
 
 
 def panels(
@@ -124,6 +124,7 @@ def panels(
     colours: Mapping[str, str],
     save: str | Path | None = None,
     columns: int = 3,
+    yscale: str = "linear",
 ) -> Figure:
     """Curves in several pictures with one legend.
 
@@ -134,6 +135,7 @@ def panels(
         styles, colours: label -> line style, colour.
         save: PNG file.
         columns: pictures in a row.
+        yscale: "linear" or "log".
     """
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
@@ -141,9 +143,9 @@ def panels(
     for k, (title, lines) in enumerate(parts.items()):
         axes = figure.add_subplot(rows, columns, k + 1)
         _plot(axes, lines, styles, colours)
-        axes.set(xlabel=xlabel, ylabel=ylabels[title], title=title)
+        axes.set(xlabel=xlabel, ylabel=ylabels[title], title=title, yscale=yscale)
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
-    return _finish(figure, save)
+    return finish(figure, save)
 
 
 def _plot(
@@ -160,7 +162,8 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, figure.subplots()
 
 
-def _finish(figure: Figure, save: str | Path | None) -> Figure:
+def finish(figure: Figure, save: str | Path | None) -> Figure:
+    """Save a picture on rank 0, if asked to."""
     if save and MPI.COMM_WORLD.rank == 0:
         figure.savefig(_folder(save), **SAVED)
     return figure

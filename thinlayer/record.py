@@ -101,11 +101,13 @@ class Record:
         options: what the user chose.
         resume: whether to continue an earlier run of the study with the same options.
         checks: the checks so far.
+        parameters, results: what the study was made from, and numbers that it found besides its tables; for run.json.
     """
 
     def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
         self.study, self.out, self.options, self.resume = study, Path(out), dict(options), resume
         self.parameters: dict[str, Any] = {}
+        self.results: dict[str, Any] = {}
         self.checks: list[Check] = []
         self.solves: list[dict[str, Any]] = []
         self._begun = self._noted = False
@@ -203,6 +205,7 @@ class Record:
             "ranks": MPI.COMM_WORLD.size,
             "versions": versions(),
             "seconds": round(time.perf_counter() - self._start, 3),
+            "results": self.results,
             "checks": [asdict(check) for check in self.checks],
             "solves": self.solves,
             "error": error,

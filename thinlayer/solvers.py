@@ -1,4 +1,4 @@
-"""Linear and Newton (SNES) solvers of a model, for one equilibrium or step after step."""
+"""Solvers of a model, for one equilibrium or step after step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from typing import Any
 from dolfinx import fem
 from petsc4py import PETSc
 
+from thinlayer.contact.solver import METHODS, ContactSolver, check_method, default_method
 from thinlayer.equations import Equations, Interval
+from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import linear_solvers, mark, tell_multigrid
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
@@ -32,20 +34,13 @@ TOLERANCE = 1e-10  # of Newton's method: residual over the forces of the bodies'
 OVERSHOOT = 10.0  # residual of a first step over the forces
 
 
-class SolveError(RuntimeError):
-    """A solve that did not converge: PETSc's reason, the last residual, and what to try.
-
-    Attributes:
-        history: of a march, its accepted steps.
-    """
-
-    def __init__(self, message: str, history: Any = None) -> None:
-        super().__init__(message)
-        self.history = history
-
-
 def solve(
-    model: Model, t: float = 0.0, *, options: Mapping[str, OptionValue] | None = None, method: str | None = None
+    model: Model,
+    t: float = 0.0,
+    *,
+    options: Mapping[str, OptionValue] | None = None,
+    method: str | None = None,
+    like: State | None = None,
 ) -> State:
     """Equilibrium of a model at a time; of a layer with memory, its response to the sudden load. Collective.
 
@@ -53,11 +48,15 @@ def solve(
         model: the model.
         t: the time that loads and supports are taken at.
         options: PETSc options without prefix, over our defaults; options given to PETSc as -thinlayer_NAME come first.
-        method: "linear" (default if every law is linear) or "newton".
+        method: "linear" (default if every law is linear) or "newton". Of contact laws "condensed" (to the jumps on S;
+            default on one rank while S is narrow), "multigrid" (default otherwise), "newton" (default if a body is not
+            linear) or "relaxation" (the paper's, for comparison).
+        like: under a contact law, a state of the same joint with a similar contact status, such as that of another load or
+            thickness; it saves Newton steps.
 
     Raises:
         SolveError: no convergence, or no unique solution. OptionError: a PETSc option that the solver does not read.
-        ModelError: a law without an instantaneous response; loads that are not finite.
+        ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
         ValueError: unknown method, or a linear solve of a non-linear law.
     """
     _require_model(model)
@@ -66,13 +65,28 @@ def solve(
         raise ModelError(f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)")
     if not isinstance(t, Real) or not math.isfinite(t):
         raise ModelError(f"t is {t!r}; it must be a finite number")
-    with Solver(model, options=options, method=method) as solver:
+    with Solver(model, options=options, method=method, like=like) as solver:
         return solver.step(solver.rest(t), t)
 
 
 def _require_model(model: Any) -> None:
     if not isinstance(model, Model):
         raise ModelError(f"model is {model!r}; give what Model.full or Model.interface returns")
+
+
+def _default_method(model: Model) -> str:
+    if model.contact:
+        return default_method(model)
+    return "linear" if model.linear else "newton"
+
+
+def _check_like(model: Model, like: Any) -> None:
+    if like is None:
+        return
+    if not isinstance(like, State) or like.model.joint is not model.joint:
+        raise ModelError(f"like is {like!r}; it must be a state of a model of the same joint")
+    if model.contact is None or like.model.kind != "interface" or like.model.element != model.element:
+        raise ModelError("like is for contact laws: a state of an interface model with the same element")
 
 
 class Solver:
@@ -82,20 +96,30 @@ class Solver:
     """
 
     def __init__(
-        self, model: Model, *, options: Mapping[str, OptionValue] | None = None, method: str | None = None
+        self,
+        model: Model,
+        *,
+        options: Mapping[str, OptionValue] | None = None,
+        method: str | None = None,
+        like: State | None = None,
     ) -> None:
         _require_model(model)
-        self.model, self.method = model, method or ("linear" if model.linear else "newton")
-        if self.method not in ("linear", "newton"):
-            raise ValueError(f"unknown method {method!r}; allowed: linear, newton")
+        self.model, self.method = model, method or _default_method(model)
+        allowed = ("newton", *METHODS) if model.contact else ("linear", "newton")
+        if self.method not in allowed:
+            check_method(model, self.method)
+            raise ValueError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
+        check_method(model, self.method)
+        _check_like(model, like)
         if self.method == "linear" and not model.linear:
             raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
         self._given = dict(options or {})
-        self._choices = linear_solvers(model)
+        self._choices = [{}] if self.method in METHODS else linear_solvers(model)
         if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
             self._choices = self._choices[:1]
         self._own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         self.equations = Equations(model)
+        self._contact = ContactSolver(self.equations, self.method, like) if self.method in METHODS else None
         self._ksp: PETSc.KSP | None = None
         self._factored: tuple[float, float] | None = None
         self._reused = False  # whether the last step took the factor of an earlier one
@@ -109,6 +133,8 @@ class Solver:
 
     def close(self) -> None:
         """Free matrices and factors."""
+        if self._contact:
+            self._contact.close()
         self._drop_factor()
         for vector in self._vectors:
             vector.destroy()
@@ -121,8 +147,8 @@ class Solver:
 
     def rest(self, t: float) -> State:
         """The model before anything happened."""
-        memory = tuple(p.rest() for p in self.equations.points)
-        return State(self.model, fem.Function(self.model.V), t, Report("rest", 0, 0.0, 0.0), memory=memory)
+        report = Report("rest", 0, 0.0, 0.0)
+        return State(self.model, fem.Function(self.model.V), t, report, memory=self.equations.rest())
 
     def step(self, old: State, t: float, theta: float = 1.0) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
@@ -132,16 +158,17 @@ class Solver:
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
         while True:
-            ours = {**self._choices[0], **(NEWTON if self.method == "newton" else {})}
+            ours = {**self._choices[0], **self._newton_options}
             try:
                 with defaults({**ours, **self._given}):
                     x, iterations, residual = self._advance(old)
                     if not self._reused:
                         require_all_read(self.method, ours.keys() - self._given.keys())
+                    self._reused |= self._contact is not None  # its solvers read their options once
             except SolveError:
                 reused, self._reused = self._reused, False
                 self._drop_factor()
-                if not reused and len(self._choices) == 1:
+                if self._contact or (not reused and len(self._choices) == 1):
                     raise
                 if not reused:
                     self._choices.pop(0)
@@ -150,6 +177,18 @@ class Solver:
         memory, audit = self.equations.audit(x)
         report = Report(self.method, iterations, residual, time.perf_counter() - start)
         return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
+
+    @property
+    def _newton_options(self) -> Mapping[str, OptionValue]:
+        if self.method != "newton":
+            return {}
+        return {**NEWTON, "snes_linesearch_type": "basic"} if self.model.contact else NEWTON
+
+    @property
+    def _advice(self) -> str:
+        if self.model.contact:
+            return "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
+        return f"-{PREFIX}snes_linesearch_type basic"
 
     def _pressure(self, old: State, theta: float) -> fem.Function | None:
         """Pressure at the end of the step; the balance of forces has the one at t + theta dt."""
@@ -163,6 +202,8 @@ class Solver:
     # ---------------------------------------------------------------- one step
     def _advance(self, old: State) -> tuple[PETSc.Vec, int, float]:
         """Unknowns at the end of the step: a linear step from the old ones, then Newton if need be."""
+        if self._contact:
+            return self._contact.advance(old)
         equations = self.equations
         x, r, d, move = self._vectors
         n, held = equations.n_displacements, equations.held
@@ -274,10 +315,14 @@ class Solver:
             equations.tangent()
             P.zeroRowsColumns(equations.held_rows, 1.0)
 
+        residuals: list[float] = []
+
         def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
+            residuals.append(norms[2] / max(equations.scale, 1e-300))
             if math.isnan(norms[2]):
                 return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
-            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS if norms[2] <= TOLERANCE * equations.scale else False
+            enough = max(TOLERANCE * equations.scale, equations.least_residual)
+            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS if norms[2] <= enough else False
 
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0)
@@ -300,8 +345,9 @@ class Solver:
             raise SolveError(
                 f"Newton's method failed after {steps} steps: {_reason(PETSc.SNES.ConvergedReason, reason)}"
                 + (f" (linear solver: {_reason(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")
-                + f", residual {last:.1e} of the forces{failed}; try a smaller step or load, "
-                f"-{PREFIX}snes_linesearch_type basic, or -{PREFIX}snes_monitor to watch it"
+                + f", residual {last:.1e} of the forces{failed}; try a smaller step or load, {self._advice}, "
+                f"or -{PREFIX}snes_monitor to watch it",
+                residuals=tuple(residuals),
             )
         return x, steps + 1, last
 

@@ -20,8 +20,8 @@ class Report:
     """How a solve went.
 
     Attributes:
-        method: "linear" or "newton".
-        iterations: Newton steps, or Krylov iterations of a linear solve.
+        method: "linear" or "newton"; of contact "condensed", "multigrid" or "relaxation" too.
+        iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation.
         residual: norm of the residual over that of the loads (linear) or over the first residual (Newton).
         seconds: wall time of assembling and solving.
     """
@@ -44,7 +44,7 @@ class Audit:
         dissipated: in the layer.
         remainder: what the time scheme adds (backward Euler: the energy of the increments; midpoint: zero, for laws with
             a quadratic energy).
-        layer: energy stored in the layer at the end of the step, where its law acts at points.
+        layer: energy stored in the layer at the end of the step, where its law acts at points or at nodes.
         total: energy stored in bodies and layer at the end of the step.
 
     Of laws that declare no energy all but the first are NaN.
@@ -75,7 +75,8 @@ class State:
         t: time.
         report: how it was found.
         p: pressure in an incompressible layer, on the cells of the meshed layer or on S; else None.
-        memory: internal values of the layer's laws that act at points, (points, values) for each.
+        memory: internal values of the layer's laws that act at points, (points, values) for each; last, under contact, the
+            slip at this rank's nodes of S, (nodes, d - 1).
         audit: energy balance of the step that led here.
     """
 
@@ -98,7 +99,7 @@ class State:
         """
         model = self.model
         model.coordinates.t.value = self.t
-        at_points = any(p.law.pointwise for p in model.layer_points)
+        at_points = model.contact is not None or any(p.law.pointwise for p in model.layer_points)
         in_forms = [p for p in model.layer_points if not p.law.pointwise]
         layer = (self.audit.layer if at_points else 0.0) + (
             self.integral(energy(in_forms, self.u)) if in_forms else 0.0

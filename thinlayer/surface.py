@@ -31,11 +31,11 @@ def reaction(state: State) -> fem.Function:
     model.coordinates.t.value = state.t
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    return _assembled(W, work(model.bodies, state.u, v) - model.external_work(v))
+    return nodal_forces(W, work(model.bodies, state.u, v) - model.external_work(v))
 
 
-def _assembled(V: fem.FunctionSpace, form: Expr) -> fem.Function:
-    """A linear form's values on the basis functions of a space, ghosts included. Collective."""
+def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
+    """Values of a linear form on the basis functions of a space, ghosts included. Collective."""
     vector = fem.assemble_vector(fem.form(form))
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     vector.scatter_forward()
@@ -102,7 +102,7 @@ class Surface:
     def nodal(self, f: Expr) -> fem.Function:
         """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective."""
         v = ufl.TestFunction(self.trace_space)
-        r = _assembled(self.trace_space, ufl.inner(f, self.sides.upper(v)) * self.sides.measure)
+        r = nodal_forces(self.trace_space, ufl.inner(f, self.sides.upper(v)) * self.sides.measure)
         return self._divide_by_mass(r, np.empty(0, np.int32))
 
     def frame(self, f: Expr) -> Expr:
@@ -134,7 +134,7 @@ class Surface:
         """Which local nodes of the trace space lie on the upper side of S."""
         v = ufl.TestFunction(self.trace_space)
         ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
-        weight = _assembled(self.trace_space, ufl.inner(ones, self.sides.upper(v)) * self.sides.measure)
+        weight = nodal_forces(self.trace_space, ufl.inner(ones, self.sides.upper(v)) * self.sides.measure)
         return weight.x.array.reshape(-1, self.model.joint.dim)[:, 0] > 0
 
     def integral(self, f: Expr) -> float:
@@ -156,7 +156,7 @@ class Surface:
             return np.flatnonzero(mark.x.array > 0)
         v, corners = ufl.TestFunction(V), {"quadrature_rule": "vertex", "quadrature_degree": 1}
         measure = self.sides.measure(metadata=corners)
-        seen = _assembled(V, ufl.inner(mark("+"), v("-")) * measure + ufl.inner(mark("-"), v("+")) * measure)
+        seen = nodal_forces(V, ufl.inner(mark("+"), v("-")) * measure + ufl.inner(mark("-"), v("+")) * measure)
         return np.flatnonzero((mark.x.array > 0) | (seen.x.array > 0))
 
     @cached_property

@@ -2,66 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
-import sysconfig
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cffi
 import numpy as np
 import numpy.typing as npt
-from dolfinx import jit
 from mpi4py import MPI
 
 from forms.law import Law
+from thinlayer.compiled import library
 from thinlayer.pointwise.kernels import Array, kernels
 
 SOURCE = Path(__file__).with_name("points.c")
-_LIBRARY: list[Any] = []  # the module compiled from it, once loaded
-
-
-def _library(comm: MPI.Intracomm) -> Any:
-    """The compiled points.c. Collective."""
-    if comm.allreduce(int(not _LIBRARY)):
-        if comm.rank == 0:
-            _build()
-        comm.barrier()
-        _LIBRARY.append(_load())
-    return _LIBRARY[0]
-
-
-def _module_file() -> Path:
-    """Where the compiled source is kept: beside FFCx's, named by its content."""
-    folder = Path(jit.get_options()["cache_dir"]).expanduser()
-    name = hashlib.sha256(SOURCE.read_bytes() + cffi.__version__.encode()).hexdigest()[:16]
-    return folder / f"thinlayer_points_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
-
-
-def _build() -> None:
-    """Compile, in a folder of its own: another process may be doing the same."""
-    file = _module_file()
-    if file.exists():
-        return
-    file.parent.mkdir(parents=True, exist_ok=True)
-    text = SOURCE.read_text()
-    builder = cffi.FFI()
-    builder.cdef(text[text.rindex("int run(") :].split("{")[0] + ";")
-    builder.set_source(file.name.split(".")[0], text, extra_compile_args=["-O2"])
-    with tempfile.TemporaryDirectory(dir=file.parent) as folder:
-        Path(builder.compile(tmpdir=folder)).replace(file)
-
-
-def _load() -> Any:
-    file = _module_file()
-    spec = importlib.util.spec_from_file_location(file.name.split(".")[0], file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 class Material:
@@ -73,7 +26,7 @@ class Material:
 
     def __init__(self, comm: MPI.Intracomm, law: Law) -> None:
         self.law, self._kernels = law, kernels(comm, law)
-        self._library = _library(comm)
+        self._library = library(SOURCE, comm)
         self._addresses = np.array([k.address for k in self._kernels], np.intp)
         self._memories = np.array([k.memory for k in self._kernels], np.int32)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)

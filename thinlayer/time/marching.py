@@ -94,6 +94,8 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
             raise ModelError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
+    if model.contact and theta != 1:
+        raise ModelError(f"theta is {theta}; contact laws hold at the ends of steps: theta = 1")
     if keep not in ("all", "last"):
         raise ModelError(f"keep is {keep!r}; allowed: 'all', 'last'")
     if resume and out is None:

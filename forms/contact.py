@@ -1,0 +1,229 @@
+"""Contact laws at the nodes of S: normal compliance and Coulomb friction, holonomic or incremental; on S only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.elastic import LinearElastic
+from forms.law import Law, LawError, positive, require
+
+Array = npt.NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """What a node of S does."""
+
+    SEPARATED = 0
+    STICK = 1
+    SLIDING = 2
+
+
+@dataclass(frozen=True)
+class ContactLaw(Law):
+    """A law between the jump at a node of S and the traction there; no bulk law of a layer stands behind it.
+
+    Jumps w (n, d) and tractions (n, d) have components in the frame of S: d - 1 tangential ones, then the normal one, which
+    is positive where S opens and where it pulls. Penetration is u_N = -w_N, pressure p = -t_N >= 0:
+
+        p = K_N max(u_N, 0),   t_T = K_T (w_T - slip), shortened to the length threshold(p) where it is longer.
+
+    In three dimensions the threshold is the radius of a disc. A law of one's own gives `threshold` and `threshold_rate`,
+    functions of arrays; it is solved by Newton's method.
+
+    Attributes:
+        K_N, K_T: normal and tangential stiffness, stress per length; > 0.
+        memory: whether a node remembers its slip, (d - 1) components; otherwise slip = 0.
+    """
+
+    K_N: float
+    K_T: float
+    symmetric = False
+    memory: ClassVar[bool] = False
+
+    def check(self) -> None:
+        positive(self, "K_N", "K_T")
+
+    @property
+    def in_series(self) -> bool:
+        return False
+
+    @property
+    def has_energy(self) -> bool:
+        return self.memory
+
+    def threshold(self, p: Array) -> Array:
+        """Largest |t_T| at a pressure."""
+        raise LawError(f"{type(self).__name__} gives no threshold; a contact law needs a method threshold(p)")
+
+    def threshold_rate(self, p: Array) -> Array:
+        """Derivative of the threshold by the pressure."""
+        raise LawError(f"{type(self).__name__} gives no threshold_rate(p)")
+
+    def pressure(self, w: Array) -> Array:
+        """p, (n,)."""
+        return self.K_N * np.maximum(-w[:, -1], 0.0)
+
+    def _trial(self, w: Array, slip: Array | None, threshold: Array | None) -> tuple[Array, Array, Array, Array]:
+        """Pressure, threshold, elastic tangential traction and its length."""
+        p = self.pressure(w)
+        elastic = self.K_T * (w[:, :-1] if slip is None else w[:, :-1] - slip)
+        return p, self.threshold(p) if threshold is None else threshold, elastic, np.linalg.norm(elastic, axis=1)
+
+    def traction(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> Array:
+        """Traction on the lower side of S, (n, d); -traction acts on the upper one.
+
+        Args:
+            w: (n, d) jumps.
+            slip: (n, d - 1) slip at the beginning of the step; None: zero.
+            threshold: (n,) given thresholds in place of the law's own: the problem inside the paper's fixed point.
+        """
+        p, bound, elastic, size = self._trial(w, slip, threshold)
+        shorter = np.where(size <= bound, 1.0, bound / np.where(size > 0, size, 1.0))
+        return np.column_stack([elastic * shorter[:, None], -p])
+
+    def tangent(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> Array:
+        """Derivative of the traction by the jump, (n, d, d); arguments as in `traction`. Not symmetric where S slides."""
+        p, bound, elastic, size = self._trial(w, slip, threshold)
+        n, d = w.shape
+        out = np.zeros((n, d, d))
+        out[:, -1, -1] = np.where(p > 0, self.K_N, 0.0)
+        slides = size > bound
+        out[~slides, : d - 1, : d - 1] = self.K_T * np.eye(d - 1)
+        if slides.any():
+            along = elastic[slides] / size[slides, None]
+            across = np.eye(d - 1) - along[:, :, None] * along[:, None, :]
+            out[slides, : d - 1, : d - 1] = (self.K_T * bound[slides] / size[slides])[:, None, None] * across
+            if threshold is None:
+                rate = -self.K_N * np.where(p > 0, self.threshold_rate(p), 0.0)[slides]
+                out[slides, : d - 1, -1] = along * rate[:, None]
+        return out
+
+    def status(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> npt.NDArray[np.int8]:
+        """`Status` of each node, (n,): separated without pressure, else stick up to the threshold, else sliding."""
+        p, bound, _, size = self._trial(w, slip, threshold)
+        return np.where(p <= 0, Status.SEPARATED, np.where(size <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
+
+    def slip_after(self, w: Array, slip: Array) -> Array:
+        """Slip at the end of a step, (n, d - 1)."""
+        if not self.memory:
+            return slip
+        return w[:, :-1] - self.traction(w, slip)[:, :-1] / self.K_T
+
+    def energies(self, w: Array, slip: Array) -> tuple[Array, Array]:
+        """Energy stored in the springs, and dissipated since slip was `slip`, per area, (n,) each; w at the end."""
+        t = self.traction(w, slip)
+        stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
+        return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
+
+    @property
+    def numbers(self) -> tuple[float, float, float, float] | None:
+        """K_N, K_T, friction and cohesion, for compiled sweeps; None: no sweeps."""
+        return None
+
+    @classmethod
+    def of_layer(cls, lmbda: float, mu: float, **others: Any) -> Self:
+        """The law with the stiffness of an isotropic layer: K_N = lmbda + 2 mu, K_T = mu.
+
+        Args:
+            lmbda, mu: moduli per thickness, stress per length: of a layer of thickness eps its Lame moduli over eps.
+            others: the law's other parameters, by name.
+        """
+        names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
+        for name in others:
+            if name not in names:
+                raise LawError(
+                    f"{cls.__name__}.of_layer has no parameter {name!r}; known: lmbda, mu, {', '.join(names)}"
+                )
+        LinearElastic(lmbda, mu)
+        return cls(K_N=lmbda + 2 * mu, K_T=mu, **others)
+
+
+@dataclass(frozen=True)
+class _Coulomb(ContactLaw):
+    friction: float
+    cohesion: float = 0.0
+
+    def check(self) -> None:
+        super().check()
+        for name in ("friction", "cohesion"):
+            value = getattr(self, name)
+            require(bool(np.isfinite(value)) and value >= 0, self, name, value, ">= 0")
+
+    def threshold(self, p: Array) -> Array:
+        return self.cohesion + self.friction * p
+
+    def threshold_rate(self, p: Array) -> Array:
+        return np.full_like(p, self.friction)
+
+    @property
+    def numbers(self) -> tuple[float, float, float, float]:
+        return self.K_N, self.K_T, self.friction, self.cohesion
+
+
+@dataclass(frozen=True)
+class HolonomicCoulomb(_Coulomb):
+    """The unilateral law of section 8 of the paper: normal compliance, friction that depends on the jump alone.
+
+    |t_T| = min(K_T |w_T|, friction p + cohesion), against w_T: no memory of slip, so unloading goes back along the loading
+    curve. It is not the law of sections 5.3 and 7.3, as section 8 has it: that one is incremental and does not open; they
+    agree where p only grows and slip does not turn. No bulk law of a layer has this one as its limit.
+
+    The cohesion is a strength in shear that does not know of the opening: a node that is separated carries no pressure, but
+    tangential traction up to the cohesion. Without cohesion it carries nothing.
+
+    Attributes:
+        K_N, K_T: normal and tangential stiffness, stress per length; > 0.
+        friction: coefficient f >= 0.
+        cohesion: C >= 0, stress.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+
+@dataclass(frozen=True)
+class IncrementalCoulomb(_Coulomb):
+    """Normal compliance and Coulomb friction with slip memory: t_T = K_T (w_T - slip), |t_T| <= friction p + cohesion.
+
+    Slip grows along t_T where the threshold is met (backward Euler, the return of elastoplasticity). Without cohesion it
+    follows w_T where S is open: what touches again starts without tangential traction. This is the law of sections 5.3 and
+    7.3 made unilateral; `march` follows it. Attributes and errors as in `HolonomicCoulomb`.
+    """
+
+    memory: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class Tresca(ContactLaw):
+    """Normal compliance and a given friction threshold, which holds at open nodes too: the problem inside the fixed point
+    of section 8, with its convex energy (the function psi of the paper, correct as printed).
+
+    Attributes:
+        K_N, K_T: normal and tangential stiffness, stress per length; > 0.
+        bound: largest |t_T|, stress; >= 0.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+    bound: float
+    symmetric = True
+
+    def check(self) -> None:
+        super().check()
+        require(bool(np.isfinite(self.bound)) and self.bound >= 0, self, "bound", self.bound, ">= 0")
+
+    def threshold(self, p: Array) -> Array:
+        return np.full_like(p, self.bound)
+
+    def threshold_rate(self, p: Array) -> Array:
+        return np.zeros_like(p)
+
+    @property
+    def numbers(self) -> tuple[float, float, float, float]:
+        return self.K_N, self.K_T, 0.0, self.bound

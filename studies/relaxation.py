@@ -1,0 +1,111 @@
+"""The paper's relaxation: sweeps against omega, mesh and stiffness, and what one omega everywhere does."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from forms import HolonomicCoulomb
+from studies.problems import sliding_bar
+from thinlayer import Model, SolveError, Table, plotting, solve
+from thinlayer.progress import track
+from thinlayer.record import Record
+
+STIFFNESS = ((15e8, 5e8), (15e4, 5e4), (15.0, 5.0))  # lmbda, mu per thickness, N/mm^3
+OMEGAS = (0.8, 1.0, 1.2, 1.4, 1.6, 1.7, 1.8, 1.85, 1.9, 1.93, 1.95)
+TOLERANCE = 1e-8  # of the relative increment
+MAX_SWEEPS = 30_000
+EXPECTED = {  # sweeps of an independent code on the same meshes: (squares, lmbda, omega)
+    (8, 15e8, 1.0): 605, (8, 15e4, 1.8): 90, (8, 15.0, 1.9): 621,
+    (16, 15e8, 1.8): 320, (16, 15e4, 1.6): 515, (16, 15.0, 1.95): 1385,
+    (32, 15e8, 1.9): 584, (32, 15e4, 1.9): 581, (32, 15.0, 1.9): 6946,
+}  # fmt: skip
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Count sweeps with omega = 1 at the contact nodes, then with one omega everywhere.
+
+    Args:
+        record: where to write.
+        quick: two coarse meshes.
+    """
+    meshes = (8, 16) if quick else (8, 16, 32)
+    record.parameters = {"omegas": OMEGAS, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS, "friction": 1.0}
+    cases = [(n, pair, omega, same) for same in (False, True) for n in meshes for pair in STIFFNESS for omega in OMEGAS]
+    cases = [case for case in cases if not case[-1] or (case[0] == 16 and case[2] != 1.0)]
+    table = Table()
+    for n, pair, omega, same in track(cases, "relaxation", "{}"):
+        sweeps, converged = count(n, *pair, omega, omega if same else 1.0)
+        row = {"squares": n, "lmbda": pair[0], "mu": pair[1], "omega": omega, "omega_contact": omega if same else 1.0}
+        table.append(row | {"sweeps": sweeps, "converged": int(converged)})
+    record.write("table.csv", table)
+    draw(record)
+    check(record, table)
+
+
+def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:
+    """Sweeps until the relative increment meets the tolerance, or until the relaxation is given up."""
+    joint, setup = sliding_bar(n, arrangement="AlternateLeft")
+    law = HolonomicCoulomb.of_layer(lmbda, mu, friction=1.0)
+    options = {"omega": omega, "omega_contact": omega_contact, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS}
+    model = Model.interface(joint, layer=law, **setup)
+    try:
+        state = solve(model, method="relaxation", options={f"relaxation_{k}": v for k, v in options.items()})
+    except SolveError as error:
+        return len(error.residuals), False
+    return state.report.iterations, True
+
+
+def check(record: Record, table: Table) -> None:
+    """Known counts, and the failures of one omega everywhere."""
+    own = table["omega_contact"] == 1.0
+    for (n, lmbda, omega), expected in EXPECTED.items():
+        at = own & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)
+        if at.any():
+            found = float(table["sweeps"][at][0])
+            record.check(
+                f"sweeps / {expected}, n = {n}, lmbda = {lmbda:g}, omega = {omega}", found / expected, low=0.9, high=1.1
+            )
+    same = (table["omega"] == table["omega_contact"]) & (table["omega"] > 1)
+    failed = int((same & (table["converged"] == 0)).sum())
+    longest = table["sweeps"][same & (table["converged"] == 0)].max(initial=0)
+    record.say(
+        f"one omega everywhere: {failed} of {int(same.sum())} cases fail, the last found after {longest:.0f} sweeps"
+    )
+    record.check("one omega everywhere: cases that fail", failed, low=1)
+    record.check("one omega everywhere: sweeps until a failure is found", longest, high=MAX_SWEEPS)
+    stiff = own & (table["lmbda"] == STIFFNESS[0][0]) & (table["converged"] == 1)
+    best = {n: table["sweeps"][stiff & (table["squares"] == n)].min() for n in np.unique(table["squares"])}
+    record.results["best_sweeps"] = {int(n): int(sweeps) for n, sweeps in best.items()}
+    sizes = sorted(best)
+    order = math.log(best[sizes[-1]] / best[sizes[0]]) / math.log(sizes[-1] / sizes[0])
+    record.check("growth of the least number of sweeps with the squares, exponent", order, high=1.5)
+
+
+def draw(record: Record) -> None:
+    """Draw sweeps against omega from table.csv."""
+    path = record.path("table.csv")
+    if not record.root:
+        return
+    table = Table.load(path)
+    parts: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
+    for lmbda, mu in STIFFNESS:
+        lines = {}
+        for n in np.unique(table["squares"]):
+            at = (table["omega_contact"] == 1) & (table["squares"] == n) & (table["lmbda"] == lmbda)
+            lines[f"{n:.0f} squares"] = (
+                table["omega"][at],
+                np.where(table["converged"][at] == 1, table["sweeps"][at], np.nan),
+            )
+        parts[f"({lmbda:g}, {mu:g}) N/mm³"] = lines
+    colours = dict(zip(parts[next(iter(parts))], plotting.COLOURS, strict=False))
+    plotting.panels(
+        parts,
+        xlabel="omega (1 at the contact nodes)",
+        ylabels=dict.fromkeys(parts, "sweeps"),
+        styles=dict.fromkeys(colours, "o-"),
+        colours=colours,
+        yscale="log",
+        save=record.path("sweeps.png"),
+    )

@@ -1,0 +1,61 @@
+"""Contact problems whose reports must not depend on the number of ranks; prints them as JSON on rank 0.
+
+python3 -m tests.contact_run [FOLDER LAST]: march the block of `to_and_fro` in FOLDER up to time LAST instead; go on with
+a march that is there.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+
+from mpi4py import MPI
+
+from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
+from geometry import block, sandwich
+from studies.problems import sliding_bar
+from thinlayer import Model, march, piecewise, solve
+from thinlayer.contact.report import ContactReport
+
+
+def to_and_fro(folder=None, last=4.0):
+    joint = block(3.0, 1.0, 0.25, structured=True)
+    law = IncrementalCoulomb(300.0, 80.0, 0.4)
+    supports = {"TOP": {"x": piecewise({0: 0.0, 2: 0.06, 4: -0.06}), "y": -0.02}}
+    model = Model.interface(joint, layer=law, body=LinearElastic.young(400.0, 0.3), supports=supports, element="P1")
+    times = [0.5 * k for k in range(1, round(2 * last) + 1)]
+    return march(model, times, out=folder, resume=folder is not None)
+
+
+def reports():
+    found = {}
+    joint, setup = sliding_bar(31)
+    for method in (None, "newton", "multigrid"):
+        model = Model.interface(joint, layer=HolonomicCoulomb.of_layer(15e8, 5e8, friction=1.0), **setup)
+        found[f"bar {method}"] = solve(model, method=method)
+    joint, setup = sliding_bar(6, depth=True)
+    model = Model.interface(joint, layer=HolonomicCoulomb.of_layer(15e4, 5e4, friction=0.7), **setup)
+    found["cube"] = solve(model)
+    joint = sandwich(6, 3, 2, 1.0, depth=4.0)
+    bodies = {"LOWER": LinearElastic.young(5e3, 0.3), "UPPER": LinearElastic.young(9e3, 0.2)}
+    loads = {"TOP": lambda x, t: (8.0, 6 - 6 * x[0], 2.0)}
+    data = {"body": bodies, "supports": {"BOTTOM": 0.0}, "tractions": loads, "element": "P1"}
+    model = Model.interface(joint, layer=HolonomicCoulomb(7e4, 2e4, 0.9, 1.0), **data)
+    found["two bodies"] = solve(model)
+    found["to and fro"] = to_and_fro().last
+    return {name: ContactReport.of(state) for name, state in found.items()}
+
+
+def content(report):
+    arrays = {"u_T": report.u_T, "u_N": report.u_N, "p": report.p, "t_T": report.t_T}
+    return {"status": report.status.tolist()} | {name: array.ravel().tolist() for name, array in arrays.items()}
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        state = to_and_fro(sys.argv[1], float(sys.argv[2])).last
+        out = {"resumed": content(ContactReport.of(state))}
+    else:
+        out = {name: content(report) for name, report in reports().items()}
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(out))

@@ -1,0 +1,174 @@
+"""Contact laws at single nodes: values by hand, tangents, continuity, memory, errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from forms import HolonomicCoulomb, IncrementalCoulomb, LawError, Tresca
+from forms.contact import ContactLaw, Status
+
+K_N, K_T, F, C = 37.0, 11.0, 0.7, 0.4
+LAWS = [
+    HolonomicCoulomb(K_N, K_T, F),
+    HolonomicCoulomb(K_N, K_T, F, C),
+    IncrementalCoulomb(K_N, K_T, F, C),
+    Tresca(K_N, K_T, 0.9),
+]
+
+
+def one(*w: float) -> np.ndarray:
+    return np.array([w])
+
+
+def test_separated_nodes_carry_nothing():
+    for law in (LAWS[0], IncrementalCoulomb(K_N, K_T, F)):
+        for w in (one(0.3, 1e-12), one(-0.2, 0.5, 0.1)):
+            assert not law.traction(w).any()
+            assert law.status(w) == Status.SEPARATED
+
+
+def test_stick_and_sliding_by_hand():
+    law = HolonomicCoulomb(K_N, K_T, F)
+    assert law.traction(one(0.01, -0.02)) == pytest.approx(one(0.11, -0.74))
+    assert law.status(one(0.01, -0.02)) == Status.STICK
+    assert law.traction(one(-0.3, -0.02)) == pytest.approx(one(-F * 0.74, -0.74))
+    assert law.status(one(-0.3, -0.02)) == Status.SLIDING
+    w = one(0.3, -0.4, -0.02)
+    assert law.traction(w) == pytest.approx(one(F * 0.74 * 0.6, -F * 0.74 * 0.8, -0.74))
+
+
+def test_three_dimensions_are_a_disc_not_a_square():
+    law = HolonomicCoulomb(K_N, K_T, F)
+    t = law.traction(one(0.3, 0.3, -0.02))[0]
+    assert np.hypot(t[0], t[1]) == pytest.approx(F * 0.74)
+    assert np.abs(t[:2]).max() < 0.72 * F * 0.74
+
+
+def test_cohesion_adds():
+    law = HolonomicCoulomb(K_N, K_T, F, C)
+    assert law.traction(one(5.0, -0.02))[0, 0] == pytest.approx(F * 0.74 + C)
+    assert law.traction(one(5.0, 0.3))[0] == pytest.approx([C, 0.0])
+    assert law.status(one(5.0, 0.3)) == Status.SEPARATED
+
+
+def test_traction_is_continuous_where_it_separates():
+    for law in LAWS[:3]:
+        gap = 1e-12
+        near = law.traction(one(5.0, -gap)) - law.traction(one(5.0, gap))
+        assert np.abs(near).max() <= 2 * K_N * gap
+
+
+def test_tresca_holds_without_pressure():
+    law = Tresca(K_N, K_T, 0.9)
+    assert law.traction(one(5.0, 0.1)) == pytest.approx(one(0.9, 0.0))
+    assert law.traction(one(0.01, 0.1)) == pytest.approx(one(0.11, 0.0))
+
+
+def test_given_thresholds_replace_the_law():
+    w = np.array([[5.0, -0.02], [5.0, 0.3]])
+    t = LAWS[0].traction(w, threshold=np.array([0.2, 0.3]))
+    assert t == pytest.approx(np.array([[0.2, -0.74], [0.3, 0.0]]))
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("d", [2, 3])
+def test_tangent_is_the_derivative(law, d):
+    """Second order remainder in a Taylor test, away from the kinks."""
+    rng = np.random.default_rng(3)
+    w, v = rng.normal(size=(400, d)) * 0.05, rng.normal(size=(400, d))
+    slip = rng.normal(size=(400, d - 1)) * 0.02
+    predicted = np.einsum("nij,nj->ni", law.tangent(w, slip), v)
+    same = law.status(w, slip) == law.status(w + 1e-4 * v, slip)
+    same &= law.threshold_rate(law.pressure(w)) == law.threshold_rate(law.pressure(w + 1e-4 * v))
+    errors = []
+    for h in (1e-4, 1e-5):
+        remainder = law.traction(w + h * v, slip) - law.traction(w, slip) - h * predicted
+        errors.append(np.abs(remainder[same]).max())
+    assert same.sum() > 300
+    assert errors[1] <= max(0.02 * errors[0], 1e-14)
+
+
+def test_coulomb_tangent_is_not_symmetric_but_tresca_is():
+    sliding = one(0.3, -0.02)
+    assert LAWS[0].tangent(sliding)[0, 0, 1] == pytest.approx(-F * K_N)
+    assert LAWS[0].tangent(sliding)[0, 1, 0] == 0
+    tangent = Tresca(K_N, K_T, 0.01).tangent(one(0.3, 0.2, -0.02))[0]
+    assert tangent == pytest.approx(tangent.T)
+    assert (LAWS[0].symmetric, Tresca(1.0, 1.0, 1.0).symmetric) == (False, True)
+
+
+def test_slip_memory():
+    """Slide forth, turn: the return starts elastic, with twice the threshold to go."""
+    law = IncrementalCoulomb(K_N, K_T, F)
+    pressure, bound = 0.74, F * 0.74
+    slip = law.slip_after(one(0.3, -0.02), np.zeros((1, 1)))
+    assert slip[0, 0] == pytest.approx(0.3 - bound / K_T)
+    back = one(0.3 - bound / K_T, -0.02)
+    assert law.traction(back, slip)[0, 0] == pytest.approx(0.0, abs=1e-12)
+    far = law.traction(one(-0.3, -0.02), slip)
+    assert far == pytest.approx(one(-bound, -pressure))
+    holonomic = HolonomicCoulomb(K_N, K_T, F)
+    assert holonomic.traction(back)[0, 0] == pytest.approx(bound)
+    assert holonomic.slip_after(one(0.3, -0.02), np.zeros((1, 1))) == pytest.approx(0.0)
+
+
+def test_slip_follows_an_open_node():
+    law = IncrementalCoulomb(K_N, K_T, F)
+    slip = law.slip_after(one(0.4, 0.1), np.zeros((1, 1)))
+    assert slip[0, 0] == pytest.approx(0.4)
+    assert not law.traction(one(0.4, -0.02), slip)[0, 0]
+
+
+@given(
+    st.lists(st.floats(-1, 1), min_size=3, max_size=3),
+    st.lists(st.floats(-1, 1), min_size=2, max_size=2),
+    st.floats(0, 3),
+    st.floats(0, 2),
+)
+def test_threshold_and_dissipation(w, slip, friction, cohesion):
+    law = IncrementalCoulomb(K_N, K_T, friction, cohesion)
+    jump, old = np.array([w]), np.array([slip])
+    t = law.traction(jump, old)
+    p = -t[0, -1]
+    assert p >= 0
+    assert np.linalg.norm(t[0, :-1]) <= (friction * p + cohesion) * (1 + 1e-12)
+    stored, dissipated = law.energies(jump, old)
+    assert stored >= 0
+    assert dissipated >= -1e-14
+    again = law.traction(jump, law.slip_after(jump, old))
+    assert again == pytest.approx(t, abs=1e-12)
+
+
+def test_stiffness_of_a_layer():
+    law = HolonomicCoulomb.of_layer(15.0, 5.0, friction=0.3)
+    assert (law.K_N, law.K_T, law.friction, law.cohesion) == (25.0, 5.0, 0.3, 0.0)
+    assert IncrementalCoulomb.of_layer(lmbda=0.0, mu=5.0, friction=0.3, cohesion=2.0).K_N == 10.0
+    assert Tresca.of_layer(15.0, 5.0, bound=2.0).bound == 2.0
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: HolonomicCoulomb(0.0, 1.0, 0.3), ["K_N is 0.0", "> 0"]),
+        (lambda: HolonomicCoulomb(1.0, -1.0, 0.3), ["K_T is -1.0", "> 0"]),
+        (lambda: IncrementalCoulomb(1.0, 1.0, -0.3), ["friction is -0.3", ">= 0"]),
+        (lambda: HolonomicCoulomb(1.0, 1.0, float("nan")), ["friction is nan"]),
+        (lambda: HolonomicCoulomb(1.0, 1.0, 0.3, -1.0), ["cohesion is -1.0"]),
+        (lambda: HolonomicCoulomb(float("inf"), 1.0, 0.3), ["K_N is inf"]),
+        (lambda: HolonomicCoulomb("stiff", 1.0, 0.3), ["K_N is 'stiff'", "a number"]),
+        (lambda: HolonomicCoulomb(1.0, 1.0, f=0.3), ["no parameter 'f'", "friction"]),
+        (lambda: Tresca(1.0, 1.0, -1.0), ["bound is -1.0"]),
+        (lambda: HolonomicCoulomb.of_layer(15.0, -5.0, friction=0.3), ["mu is -5.0"]),
+        (lambda: HolonomicCoulomb.of_layer(15.0, 5.0, f=0.3), ["no parameter 'f'", "friction"]),
+        (lambda: HolonomicCoulomb.of_layer("a", 5.0, friction=0.3), ["lmbda", "'a'"]),
+        (lambda: ContactLaw(1.0, 1.0).threshold(np.ones(1)), ["gives no threshold"]),
+    ],
+)
+def test_errors(make, words):
+    with pytest.raises(LawError) as error:
+        make()
+    for word in words:
+        assert word in str(error.value)

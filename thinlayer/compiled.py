@@ -1,0 +1,62 @@
+"""C sources of the package, compiled when they are first needed and kept."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import re
+import sysconfig
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cffi
+from dolfinx import jit
+from mpi4py import MPI
+
+_LOADED: dict[Path, Any] = {}  # modules of compiled sources
+EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
+
+
+def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
+    """The module compiled from a C source, with `ffi` and `lib`: the functions that return int or double, not static ones.
+
+    Collective. With the default communicator every process that lacks the module compiles it.
+    """
+    if comm.allreduce(int(source not in _LOADED)):
+        if comm.rank == 0:
+            _build(source)
+        comm.barrier()
+        _LOADED[source] = _load(source)
+    return _LOADED[source]
+
+
+def _module_file(source: Path) -> Path:
+    """Where the compiled source is kept: beside FFCx's, named by its content."""
+    folder = Path(jit.get_options()["cache_dir"]).expanduser()
+    name = hashlib.sha256(source.read_bytes() + cffi.__version__.encode()).hexdigest()[:16]
+    return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+
+
+def _build(source: Path) -> None:
+    """Compile, in a folder of its own: another process may be doing the same."""
+    file = _module_file(source)
+    if file.exists():
+        return
+    file.parent.mkdir(parents=True, exist_ok=True)
+    text = source.read_text()
+    builder = cffi.FFI()
+    builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
+    builder.set_source(file.name.split(".")[0], text, extra_compile_args=["-O2"])
+    with tempfile.TemporaryDirectory(dir=file.parent) as folder:
+        Path(builder.compile(tmpdir=folder)).replace(file)
+
+
+def _load(source: Path) -> Any:
+    file = _module_file(source)
+    spec = importlib.util.spec_from_file_location(file.name.split(".")[0], file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

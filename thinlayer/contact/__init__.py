@@ -1,0 +1,1 @@
+"""Contact on S: its nodes, its solvers, its report."""

@@ -1,0 +1,312 @@
+"""Gauss-Seidel for contact with friction: sweeps over the contact nodes, and the relaxation of the paper over all dofs.
+
+Arrays in, arrays out. In parallel, call `load` first: otherwise every process compiles for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from forms.contact import ContactLaw
+from thinlayer.compiled import library
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int32]
+
+SOURCE = Path(__file__).with_name("sweeps.c")
+CHUNK = 256  # sweeps between two looks at the increments
+PATIENCE = 2048  # sweeps before a relaxation can count as stagnating
+GROWTH = 1e8  # of the changes, from the largest of the first sweeps on: divergence
+NO_PROGRESS = 0.999  # ratio of the smallest increments of the later and the earlier half of all sweeps
+
+
+def load(comm: MPI.Intracomm) -> None:
+    """Compile what this module needs, once for all processes. Collective."""
+    library(SOURCE, comm)
+
+
+@dataclass(frozen=True)
+class BlockRows:
+    """A sparse matrix of n x n blocks, row by row.
+
+    Attributes:
+        indptr: (n + 1,) where the rows begin in `indices`.
+        indices: (nnz,) block columns.
+        blocks: (nnz, d, d).
+    """
+
+    indptr: Indices
+    indices: Indices
+    blocks: Array
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """What `relax` found.
+
+    Attributes:
+        u: (N,) the last iterate.
+        sweeps: number of sweeps over all dofs.
+        outer: number of thresholds that were held in turn; 1 when the threshold follows the pressure within the sweeps.
+        converged: whether the increments, and the thresholds, met their tolerance.
+        increments: (sweeps,) Euclidean norm of the change of u in each sweep, over that of u.
+    """
+
+    u: Array
+    sweeps: int
+    outer: int
+    converged: bool
+    increments: Array
+
+
+def sweep_nodes(
+    matrix: Array | BlockRows,
+    g: Array,
+    u: Array,
+    base: Array,
+    frames: Array,
+    weights: Array,
+    numbers: Sequence[float],
+    *,
+    slip: Array | None = None,
+    threshold: Array | None = None,
+    moves: npt.NDArray[np.bool_] | None = None,
+    sweeps: int = 1,
+) -> float:
+    """Gauss-Seidel sweeps over n contact nodes, in place: the d components of a node together, exactly, the others held.
+
+    Node i solves sum_j A_ij u_j + weights_i frames_i^T t(w_i) = g_i with w_i = frames_i (u_i - base_i). Where friction is
+    so strong that there are several solutions, one without tangential traction goes before one that sticks, and that
+    before one that slides.
+
+    Args:
+        matrix: stiffness of the contact dofs, force per length, (n d, n d) with the d dofs of a node next to each other
+            (not copied when C-contiguous), or `BlockRows`. Its diagonal blocks are positive definite.
+        g: (n, d) forces on the nodes.
+        u: (n, d) displacements, in global axes like g and base; float64, C-contiguous.
+        base: (n, d) displacements of the other side.
+        frames: (n, d, d) orthonormal axes of S in their rows: tangents, then the normal, out of the other side.
+        weights: (n,) areas (lengths in two dimensions) of the nodes.
+        numbers: `ContactLaw.numbers`.
+        slip: (n, d - 1) slip at the beginning of the step; None: zero.
+        threshold: (n,) given thresholds in place of the law's own, stress.
+        moves: (n,) the nodes that are swept; None: all.
+        sweeps: how many.
+
+    Returns:
+        The largest change of a component of u in the last sweep; NaN when a node could not be solved (numbers that are
+        not finite, a diagonal block that is not positive definite), which keeps its u.
+
+    Raises:
+        ValueError: arrays of the wrong shape; u of another type or not contiguous.
+    """
+    n, d = _node_shape("u", u)
+    if not (u.dtype == np.float64 and u.flags.c_contiguous and u.flags.writeable):
+        raise ValueError("u must be a C-contiguous, writeable array of float64: it is changed in place")
+    indptr = indices = None
+    if isinstance(matrix, BlockRows):
+        indptr, indices = _checked_rows(matrix.indptr, matrix.indices, n, n)
+        entries = _checked("blocks", matrix.blocks, (len(indices), d, d))
+    else:
+        entries = _checked("matrix", matrix, (n * d, n * d))
+    arrays = (
+        _checked("g", g, (n, d)), u, _checked("base", base, (n, d)), _checked("frames", frames, (n, d, d)),
+        _checked("weights", weights, (n,)), _checked("numbers", np.asarray(numbers), (4,)), _checked_slip(slip, n, d),
+        _checked_threshold(threshold, n), _checked("moves", np.ones(n) if moves is None else moves, (n,), np.uint8),
+    )  # fmt: skip
+    c = library(SOURCE)
+    return float(c.lib.sweep_nodes(n, d, *_pointers(c, entries, indptr, indices, *arrays), sweeps))
+
+
+def relax(
+    indptr: Indices,
+    indices: Indices,
+    data: Array,
+    b: Array,
+    contact: Indices,
+    weights: Array,
+    law: ContactLaw,
+    *,
+    u: Array | None = None,
+    slip: Array | None = None,
+    order: Indices | None = None,
+    omega: float = 1.0,
+    omega_contact: float = 1.0,
+    tolerance: float = 1e-8,
+    fixed_point: bool = False,
+    inner_tolerance: float | None = None,
+    max_sweeps: int = 100_000,
+    max_outer: int = 200,
+) -> Relaxation:
+    """The relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
+
+    The normal component of a contact node becomes r / a where that opens, else r / (a + b K_N), the tangential one
+    r / (a + b K_T), or (r -+ b rho) / a where that slides, in three dimensions both tangential ones together on a disc;
+    here a is the diagonal, r the remainder of the row, b the weight and rho the threshold of the node. It differs from the
+    paper in omega = 1 at contact nodes: with one omega everywhere it fails for many meshes and stiffnesses.
+
+    Args:
+        indptr, indices, data: the stiffness matrix in rows; rows of held dofs are those of the identity. Dofs of contact
+            nodes are in the axes of S, and relative to the other side.
+        b: (N,) forces.
+        contact: (n, d) dofs of the contact nodes: tangential ones, then the normal one, positive where S opens.
+        weights: (n,) areas (lengths in two dimensions) of the nodes.
+        law: the law.
+        u: (N,) where to start, not changed; None: zero.
+        slip: (n, d - 1) slip at the beginning of the step; None: zero.
+        order: (N,) dofs in the order of a sweep; both tangential ones of a node come where the first of them is. None: as
+            numbered, but in contact nodes the normal component first.
+        omega: relaxation of the other dofs.
+        omega_contact: relaxation of the contact dofs.
+        tolerance: of the increment of a sweep, as in `Relaxation.increments`.
+        fixed_point: hold the thresholds while the sweeps converge, then compute them from the pressures, as the paper
+            does, until their largest change over the largest is within the tolerance. False: the threshold follows the
+            pressure within the sweeps.
+        inner_tolerance: in place of `tolerance` for the increments while thresholds are held; None: the same.
+        max_sweeps: limit of all sweeps.
+        max_outer: limit of the thresholds held.
+
+    Returns:
+        Also when it does not converge: when increments are not finite or grow, stay as they are, or meet a limit.
+
+    Raises:
+        ValueError: arrays of the wrong shape, indices out of range, a diagonal that is not positive.
+        LawError: a law without numbers for compiled code.
+    """
+    b = _checked("b", b, (len(b),))
+    count = len(b)
+    matrix = (*_checked_rows(indptr, indices, count, count), _checked("data", data, (len(indices),)))
+    _require_positive_diagonal(*matrix)
+    n, d = _node_shape("contact", contact)
+    dofs = _checked("contact", contact, (n, d), np.int32)
+    steps = _steps(dofs, order, count)
+    weights, slip = _checked("weights", weights, (n,)), _checked_slip(slip, n, d)
+    now = np.zeros(count) if u is None else _checked("u", u, (count,)).copy()
+    c = library(SOURCE)
+
+    def thresholds() -> Array:
+        return law.threshold(law.pressure(now[dofs]))
+
+    held = _checked("thresholds", thresholds(), (n,)) if fixed_point else None
+    given = _pointers(c, *matrix, b, now), _pointers(c, dofs, weights, np.array(law.numbers), slip)
+    history: list[Array] = []
+    jumps: list[float] = []
+    done, outer, converged = 0, 1, False
+    while True:
+        met = False
+        changes: Array = np.empty(0)
+        increments: Array = np.empty(0)
+        while not met and done < max_sweeps:
+            chunk = min(CHUNK, max_sweeps - done)
+            change, size = np.empty(chunk), np.empty(chunk)
+            limit = tolerance if not fixed_point or inner_tolerance is None else inner_tolerance
+            made = c.lib.relax_sweeps(
+                len(steps), *_pointers(c, steps), count, *given[0], d, *given[1], *_pointers(c, held), omega, omega_contact,
+                chunk, limit, *_pointers(c, change, size),
+            )  # fmt: skip
+            with np.errstate(divide="ignore", invalid="ignore"):
+                relative = np.where(change[:made] > 0, change[:made] / size[:made], change[:made])
+            history.append(relative)
+            changes, increments = np.append(changes, change[:made]), np.append(increments, relative)
+            done += made
+            met = bool(increments[-1] <= limit)
+            if not met and (_diverges(changes) or _stagnates(increments, PATIENCE)):
+                break
+        if not met or not fixed_point:
+            converged = met
+            break
+        assert held is not None
+        new = thresholds()
+        jumps.append(float(np.abs(new - held).max(initial=0.0)))
+        if jumps[-1] <= tolerance * np.abs(new).max(initial=0.0):
+            converged = True
+            break
+        if outer == max_outer or _stagnates(np.array(jumps), max_outer // 4):
+            break
+        held = new
+        outer += 1
+    return Relaxation(now, done, outer, converged, np.concatenate(history) if history else np.empty(0))
+
+
+def _diverges(changes: Array) -> bool:
+    """Whether changes are not finite or have grown out of all proportion to the first ones."""
+    return not np.isfinite(changes[-1]) or bool(changes[-1] > GROWTH * changes[:10].max())
+
+
+def _stagnates(values: Array, patience: int) -> bool:
+    """Whether the later half of the values goes no lower than the earlier one."""
+    half = len(values) // 2
+    return len(values) >= patience and bool(values[half:].min() > NO_PROGRESS * values[:half].min())
+
+
+def _node_shape(name: str, array: npt.NDArray[Any]) -> tuple[int, int]:
+    if array.ndim != 2 or array.shape[1] not in (2, 3):
+        raise ValueError(f"{name} has the shape {array.shape}; it must be (n, 2) or (n, 3)")
+    return array.shape[0], array.shape[1]
+
+
+def _checked(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], kind: Any = np.float64) -> npt.NDArray[Any]:
+    """The array, contiguous and of a type that C reads."""
+    if array.shape != shape:
+        raise ValueError(f"{name} has the shape {array.shape}; it must be {shape}")
+    return np.ascontiguousarray(array, kind)
+
+
+def _checked_slip(slip: Array | None, n: int, d: int) -> Array | None:
+    return None if slip is None else _checked("slip", slip, (n, d - 1))
+
+
+def _checked_threshold(threshold: Array | None, n: int) -> Array | None:
+    return None if threshold is None else _checked("threshold", threshold, (n,))
+
+
+def _checked_rows(indptr: Indices, indices: Indices, rows: int, columns: int) -> tuple[Indices, Indices]:
+    """Beginnings and columns of rows, which C does not check."""
+    begins = _checked("indptr", indptr, (rows + 1,), np.int32)
+    entries = _checked("indices", indices, (len(indices),), np.int32)
+    if begins[0] != 0 or begins[-1] != len(entries) or (np.diff(begins) < 0).any():
+        raise ValueError(f"indptr must grow from 0 to the number of indices, {len(entries)}")
+    if len(entries) and not 0 <= entries.min() <= entries.max() < columns:
+        raise ValueError(f"indices must be from 0 to {columns - 1}; found {entries.min()} to {entries.max()}")
+    return begins, entries
+
+
+def _require_positive_diagonal(indptr: Indices, indices: Indices, data: Array) -> None:
+    rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
+    here = rows == indices
+    diagonal = np.bincount(rows[here], data[here], len(indptr) - 1)
+    if not (diagonal > 0).all():
+        raise ValueError(f"the diagonal of row {int(np.argmin(diagonal > 0))} is {diagonal.min()}; it must be > 0")
+
+
+def _steps(contact: Indices, order: Indices | None, count: int) -> Indices:
+    """What a sweep does, as sweeps.c reads it."""
+    if contact.size and not 0 <= contact.min() <= contact.max() < count:
+        raise ValueError(f"contact must have dofs from 0 to {count - 1}; found {contact.min()} to {contact.max()}")
+    if len(np.unique(contact)) != contact.size:
+        raise ValueError("contact must have each dof once")
+    if order is not None:
+        order = _checked("order", order, (count,), np.int32)
+        if not np.array_equal(np.sort(order), np.arange(count)):
+            raise ValueError(f"order must have each of the {count} dofs once")
+    place = np.arange(count) if order is None else np.argsort(order)
+    normal, tangential = place[contact[:, -1]].astype(float), place[contact[:, :-1]].min(axis=1).astype(float)
+    if order is None:
+        normal, tangential = (np.minimum(normal, tangential) + shift for shift in (0.0, 0.5))
+    others = np.setdiff1d(np.arange(count), contact)
+    nodes = np.arange(len(contact))
+    codes = np.concatenate([others, -1 - 2 * nodes, -2 - 2 * nodes]).astype(np.int32)
+    return codes[np.argsort(np.concatenate([place[others], normal, tangential]), kind="stable")]
+
+
+def _pointers(c: Any, *arrays: npt.NDArray[Any] | None) -> list[Any]:
+    """For C; None: NULL."""
+    kinds = {"int32": "int32_t[]", "uint8": "uint8_t[]", "float64": "double[]"}
+    return [c.ffi.NULL if a is None else c.ffi.from_buffer(kinds[a.dtype.name], a) for a in arrays]

@@ -1,0 +1,245 @@
+"""The nodes of S under a contact law: which displacements jump there, over which area, in which frame."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import entities_to_geometry
+from petsc4py import PETSc
+
+from geometry.joint import S
+from thinlayer.compat import interior_facet_entities
+from thinlayer.exchange import ask
+from thinlayer.loads import ModelError
+from thinlayer.model import Model
+
+Array = npt.NDArray[np.float64]
+
+
+class ContactNodes:
+    """The nodes of S in an interface model with elements P1 or Q1. Collective.
+
+    A rank has the nodes whose displacement on the upper side it owns. Quadrature is at the vertices of S: a node has the
+    area of S around it, and the mean normal there.
+
+    Attributes:
+        upper: (n,) local number of the node of V on the upper side.
+        numbers: (n,) number of its vertex in the joint.
+        x: (n, d) places.
+        weights: (n,) areas (lengths in 2D).
+        frames: (n, d, d), rows are the axes of the node's frame: tangential ones as in `Surface.frame`, then the normal.
+        held: (n, d) components of the jump (global axes) that supports prescribe.
+        held_upper: (n, d) components of the upper side's displacement that supports prescribe.
+    """
+
+    def __init__(self, model: Model, held: npt.NDArray[np.int32]) -> None:
+        self.model, self.comm, self.dim = model, model.comm, model.joint.dim
+        V, d = model.V, self.dim
+        imap = V.dofmap.index_map
+        self._first, self._size = imap.local_range[0], imap.size_local
+        rows = self._corners()
+        owners = np.full(imap.size_local + imap.num_ghosts, self.comm.rank)
+        owners[imap.size_local :] = imap.owners
+        kept: list[Array] = []
+
+        def keep(received: Array, _: npt.NDArray[np.int64]) -> Array:
+            kept.append(received)
+            return np.zeros(len(received))
+
+        ask(self.comm, owners[rows[:, 0].astype(int)], np.column_stack([self._global(rows[:, 0]), rows[:, 1:]]), keep)
+        upper, at = np.unique(kept[0][:, 0], return_inverse=True)
+        vectors = np.zeros((len(upper), d))
+        self.weights = np.asarray(np.bincount(at, kept[0][:, 2], len(upper)), float)
+        for k in range(d):
+            vectors[:, k] = np.bincount(at, kept[0][:, 3 + k], len(upper))
+        first = np.zeros(len(upper), int)
+        first[at] = np.arange(len(at))
+        self.upper = (upper - self._first).astype(np.int32)
+        self._lower = kept[0][first, 1].astype(np.int64)  # global
+        self.numbers = kept[0][first, 3 + d].astype(np.int64)
+        self.x = V.tabulate_dof_coordinates()[self.upper, :d]
+        if not self.comm.allreduce(len(upper)):
+            raise ModelError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
+        size = np.linalg.norm(vectors, axis=1)
+        if self.comm.allreduce(int((size <= 0).any())):
+            raise ModelError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
+        self.frames = _frames(vectors / size[:, None])
+        self._note_held(held)
+
+    def _global(self, local: npt.NDArray[Any]) -> Array:
+        """Global numbers of local nodes, as floats: they travel with areas."""
+        return self.model.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
+
+    def _corners(self) -> Array:
+        """A row for each facet of S that this rank owns and each of its vertices.
+
+        Node on the upper side (local), on the lower one (global; -1 on a rigid base), area, area times normal (d), number
+        of the vertex in the joint.
+        """
+        model, d = self.model, self.dim
+        mesh, base = model.domain.mesh, model.joint.rigid_base
+        topology = mesh.topology
+        for a, b in ((d - 1, d), (d, d - 1), (d, 0), (d - 1, 0), (0, d)):
+            topology.create_connectivity(a, b)
+        facets = model.domain.facets(S)
+        facets = np.sort(facets[facets < topology.index_map(d - 1).size_local])
+        upper, lower = self._cells(facets)
+        vertices = np.array([topology.connectivity(d - 1, 0).links(f) for f in facets], np.int32)
+        vertices = vertices.reshape(len(facets), model.joint.table.vertices.shape[1])
+        places = vertices  # DOLFINx does not take an empty list
+        if vertices.size:
+            places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
+        corners = mesh.geometry.x[places][..., :d]
+        areas, normals = _vertex_areas(corners)
+        inside = mesh.geometry.x[mesh.geometry.dofmap[upper]][..., :d].mean(axis=1) - corners.mean(axis=1)
+        normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # from the lower side to the upper one
+        above = self._nodes(upper, vertices).ravel()
+        below = np.full(above.size, -1.0) if base else self._global(self._nodes(lower, vertices).ravel())
+        numbers = np.asarray(mesh.geometry.input_global_indices)[places.ravel()]
+        vectors = (areas[:, :, None] * normals[:, None]).reshape(-1, d)
+        rows = np.column_stack([above, below, areas.ravel(), vectors, numbers])
+        return np.asarray(rows[below != self._global(above)])  # at a tip nothing jumps
+
+    def _cells(self, facets: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """Upper and lower cell of each facet of S; on a rigid base twice the upper one."""
+        mesh, side = self.model.domain.mesh, self.model.sides_of_cells
+        if self.model.joint.rigid_base:
+            cells = np.array([mesh.topology.connectivity(self.dim - 1, self.dim).links(f)[0] for f in facets], np.int32)
+            return cells, cells
+        pairs = interior_facet_entities(mesh, facets)[:, [0, 2]]
+        swapped = side[pairs[:, 0]] < side[pairs[:, 1]]
+        pairs[swapped] = pairs[swapped][:, ::-1]
+        return pairs[:, 0], pairs[:, 1]
+
+    def _nodes(self, cells: npt.NDArray[np.int32], vertices: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+        """Local nodes of V in cells (n,) at vertices (n, k) of theirs."""
+        V, dim = self.model.V, self.dim
+        to_vertices = self.model.domain.mesh.topology.connectivity(dim, 0)
+        corners = to_vertices.array.reshape(to_vertices.num_nodes, -1)[cells]
+        corner = (corners[:, None, :] == vertices[:, :, None]).argmax(axis=2)
+        places = np.array([V.dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])])
+        dofs = np.asarray(V.dofmap.list)[cells]
+        return np.asarray(np.take_along_axis(dofs, places[corner], axis=1), np.int32)
+
+    # ---------------------------------------------------------------- supports
+    def _note_held(self, held: npt.NDArray[np.int32]) -> None:
+        """Which components supports prescribe, from the held displacements of this rank (local, unrolled)."""
+        mark = self.zero()
+        mark.array[held] = 1.0
+        d = self.dim
+        self.held_upper = mark.array_r.reshape(-1, d)[self.upper] > 0
+        self.held_lower = np.ones_like(self.held_upper) if self.lower is None else self.lower_side(mark) > 0
+        self.held = self.held_upper & self.held_lower
+        mark.destroy()
+
+    # ---------------------------------------------------------------- displacements, jumps and forces
+    def zero(self) -> PETSc.Vec:
+        """A vector of displacements, zero."""
+        return PETSc.Vec().createMPI((self._size * self.dim, None), bsize=self.dim, comm=self.comm)
+
+    @cached_property
+    def dofs(self) -> npt.NDArray[np.int32]:
+        """Local displacements of the upper side, (n, d)."""
+        return self.upper[:, None] * np.int32(self.dim) + np.arange(self.dim, dtype=np.int32)
+
+    @cached_property
+    def lower(self) -> PETSc.Mat | None:
+        """Matrix that picks the displacements of the lower side, (n d, all); None on a rigid base."""
+        if self.model.joint.rigid_base:
+            return None
+        n, d = len(self.upper), self.dim
+        columns = (self._lower[:, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
+        rows = np.arange(n * d + 1, dtype=PETSc.IntType)
+        size = self._size * d
+        return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=(rows, columns, np.ones(n * d)), comm=self.comm)
+
+    def lower_side(self, u: PETSc.Vec) -> Array:
+        """Displacement of the lower side, (n, d), global axes; zero on a rigid base."""
+        if self.lower is None:
+            return np.zeros((len(self.upper), self.dim))
+        there = self.lower.createVecLeft()
+        self.lower.mult(u, there)
+        values = there.array_r.reshape(-1, self.dim).copy()
+        there.destroy()
+        return values
+
+    def jump(self, u: PETSc.Vec) -> Array:
+        """Jumps in the nodes' frames, (n, d)."""
+        difference = u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u)
+        return np.einsum("nij,nj->ni", self.frames, difference)
+
+    def add_forces(self, t: Array, out: PETSc.Vec) -> None:
+        """Add the nodal forces of tractions (n, d), in the nodes' frames."""
+        forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
+        out.array.reshape(-1, self.dim)[self.upper] += forces
+        if self.lower is not None:
+            sent, there = self.lower.createVecLeft(), out.duplicate()
+            sent.array[:] = -forces.ravel()
+            self.lower.multTranspose(sent, there)
+            out.axpy(1.0, there)
+            sent.destroy()
+            there.destroy()
+
+    def blocks(self, tangent: Array) -> Array:
+        """Nodal stiffness of tangents (n, d, d), in global axes."""
+        return np.einsum("nki,nkl,nlj->nij", self.frames, tangent, self.frames) * self.weights[:, None, None]
+
+    def stiffness(self, tangent: Array) -> PETSc.Mat:
+        """Stiffness of tangents (n, d, d) in all displacements."""
+        d, size = self.dim, self._size * self.dim
+        blocks = self.blocks(tangent)
+        sides = [(self._first + self.upper, 1.0)]
+        if self.lower is not None:
+            sides.append((self._lower, -1.0))
+        axes = np.arange(d)
+        out = PETSc.Mat().create(self.comm)
+        out.setSizes(((size, None), (size, None)))
+        out.setType("aij")
+        out.setUp()
+        columns = np.concatenate([(column[:, None] * d + axes) for column, _ in sides], axis=1)[:, None, :].repeat(
+            d, axis=1
+        )
+        starts = np.arange(0, columns.size + 1, columns.shape[2])
+        for row, sign in sides:
+            values = np.concatenate([sign * other * blocks for _, other in sides], axis=2)
+            there = (row[:, None] * d + axes).ravel()
+            indices = (a.ravel().astype(PETSc.IntType) for a in (starts, columns))
+            out.setValuesIJV(*indices, values.ravel(), addv=PETSc.InsertMode.ADD, rowmap=there.astype(PETSc.IntType))
+        out.assemble()
+        return out
+
+    def destroy(self) -> None:
+        """Free the matrices."""
+        if "lower" in vars(self) and self.lower is not None:
+            self.lower.destroy()
+
+
+def _vertex_areas(corners: Array) -> tuple[Array, Array]:
+    """Area of a facet (n, k, d) that belongs to each of its vertices (n, k), and its unit normal (n, d), either way."""
+    if corners.shape[2] == 2:
+        along = corners[:, 1] - corners[:, 0]
+        length = np.linalg.norm(along, axis=1)
+        return np.repeat(length[:, None] / 2, 2, axis=1), np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
+    neighbours = [(1, 2), (2, 0), (0, 1)] if corners.shape[1] == 3 else [(1, 2), (3, 0), (0, 3), (2, 1)]
+    edges = [(corners[:, a] - corners[:, k], corners[:, b] - corners[:, k]) for k, (a, b) in enumerate(neighbours)]
+    spans = np.stack([np.cross(a, b) for a, b in edges], axis=1)
+    share = 6 if corners.shape[1] == 3 else 4
+    mean = spans.mean(axis=1)
+    return np.linalg.norm(spans, axis=2) / share, mean / np.linalg.norm(mean, axis=1)[:, None]
+
+
+def _frames(n: Array) -> Array:
+    """Axes of S at normals (n, d): the numbers that `forms.kinematics.layer_frame` gives in UFL, tangents first."""
+    if n.shape[1] == 2:
+        return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
+    out = np.zeros((len(n), 3, 3))
+    out[:, 2] = n
+    down = n[:, 1] < -1 + 1e-12
+    s = 1 / np.where(down, 1.0, 1 + n[:, 1])
+    out[:, 0] = np.column_stack([1 - s * n[:, 0] ** 2, -n[:, 0], -s * n[:, 0] * n[:, 2]])
+    out[:, 1] = np.column_stack([-s * n[:, 0] * n[:, 2], -n[:, 2], 1 - s * n[:, 2] ** 2])
+    out[down, 0], out[down, 1] = (-1, 0, 0), (0, 0, 1)
+    return out

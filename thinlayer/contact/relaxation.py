@@ -1,0 +1,141 @@
+"""The paper's relaxation over all displacements, on a contact problem."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from thinlayer.contact.gauss_seidel import Relaxation, relax
+from thinlayer.contact.nodes import Array
+from thinlayer.contact.problem import ContactProblem
+from thinlayer.failure import SolveError
+from thinlayer.loads import ModelError
+from thinlayer.options import PREFIX
+
+LARGEST_RESIDUAL = 1e-6
+SLOW = 1e5  # residual over the tolerance of the increments that slow convergence may leave
+FIXED = 1e20  # times the mean stiffness, on the diagonal of held components of contact nodes
+ALIGNED = 1e-9
+
+
+class ContactRelaxation:
+    """Over-relaxed Gauss-Seidel over all displacements, as section 8 of the paper has it; on one rank.
+
+    The unknowns are changed so that contact nodes have their jumps, in the axes of S, in place of the upper side's
+    displacements. PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments
+    (1e-12), max_sweeps (200000), fixed_point (false: thresholds follow the pressure within the sweeps; true: the paper's
+    outer fixed point).
+
+    Attributes:
+        last: what the last solve did.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        if problem.comm.size > 1:
+            raise ModelError("method='relaxation' runs on one rank; use 'multigrid'")
+        self.problem, nodes = problem, problem.nodes
+        self.last: Relaxation | None = None
+        lower = self._lower_dofs()
+        held = np.zeros(problem.b.getLocalSize(), bool)
+        held[problem.held] = True
+        self._held_jumps = self._components(nodes.held)
+        self._moving = np.flatnonzero(~self._held_jumps.all(axis=1))
+        if (nodes.held_upper & ~nodes.held).any():
+            raise ModelError(
+                "method='relaxation' needs supports on both sides of S or on the lower one; use 'condensed'"
+            )
+        self.T = self._change(lower)
+        self.A = problem.K.ptap(self.T)
+        slots = nodes.dofs
+        held[slots] = self._held_jumps
+        self._held = np.flatnonzero(held).astype(PETSc.IntType)
+        self._lower = lower
+        d, x = nodes.dim, nodes.model.V.tabulate_dof_coordinates()
+        close = 1e-9 * np.ptp(nodes.model.joint.points, axis=0).max()
+        rows = np.lexsort(
+            np.rint(x[:, :d] / close).T
+        )  # along x first: what convergence depends on is the order of sweeps
+        self._order = (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
+
+    def _lower_dofs(self) -> npt.NDArray[np.int64] | None:
+        """Displacements of the lower side, (n, d); None on a rigid base."""
+        nodes = self.problem.nodes
+        return None if nodes.lower is None else nodes.lower.getValuesCSR()[1].reshape(-1, nodes.dim)
+
+    def _components(self, held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Held components of jumps in the axes of S, (n, d)."""
+        along = np.abs(self.problem.nodes.frames)
+        aligned = (np.abs(along - np.rint(along)) < ALIGNED).all(axis=(1, 2))
+        if (~aligned & held.any(axis=1) & ~held.all(axis=1)).any():
+            raise ModelError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
+        return np.asarray(np.einsum("nij,nj->ni", along > 0.5, held) > 0)
+
+    def _change(self, lower: npt.NDArray[np.int64] | None) -> PETSc.Mat:
+        """Displacements from jumps and the others."""
+        nodes, n = self.problem.nodes, self.problem.b.getLocalSize()
+        d, slots = nodes.dim, nodes.dofs
+        T = PETSc.Mat().createAIJ((n, n), nnz=2 * d, comm=self.problem.comm)
+        others = np.setdiff1d(np.arange(n), slots)
+        for k in others:
+            T.setValue(k, k, 1.0)
+        for i, rows in enumerate(slots):
+            T.setValues(rows, rows, nodes.frames[i].T)
+            if lower is not None:
+                T.setValues(rows, lower[i], np.eye(d))
+        T.assemble()
+        return T
+
+    def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
+        """Displacements, number of sweeps, the residual; the relaxation starts from zero.
+
+        Raises:
+            SolveError: it does not converge; with the increments of its sweeps as residuals.
+        """
+        problem, nodes = self.problem, self.problem.nodes
+        b, z = problem.b.duplicate(), problem.b.duplicate()
+        self.T.multTranspose(problem.loads, b)
+        z.set(0.0)
+        prescribed = problem.prescribed
+        z.array[problem.held] = prescribed.array_r[problem.held]
+        below = 0.0 if self._lower is None else prescribed.array_r[self._lower]
+        jumps = np.einsum("nij,nj->ni", nodes.frames, prescribed.array_r[nodes.dofs] - below)
+        z.array[nodes.dofs.ravel()] = np.where(self._held_jumps, jumps, 0.0).ravel()
+        A = self.A.copy()
+        A.zeroRowsColumns(self._held, problem.diagonal, z, b)
+        at = nodes.dofs[self._moving][self._held_jumps[self._moving]]
+        diagonal = A.getDiagonal()
+        diagonal.array[at] *= FIXED
+        A.setDiagonal(diagonal)
+        b.array[at] *= FIXED
+        options = PETSc.Options(PREFIX + "relaxation_")
+        tolerance = options.getReal("tolerance", 1e-12)
+        indptr, indices, data = A.getValuesCSR()
+        self.last = found = relax(
+            indptr, indices, data, b.array_r.copy(), nodes.dofs[self._moving], nodes.weights[self._moving], problem.law,
+            slip=problem.slip[self._moving], order=self._order, omega=options.getReal("omega", 1.7),
+            omega_contact=options.getReal("omega_contact", 1.0), tolerance=tolerance,
+            max_sweeps=options.getInt("max_sweeps", 200_000), fixed_point=options.getBool("fixed_point", False),
+        )  # fmt: skip
+        z.array[:] = found.u
+        u = problem.b.duplicate()
+        self.T.mult(z, u)
+        u.array[problem.held] = prescribed.array_r[problem.held]
+        residual = problem.residual(u, b)
+        for thing in (A, b, z, diagonal):
+            thing.destroy()
+        if not (found.converged and residual <= max(LARGEST_RESIDUAL, SLOW * tolerance)):
+            u.destroy()
+            last = found.increments[-1] if len(found.increments) else np.nan
+            raise SolveError(
+                f"the relaxation does not converge: after {found.sweeps} sweeps the increment is {last:.1e} and the "
+                f"residual {residual:.1e} of the forces; try -{PREFIX}relaxation_omega nearer to 1, "
+                f"-{PREFIX}relaxation_omega_contact 1, another solver, or smaller loads",
+                residuals=tuple(map(float, found.increments)),
+            )
+        return u, found.sweeps, [residual]
+
+    def close(self) -> None:
+        """Free the matrices."""
+        self.T.destroy()
+        self.A.destroy()

@@ -1,0 +1,106 @@
+"""Which solver a contact problem gets, and its steps."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Protocol
+
+import numpy as np
+from petsc4py import PETSc
+
+from thinlayer.contact.nodes import Array
+from thinlayer.contact.problem import ContactProblem
+from thinlayer.equations import Equations
+from thinlayer.linear_solvers import rigid_modes
+from thinlayer.model import Model
+from thinlayer.state import State, transfer
+
+METHODS = ("condensed", "multigrid", "relaxation")
+_HOME = {"condensed": "Condensed", "multigrid": "MultigridContact", "relaxation": "ContactRelaxation"}
+CONDENSED_UP_TO = {2: 4000, 3: 1200}  # jumps (components at nodes) of a dense system, on one rank
+
+
+class Scheme(Protocol):
+    """What solves a contact problem, one load after the other."""
+
+    def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
+        """Displacements, number of steps, residual at each of them; start: (n, d) expected jumps in the nodes' frames."""
+
+    def close(self) -> None:
+        """Free matrices and factors."""
+
+
+def scheme(method: str, problem: ContactProblem) -> Scheme:
+    """One of METHODS, for a problem."""
+    home = importlib.import_module(f"thinlayer.contact.{method}")
+    found: Scheme = getattr(home, _HOME[method])(problem)
+    return found
+
+
+def contact_problem(equations: Equations) -> ContactProblem:
+    """The contact problem of a model with linear bodies. Collective."""
+    model = equations.model
+    assert equations.nodes is not None
+    assert model.contact is not None
+    near = PETSc.NullSpace().create(vectors=rigid_modes(model), comm=model.comm)
+    return ContactProblem(equations.K, equations.held, equations.nodes, model.contact, near)
+
+
+def default_method(model: Model) -> str:
+    """The solver that suits a contact model: plain Newton for bodies that are not linear and laws without sweeps.
+
+    Otherwise condensed to S on one rank while its matrix is small, else multigrid.
+    """
+    if model.contact is None or model.contact.numbers is None or not all(p.law.linear for p in model.bodies):
+        return "newton"
+    vertices = len(np.unique(model.joint.surface))
+    narrow = vertices * model.joint.dim <= CONDENSED_UP_TO[model.joint.dim]
+    return "condensed" if narrow and model.comm.size == 1 else "multigrid"
+
+
+class ContactSolver:
+    """Steps of a contact model with linear bodies. Collective.
+
+    Args:
+        equations: of the model.
+        method: one of METHODS.
+        like: a state of a model of the same joint whose contact status is close to the one to be found.
+    """
+
+    def __init__(self, equations: Equations, method: str, like: State | None) -> None:
+        assert equations.nodes is not None
+        self.equations, self.nodes = equations, equations.nodes
+        self.problem = contact_problem(equations)
+        self._scheme = scheme(method, self.problem)
+        self._start = self._jumps(like) if like else None
+
+    def _jumps(self, state: State) -> Array:
+        model = self.equations.model
+        u = state.u if state.model is model else transfer(state.u, state.model, model.V, model)
+        return self.nodes.jump(u.x.petsc_vec)
+
+    def advance(self, old: State) -> tuple[PETSc.Vec, int, float]:
+        """Displacements at the end of the step, number of steps of the solver, residual over the forces."""
+        equations = self.equations
+        self.problem.begin(equations.loads, equations.prescribed, old.memory[-1])
+        start = self._start if self._start is not None else self._jumps(old)
+        known = equations.comm.allreduce(int(start.any()))
+        u, steps, residuals = self._scheme.solve(start if known else None)
+        self._start = None
+        return u, steps, residuals[-1]
+
+    def close(self) -> None:
+        """Free matrices and factors."""
+        self._scheme.close()
+        self.problem.destroy()
+
+
+def check_method(model: Model, method: Any) -> None:
+    """Raise ValueError if a method is for contact and the model has none, or bodies that are not linear."""
+    if method in METHODS and model.contact is None:
+        raise ValueError(f"method={method!r} is for contact laws; the model has none")
+    if method in METHODS and not all(p.law.linear for p in model.bodies):
+        raise ValueError(f"method={method!r} needs linear bodies; use method='newton'")
+    if method in METHODS and model.contact and model.contact.numbers is None:
+        name = type(model.contact).__name__
+        raise ValueError(f"method={method!r} needs one of the laws of forms.contact, not {name}; use method='newton'")
