@@ -102,7 +102,8 @@ class Bench:
         self.solver = Solver(self.model, method="newton")
         self.equations: Equations = self.solver.equations
         self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
-        self.problem: ContactProblem = contact_problem(self.equations)
+        assert self.equations.nodes is not None
+        self.problem: ContactProblem = contact_problem(self.equations.nodes, self.equations.K, self.equations.held)
         self.dim, self.dofs = joint.dim, self.problem.A.getSize()[0]
         self.load(1.0)
         nodes = self.problem.nodes

@@ -11,7 +11,7 @@ from typing import Any
 from dolfinx import fem
 from petsc4py import PETSc
 
-from thinlayer.contact.solver import METHODS, ContactSolver, check_method, default_method
+from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
 from thinlayer.equations import Equations, Interval
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import linear_solvers, mark, tell_multigrid
@@ -119,7 +119,7 @@ class Solver:
             self._choices = self._choices[:1]
         self._own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         self.equations = Equations(model)
-        self._contact = ContactSolver(self.equations, self.method, like) if self.method in METHODS else None
+        self._contact = self._contact_solver(like) if self.method in METHODS else None
         self._ksp: PETSc.KSP | None = None
         self._factored: tuple[float, float] | None = None
         self._reused = False  # whether the last step took the factor of an earlier one
@@ -130,6 +130,11 @@ class Solver:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _contact_solver(self, like: State | None) -> ContactSolver:
+        equations = self.equations
+        assert equations.nodes is not None
+        return ContactSolver(contact_problem(equations.nodes, equations.K, equations.held), self.method, like)
 
     def close(self) -> None:
         """Free matrices and factors."""
@@ -203,7 +208,7 @@ class Solver:
     def _advance(self, old: State) -> tuple[PETSc.Vec, int, float]:
         """Unknowns at the end of the step: a linear step from the old ones, then Newton if need be."""
         if self._contact:
-            return self._contact.advance(old)
+            return self._contact.advance(old, self.equations.loads, self.equations.prescribed)
         equations = self.equations
         x, r, d, move = self._vectors
         n, held = equations.n_displacements, equations.held

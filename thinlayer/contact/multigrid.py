@@ -499,7 +499,8 @@ def _in_blocks(A: PETSc.Mat, d: int) -> PETSc.Mat:
 def _multiply_in_blocks(cycle: PETSc.PC, fine: PETSc.Mat) -> None:
     """Give a hierarchy of GAMG its matrices in blocks, `fine` on the finest level."""
     library = ctypes.CDLL(PETSc.__file__)
-    library.PCMGSetResidual.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
+    number = np.ctypeslib.as_ctypes_type(PETSc.IntType)
+    library.PCMGSetResidual.argtypes = [ctypes.c_void_p, number, ctypes.c_void_p, ctypes.c_void_p]
     finest = cycle.getMGLevels() - 1
     for level in range(finest, 0, -1):
         smoother, P = cycle.getMGSmoother(level), cycle.getMGInterpolation(level)

@@ -6,18 +6,18 @@ import importlib
 from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.contact.nodes import Array
+from thinlayer.contact.nodes import Array, ContactNodes
 from thinlayer.contact.problem import ContactProblem
-from thinlayer.equations import Equations
 from thinlayer.linear_solvers import rigid_modes
 from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
 METHODS = ("condensed", "multigrid", "relaxation")
 _HOME = {"condensed": "Condensed", "multigrid": "MultigridContact", "relaxation": "ContactRelaxation"}
-CONDENSED_UP_TO = {2: 4000, 3: 1200}  # jumps (components at nodes) of a dense system, on one rank
+CONDENSED_UP_TO = {2: 4000, 3: 1200}  # displacements at S, of a dense system on one rank
 
 
 class Scheme(Protocol):
@@ -37,13 +37,12 @@ def scheme(method: str, problem: ContactProblem) -> Scheme:
     return found
 
 
-def contact_problem(equations: Equations) -> ContactProblem:
-    """The contact problem of a model with linear bodies. Collective."""
-    model = equations.model
-    assert equations.nodes is not None
+def contact_problem(nodes: ContactNodes, K: PETSc.Mat, held: npt.NDArray[np.int32]) -> ContactProblem:
+    """The contact problem of a model with linear bodies: its nodes, its stiffness, held displacements of this rank."""
+    model = nodes.model
     assert model.contact is not None
     near = PETSc.NullSpace().create(vectors=rigid_modes(model), comm=model.comm)
-    return ContactProblem(equations.K, equations.held, equations.nodes, model.contact, near)
+    return ContactProblem(K, held, nodes, model.contact, near)
 
 
 def default_method(model: Model) -> str:
@@ -54,7 +53,8 @@ def default_method(model: Model) -> str:
     if model.contact is None or model.contact.numbers is None or not all(p.law.linear for p in model.bodies):
         return "newton"
     vertices = len(np.unique(model.joint.surface))
-    narrow = vertices * model.joint.dim <= CONDENSED_UP_TO[model.joint.dim]
+    sides = 1 if model.joint.rigid_base else 2
+    narrow = vertices * sides * model.joint.dim <= CONDENSED_UP_TO[model.joint.dim]
     return "condensed" if narrow and model.comm.size == 1 else "multigrid"
 
 
@@ -62,29 +62,33 @@ class ContactSolver:
     """Steps of a contact model with linear bodies. Collective.
 
     Args:
-        equations: of the model.
+        problem: the model's.
         method: one of METHODS.
         like: a state of a model of the same joint whose contact status is close to the one to be found.
     """
 
-    def __init__(self, equations: Equations, method: str, like: State | None) -> None:
-        assert equations.nodes is not None
-        self.equations, self.nodes = equations, equations.nodes
-        self.problem = contact_problem(equations)
-        self._scheme = scheme(method, self.problem)
+    def __init__(self, problem: ContactProblem, method: str, like: State | None) -> None:
+        self.problem = problem
+        self._scheme = scheme(method, problem)
         self._start = self._jumps(like) if like else None
 
     def _jumps(self, state: State) -> Array:
-        model = self.equations.model
+        model = self.problem.nodes.model
         u = state.u if state.model is model else transfer(state.u, state.model, model.V, model)
-        return self.nodes.jump(u.x.petsc_vec)
+        return self.problem.nodes.jump(u.x.petsc_vec)
 
-    def advance(self, old: State) -> tuple[PETSc.Vec, int, float]:
-        """Displacements at the end of the step, number of steps of the solver, residual over the forces."""
-        equations = self.equations
-        self.problem.begin(equations.loads, equations.prescribed, old.memory[-1])
+    def advance(self, old: State, loads: PETSc.Vec, prescribed: Array) -> tuple[PETSc.Vec, int, float]:
+        """Displacements at the end of the step, number of steps of the solver, residual over the forces.
+
+        Args:
+            old: state at the beginning.
+            loads: nodal forces of the loads.
+            prescribed: values of held displacements.
+        """
+        problem = self.problem
+        problem.begin(loads, prescribed, old.memory[-1])
         start = self._start if self._start is not None else self._jumps(old)
-        known = equations.comm.allreduce(int(start.any()))
+        known = problem.comm.allreduce(int(start.any()))
         u, steps, residuals = self._scheme.solve(start if known else None)
         self._start = None
         return u, steps, residuals[-1]
