@@ -103,6 +103,10 @@ class ContactLaw(Law):
                 out[slides, : d - 1, -1] = along * rate[:, None]
         return out
 
+    def bonded(self, n: int, d: int) -> Array:
+        """Tangents of n nodes that neither open nor slide, (n, d, d)."""
+        return np.tile(np.diag([self.K_T] * (d - 1) + [self.K_N]), (n, 1, 1))
+
     def status(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> npt.NDArray[np.int8]:
         """`Status` of each node, (n,): separated without pressure, else stick up to the threshold, else sliding."""
         p, bound, _, size = self._trial(w, slip, threshold)

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from thinlayer import Model, SolveError, Table, plotting
+from thinlayer.contact.blocks import faster_products
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.solver import contact_problem, scheme
 from thinlayer.equations import Equations, Interval
@@ -107,7 +108,7 @@ class Bench:
         self.dim, self.dofs = joint.dim, self.problem.A.getSize()[0]
         self.load(1.0)
         nodes = self.problem.nodes
-        springs = nodes.stiffness(np.tile(np.diag([law.K_T] * (self.dim - 1) + [law.K_N]), (len(nodes.upper), 1, 1)))
+        springs = nodes.stiffness(law.bonded(len(nodes.upper), self.dim))
         self.bonded = self.problem.A.copy()
         self.bonded.axpy(1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         self.bonded.zeroRowsColumns(self.equations.held_rows, self.problem.diagonal)
@@ -145,13 +146,14 @@ class Bench:
         options |= {"ksp_rtol": TOLERANCE[self.dim], "pc_gamg_aggressive_coarsening": self.dim - 1}
         x = self.problem.b.duplicate()
         begin = time.process_time()
-        with defaults(options):
+        with defaults(options), faster_products(serial=True):
             ksp = PETSc.KSP().create(self.model.comm)
             ksp.setOptionsPrefix(PREFIX)
             ksp.setOperators(self.bonded)
             ksp.setFromOptions()
             if kind == "multigrid":
                 ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+            ksp.setUp()
             ksp.solve(self.problem.b, x)
         seconds = time.process_time() - begin
         if ksp.getConvergedReason() < 0:

@@ -253,7 +253,7 @@ class Equations:
         w = nodes.jump(self.u.x.petsc_vec)
         if self.comm.allreduce(int(w.any())):
             return law.tangent(w, self._slip)
-        return np.tile(np.diag([law.K_T] * (nodes.dim - 1) + [law.K_N]), (len(w), 1, 1))
+        return law.bonded(len(w), nodes.dim)
 
     def _saddle(self, A: PETSc.Mat) -> PETSc.Mat:
         assert self.constraint is not None

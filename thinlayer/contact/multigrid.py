@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 from petsc4py import PETSc
 
-from forms.contact import ContactLaw, LawError, Status
-from thinlayer.contact.gauss_seidel import BlockRows, load, sweep_nodes
+from forms.contact import Status
+from forms.law import LawError
+from thinlayer.contact.gauss_seidel import load
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.problem import ContactProblem
+from thinlayer.contact.surface_blocks import Surface
+from thinlayer.contact.tangent import Tangent
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.options import PREFIX, OptionValue, defaults, is_set
@@ -28,11 +27,6 @@ LOOSE: Shares = (0.3, 0.2)  # the status is far off
 STRICT: Shares = (0.02, 0.05)  # a prediction is not; and the last attempt
 EXPECTED = 3.0  # times what the linear solve has left: the residual of a Newton step that the tangent has foreseen
 FINISH = 0.7  # share of the tolerance that the last linear solve aims at
-SWEEPS = 4  # of Gauss-Seidel, before a Newton step that goes on from what the tangent has not foreseen
-CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # stiffest springs in the hierarchy, times E/h
-FLOOR = 1e-3  # softest springs in the hierarchy, times E/h: they hold a body that nothing else holds
-DIAGONAL = 3.0  # of the stiffness at a node of S over its area times E/h, at most about
-STOP = 1e6  # stiffness that keeps held components in place during sweeps, over that of the node
 
 HIERARCHY: dict[str, OptionValue] = {k: v for k, v in MULTIGRID.items() if k not in (*DIRECT, "ksp_max_it")}
 NEWTON: dict[str, OptionValue] = {
@@ -71,8 +65,8 @@ class MultigridContact:
             raise LawError(f"{type(problem.law).__name__} is not among the laws that Gauss-Seidel sweeps know")
         load(problem.comm)
         self.problem, self.tolerance = problem, tolerance
-        self._surface = _Surface(problem)
-        self._tangent: _Tangent | None = None
+        self._surface = Surface(problem)
+        self._tangent: Tangent | None = None
         self._u = problem.A.createVecRight()
         self._solved = False
 
@@ -93,7 +87,7 @@ class MultigridContact:
         history: list[float] = []
         with defaults({**HIERARCHY, **NEWTON}):
             if self._tangent is None:
-                self._tangent = _Tangent(self._surface, start)
+                self._tangent = Tangent(self._surface, start)
             else:
                 _count_as_read(("pc_", "mg_"))
             attempts = [(None, LOOSE), (None, STRICT)] if start is None else [(start, STRICT), (None, LOOSE)]
@@ -123,203 +117,6 @@ class MultigridContact:
         self._u.destroy()
 
 
-class _Surface:
-    """The stiffness at this rank's nodes of S, upper side.
-
-    Attributes:
-        rows: its rows there, (n d, all).
-        blocks: between these nodes; held components are decoupled.
-        diagonal: (n,) which of the blocks are a node's own.
-        scale: (n,) E/h, about: Young's modulus over the size of the cells.
-        free: (n, d) components that are not held.
-    """
-
-    def __init__(self, problem: ContactProblem) -> None:
-        self.problem, self.nodes = problem, problem.nodes
-        A, d, n = problem.A, self.nodes.dim, len(self.nodes.upper)
-        first, end = A.getOwnershipRange()
-        dofs = self.nodes.dofs.ravel()
-        index = PETSc.IS().createGeneral((first + dofs).astype(PETSc.IntType), comm=problem.comm)
-        self.rows = A.createSubMatrix(index, None)
-        index.destroy()
-        self._product = self.rows.createVecLeft()
-        place = np.full(end - first, -1, np.int64)
-        place[dofs] = np.arange(n * d)
-        indptr, columns, values = self.rows.getValuesCSR()
-        local = (columns >= first) & (columns < end)
-        column = np.full(len(columns), -1, np.int64)
-        column[local] = place[columns[local] - first]
-        here = column >= 0
-        row = np.repeat(np.arange(n * d), np.diff(indptr))
-        self._stiffness = scipy.sparse.csr_matrix((values[here], (row[here], column[here])), shape=(n * d, n * d))
-        blocks = self._stiffness.tobsr((d, d))
-        blocks.sort_indices()
-        self.blocks = BlockRows(blocks.indptr.astype(np.int32), blocks.indices.astype(np.int32), blocks.data)
-        self.diagonal = np.flatnonzero(np.repeat(np.arange(n), np.diff(blocks.indptr)) == blocks.indices)
-        own = np.einsum("nii->n", blocks.data[self.diagonal]) / d
-        self.scale = own / (DIAGONAL * self.nodes.weights)
-        self.free = ~self.nodes.held_upper
-        # sweeps move whole nodes
-        self._stop = np.where(self.free, 0.0, STOP * (own + problem.law.K_N * self.nodes.weights)[:, None])
-        self._swept = self.with_diagonal(self._stop[:, :, None] * np.eye(d))
-
-    def with_diagonal(self, more: Array) -> BlockRows:
-        """The blocks with (n, d, d) added to the nodes' own."""
-        blocks = self.blocks.blocks.copy()
-        blocks[self.diagonal] += more
-        return BlockRows(self.blocks.indptr, self.blocks.indices, blocks)
-
-    def of(self, x: PETSc.Vec) -> Array:
-        """Displacements or forces there, (n, d)."""
-        return np.asarray(x.array_r.reshape(-1, self.nodes.dim)[self.nodes.upper])
-
-    def add(self, values: Array, x: PETSc.Vec) -> None:
-        """Add displacements or forces (n, d)."""
-        x.array.reshape(-1, self.nodes.dim)[self.nodes.upper] += values
-
-    def forces(self, x: PETSc.Vec) -> Array:
-        """Stiffness times displacements, (n, d)."""
-        self.rows.mult(x, self._product)
-        return np.asarray(self._product.array_r.reshape(-1, self.nodes.dim))
-
-    def sweep(self, u: PETSc.Vec, residual: PETSc.Vec, turned: Array) -> None:
-        """Gauss-Seidel sweeps, in place; residual: the true one at u; turned: see `_Newton.turned`."""
-        law, nodes, slip = self.problem.law, self.nodes, self.problem.slip
-        lower, old = nodes.lower_side(u), self.of(u)
-        assert law.numbers is not None
-        t = law.traction(np.einsum("nij,nj->ni", nodes.frames, old - lower), slip)
-        contact = np.einsum("nji,nj->ni", nodes.frames, t * nodes.weights[:, None])
-        near = (self._stiffness @ old.ravel()).reshape(old.shape)
-        new = old + np.einsum("nji,nj->ni", nodes.frames, turned)
-        sweep_nodes(
-            self._swept, near + self._stop * old + contact - self.of(residual), new, lower, nodes.frames, nodes.weights,
-            law.numbers, slip=slip, moves=np.asarray(~turned.any(axis=1)), sweeps=SWEEPS,
-        )  # fmt: skip
-        self.add(np.where(self.free, new - old, 0.0), u)
-
-    def close(self) -> None:
-        """Free the matrix."""
-        self.rows.destroy()
-        self._product.destroy()
-
-
-class _Tangent:
-    """The tangent of a contact problem and its preconditioner: contexts of a matrix and a PC of PETSc.
-
-    Both live on displacements that are zero where supports hold. The matrix of the hierarchy, in blocks, multiplies for
-    both; what the tangents of S differ from its springs is added.
-
-    Args:
-        surface: the nodes.
-        start: expected jumps, for the springs of the hierarchy; None: bonded.
-    """
-
-    def __init__(self, surface: _Surface, start: Array | None) -> None:
-        self.surface, self.problem, self.nodes = surface, surface.problem, surface.problem.nodes
-        self._build(self._springs(start))
-        self._contact: PETSc.PC | None = None
-        size = self.nodes.dofs.size
-        self._vectors = [PETSc.Vec().createSeq(size, comm=PETSc.COMM_SELF) for _ in range(2)]
-        if self.nodes.lower is not None:
-            self._vectors += [self.nodes.lower.createVecLeft(), self._matrix.createVecLeft()]
-
-    def _springs(self, start: Array | None) -> Array:
-        """Tangents of S without friction's coupling, clipped, (n, d, d)."""
-        law, scale = self.problem.law, self.surface.scale
-        D = bonded(law, len(scale), self.nodes.dim) if start is None else law.tangent(start, self.problem.slip)
-        i = np.arange(self.nodes.dim)
-        own = D[:, i, i]
-        out = np.zeros_like(D)
-        out[:, i[:-1], i[:-1]] = np.clip(own[:, :-1].mean(axis=1), FLOOR * scale, CLIP_TANGENTIAL * scale)[:, None]
-        out[:, -1, -1] = np.clip(own[:, -1], FLOOR * scale, CLIP_NORMAL * scale)
-        return out
-
-    def _build(self, springs: Array) -> None:
-        """The hierarchy."""
-        problem, nodes = self.problem, self.nodes
-        self._built_with = nodes.blocks(springs)
-        added = nodes.stiffness(springs)
-        M = problem.A.copy()
-        pattern = PETSc.Mat.Structure
-        M.axpy(1.0, added, pattern.SUBSET_NONZERO_PATTERN if nodes.lower is None else pattern.DIFFERENT_NONZERO_PATTERN)
-        added.destroy()
-        M.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        M.zeroRowsColumns((M.getOwnershipRange()[0] + problem.held).astype(PETSc.IntType), problem.diagonal)
-        M.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        M.setOption(PETSc.Mat.Option.SPD, True)
-        M.setBlockSize(nodes.dim)
-        M.setNearNullSpace(problem.near)
-        self._matrix = _in_blocks(M, nodes.dim)
-        self._cycle = PETSc.PC().create(problem.comm)
-        self._cycle.setOptionsPrefix(PREFIX)
-        self._cycle.setOperators(M)
-        self._cycle.setFromOptions()
-        with _faster_products(serial=problem.comm.size == 1):
-            self._cycle.setUp()
-        if self._cycle.getType() == "gamg":
-            _multiply_in_blocks(self._cycle, self._matrix)
-        M.destroy()
-
-    def linearise(self, tangents: Array) -> None:
-        """Take over tangents of S, (n, d, d)."""
-        self._of_contact = self.nodes.blocks(tangents)
-        self._more = self._of_contact - self._built_with
-        free = self.surface.free
-        rows = self.surface.with_diagonal(self._of_contact * (free[:, :, None] & free[:, None, :]))
-        if self._contact is not None:
-            self._contact.destroy()
-        if not len(tangents):
-            return
-        csr = (rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.blocks)
-        J = PETSc.Mat().createBAIJ(free.size, self.nodes.dim, csr=csr, comm=PETSc.COMM_SELF)
-        self._contact = PETSc.PC().create(PETSc.COMM_SELF)
-        self._contact.setOperators(J)
-        self._contact.setType("lu")
-        self._contact.setFactorOrdering("nd")
-        self._contact.setUp()
-        J.destroy()
-
-    def _jumps(self, x: PETSc.Vec) -> Array:
-        """Jumps in global axes, (n, d)."""
-        upper = self.surface.of(x)
-        if self.nodes.lower is None:
-            return upper
-        lower = self._vectors[2]
-        self.nodes.lower.mult(x, lower)
-        return np.asarray(upper - lower.array_r.reshape(upper.shape))
-
-    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """y = tangent times x."""
-        self._matrix.mult(x, y)
-        forces = np.einsum("nij,nj->ni", self._more, self._jumps(x))
-        self.surface.add(forces, y)
-        if self.nodes.lower is not None:
-            lower, there = self._vectors[2:]
-            lower.array[:] = forces.ravel()
-            self.nodes.lower.multTranspose(lower, there)
-            y.axpy(-1.0, there)
-        y.array[self.problem.held] = 0.0
-
-    def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """z = a cycle of multigrid, then the nodes of S with all else in place."""
-        self._cycle.apply(r, z)
-        z.array[self.problem.held] = 0.0
-        contact = np.einsum("nij,nj->ni", self._of_contact, self._jumps(z))
-        left = self.surface.of(r) - self.surface.forces(z) - contact
-        if self._contact is None:
-            return
-        q, move = self._vectors[:2]
-        q.array[:] = np.where(self.surface.free, left, 0.0).ravel()
-        self._contact.apply(q, move)
-        self.surface.add(move.array_r.reshape(left.shape), z)
-
-    def close(self) -> None:
-        """Free matrices, factors and the hierarchy."""
-        for item in (self._cycle, self._matrix, self._contact, *self._vectors):
-            if item is not None:
-                item.destroy()
-
-
 class _Newton:
     """One run of SNES.
 
@@ -328,7 +125,7 @@ class _Newton:
         iterations: of FGMRES in each step.
     """
 
-    def __init__(self, tangent: _Tangent, tolerance: float, shares: Shares) -> None:
+    def __init__(self, tangent: Tangent, tolerance: float, shares: Shares) -> None:
         self.tangent, self.surface, self.problem = tangent, tangent.surface, tangent.problem
         self.nodes, self.tolerance, self.shares = self.problem.nodes, tolerance, shares
         self.residuals: list[float] = []
@@ -394,7 +191,7 @@ class _Newton:
         """Tangents of the first step; its residual is that of the law made linear there."""
         law, slip, w, s = self.problem.law, self.problem.slip, self.nodes.jump(u), self._start
         if s is None:
-            tangents = bonded(law, len(w), self.nodes.dim)
+            tangents = law.bonded(len(w), self.nodes.dim)
             t = np.einsum("nij,nj->ni", tangents, w - np.column_stack([slip, np.zeros(len(slip))]))
         else:
             tangents = law.tangent(s, slip)
@@ -455,11 +252,6 @@ class _Newton:
         return bool(self.problem.comm.allreduce(int(other or bool(turned.any()))))
 
 
-def bonded(law: ContactLaw, n: int, d: int) -> Array:
-    """Tangents of n nodes that stick, (n, d, d)."""
-    return np.tile(np.diag([law.K_T] * (d - 1) + [law.K_N]), (n, 1, 1))
-
-
 def _nothing(*_: Any) -> None:
     """The Jacobian: its context has the tangents already."""
 
@@ -470,51 +262,3 @@ def _count_as_read(beginnings: tuple[str, ...]) -> None:
     for name in database.getAll():
         if name.startswith(tuple(PREFIX + beginning for beginning in beginnings)):
             database.hasName(name)
-
-
-@contextmanager
-def _faster_products(*, serial: bool) -> Iterator[None]:
-    """Galerkin products by way of A P, a fifth off the setup for more memory; PETSc reads no prefix there."""
-    database, name = PETSc.Options(), "matptap_via"
-    ours = serial and not database.hasName(name)
-    if ours:
-        database.setValue(name, "rap")
-    try:
-        yield
-    finally:
-        if ours:
-            database.delValue(name)
-
-
-def _in_blocks(A: PETSc.Mat, d: int) -> PETSc.Mat:
-    """A matrix in blocks of d x d, which multiplies twice as fast; PETSc's own conversion is slow."""
-    indptr, indices, values = A.getValuesCSR()
-    shape = (A.getLocalSize()[0], A.getSize()[1])
-    blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
-    del indptr, indices, values
-    ints: Sequence[Any] = [a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices)]
-    return PETSc.Mat().createBAIJ(A.getSizes(), d, csr=(*ints, blocks.data), comm=A.comm)
-
-
-def _multiply_in_blocks(cycle: PETSc.PC, fine: PETSc.Mat) -> None:
-    """Give a hierarchy of GAMG its matrices in blocks, `fine` on the finest level."""
-    library = ctypes.CDLL(PETSc.__file__)
-    number = np.ctypeslib.as_ctypes_type(PETSc.IntType)
-    library.PCMGSetResidual.argtypes = [ctypes.c_void_p, number, ctypes.c_void_p, ctypes.c_void_p]
-    finest = cycle.getMGLevels() - 1
-    for level in range(finest, 0, -1):
-        smoother, P = cycle.getMGSmoother(level), cycle.getMGInterpolation(level)
-        A = smoother.getOperators()[0]
-        matrix = fine if level == finest else _in_blocks(A, A.getBlockSize())
-        smoother.setOperators(matrix, matrix)
-        library.PCMGSetResidual(cycle.handle, level, None, matrix.handle)
-        if level < finest:
-            matrix.destroy()
-        size = math.gcd(*P.getBlockSizes())
-        if size > 1:
-            blocks = _in_blocks(P, size)
-            cycle.setMGInterpolation(level, blocks)
-            cycle.setMGRestriction(level, blocks)
-            blocks.destroy()
-    cycle.setReusePreconditioner(True)
-    cycle.setOperators(fine, fine)  # lets go of the matrix it was built from

@@ -1,0 +1,247 @@
+"""Newton's method for the jumps on S, whose stiffness is dense, with Gauss-Seidel sweeps and coarser chains."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+from scipy import sparse
+
+from forms.contact import ContactLaw
+from thinlayer.contact.gauss_seidel import sweep_nodes
+from thinlayer.contact.nodes import Array
+from thinlayer.options import PREFIX, OptionValue, defaults
+
+Indices = npt.NDArray[Any]
+Mask = npt.NDArray[np.bool_]
+
+NEWTON: dict[str, OptionValue] = {
+    "snes_type": "newtonls",
+    "snes_linesearch_type": "basic",  # the residual may grow on the way to a solution: searches that want less get stuck
+    "snes_max_it": 30,
+    "dense_ksp_type": "preonly",
+    "dense_pc_type": "lu",
+}
+COARSE = "coarse_"  # before the options of Newton's method on coarse chains
+SWEEPS = 2  # before every Newton step
+PATIENCE = 6  # steps from a prediction; after as many the sweeps double with every step
+MOST_SWEEPS = 256
+COARSEST = 48  # nodes of chains that are not coarsened any more
+ROUGH = 1e-3  # tolerance on coarse chains, whose solution is a start
+LARGEST_RESIDUAL = 1e-9
+
+
+@dataclass(frozen=True)
+class Load:
+    """Forces g on the nodes (n, d), slip (n, d - 1), held components of the jump (n, d; else zero), size of the loads."""
+
+    g: Array
+    slip: Array
+    held_jumps: Array
+    size: float
+
+
+class DenseSystem:
+    """H w + weights frames^T t(frames w) = g for the jumps w of n nodes, (n, d) in global axes, and its coarser versions.
+
+    Attributes:
+        H: (n d, n d) stiffness, symmetric.
+        held: (n, d) components that stay.
+        chains: of each piece of S in two dimensions, the nodes along it and their arc lengths.
+        converged: what Newton's method did last.
+    """
+
+    def __init__(
+        self, H: Array, weights: Array, frames: Array, held: Mask, chains: list[tuple[Indices, Array]], prefix: str = ""
+    ) -> None:
+        self.H, self.weights, self.frames, self.held, self.chains = H, weights, frames, held, chains
+        self.n, self.d = held.shape
+        self.converged = False
+        self._moves: Mask = np.asarray(~held.any(axis=1))
+        self._base = np.zeros((self.n, self.d))
+        self._axes = weights[:, None, None] * frames  # of forces
+        nodes = np.arange(self.n * self.d).reshape(self.n, self.d)
+        self._rows, self._columns = np.broadcast_arrays(nodes[:, :, None], nodes[:, None, :])
+        self._prefix = prefix
+        self._snes: PETSc.SNES | None = None
+        self._size = 0.0  # of the contact forces
+
+    # ---------------------------------------------------------------- law
+    def _forces(self, law: ContactLaw, slip: Array, w: Array) -> Array:
+        t = law.traction(np.einsum("nij,nj->ni", self.frames, w), slip)
+        out: Array = np.einsum("nij,ni->nj", self._axes, t)
+        out[self.held] = 0.0
+        self._size = float(np.linalg.norm(out))
+        return out
+
+    def _stiffness(self, law: ContactLaw, slip: Array, local: Array) -> Array:
+        """Nodal tangents (n, d, d) at jumps in the nodes' frames."""
+        out: Array = self._axes.transpose(0, 2, 1) @ law.tangent(local, slip) @ self.frames
+        out[self.held] = 0.0
+        return out
+
+    def residual(self, law: ContactLaw, load: Load, w: Array) -> Array:
+        """Out of balance, (n, d)."""
+        out = (self.H @ w.ravel()).reshape(w.shape)
+        out += self._forces(law, load.slip, w)
+        out -= load.g
+        out[self.held] = 0.0
+        return out
+
+    def bonded(self, law: ContactLaw, load: Load) -> Array:
+        """Jumps with springs that pull as well as they press, and do not slide."""
+        local = np.zeros((self.n, self.d))
+        local[:, :-1], local[:, -1] = load.slip, -1.0
+        D = self._stiffness(law, load.slip, local)
+        rest = local.copy()
+        rest[:, -1] = 0.0
+        M = self.H.copy()
+        M[self._rows, self._columns] += D
+        g = load.g + np.einsum("nij,nj->ni", D, np.einsum("nij,ni->nj", self.frames, rest))
+        w = np.linalg.solve(M, g.ravel()).reshape(g.shape)
+        return np.where(self.held, load.held_jumps, w)
+
+    # ---------------------------------------------------------------- Newton's method
+    def newton(
+        self, law: ContactLaw, load: Load, w: Array, tolerance: float, history: list[float], *, few: bool = False
+    ) -> int:
+        """Newton's method from w on, in place; number of steps. Appends the residuals over the forces to the history."""
+        if self._snes is None:
+            self._snes = self._create()
+            self._most = self._snes.getTolerances()[3]
+        self._snes.setTolerances(max_it=min(PATIENCE, self._most) if few else self._most)
+        self._law, self._load, self._tolerance, self._history = law, load, tolerance, history
+        snes, x = self._snes, self._x
+        x.array.reshape(w.shape)[:] = w
+        try:
+            snes.solve(None, x)
+            self.converged = snes.getConvergedReason() > 0
+        except PETSc.Error:  # a singular tangent
+            self.converged = False
+        w[:] = x.array_r.reshape(w.shape)
+        steps = int(snes.getIterationNumber())
+        if not np.isfinite(w).all():
+            self.converged = False
+        if not self.converged:
+            self.destroy()  # which may be left in the middle of a step
+        return steps
+
+    def _create(self) -> PETSc.SNES:
+        size = self.n * self.d
+        self._x, self._f = (PETSc.Vec().createSeq(size, comm=PETSc.COMM_SELF) for _ in range(2))
+        self._tangent = np.empty((size, size))
+        self._J = PETSc.Mat().createDense((size, size), array=self._tangent.T, comm=PETSc.COMM_SELF)
+        snes = PETSc.SNES().create(PETSc.COMM_SELF)
+        snes.setOptionsPrefix(PREFIX + self._prefix)
+        snes.getKSP().setOptionsPrefix(PREFIX + self._prefix + "dense_")
+        snes.setFunction(self._function, self._f)
+        snes.setJacobian(self._jacobian, self._J)
+        snes.setUpdate(self._sweep)
+        snes.setConvergenceTest(self._test)
+        with defaults({self._prefix + name: value for name, value in NEWTON.items()}):
+            snes.setFromOptions()
+        return snes
+
+    def _function(self, _: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        f.array[:] = self.residual(self._law, self._load, x.array_r.reshape(self.n, self.d)).ravel()
+
+    def _jacobian(self, _: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, __: PETSc.Mat) -> None:
+        local = np.einsum("nij,nj->ni", self.frames, x.array_r.reshape(self.n, self.d))
+        D = self._stiffness(self._law, self._load.slip, local)
+        self._tangent[:] = self.H
+        self._tangent[self._columns, self._rows] += D  # PETSc's matrix is the transposed one
+        J.assemble()
+
+    def _sweep(self, snes: PETSc.SNES, step: int) -> None:
+        """Gauss-Seidel before a Newton step, which takes the state and its residual from here."""
+        if (numbers := self._law.numbers) is None:
+            return
+        # Where Newton's steps go in circles, more sweeps come closer to where they converge.
+        sweeps = min(SWEEPS * 2 ** max(step - PATIENCE, 0), MOST_SWEEPS)
+        x, load = snes.getSolution(), self._load
+        w = x.array.reshape(self.n, self.d)
+        sweep_nodes(
+            self.H, load.g, w, self._base, self.frames, self.weights, numbers,
+            slip=load.slip, moves=self._moves, sweeps=sweeps,
+        )  # fmt: skip
+        self._function(snes, x, snes.getFunction()[0])
+
+    def _test(self, _: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
+        history = self._history
+        history.append(norms[2] / max(self._load.size, self._size))
+        if not math.isfinite(norms[2]):
+            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+        if history[-1] <= self._tolerance:
+            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
+        if step > 1 and history[-1] <= LARGEST_RESIDUAL and history[-1] > history[-2] / 2:
+            return PETSc.SNES.ConvergedReason.CONVERGED_SNORM_RELATIVE  # rounding
+        return False
+
+    # ---------------------------------------------------------------- coarser chains
+    @cached_property
+    def coarse(self) -> DenseSystem | None:
+        """The system on every second node of the chains; None where there are no chains, or few nodes."""
+        if not self.chains or self.n <= COARSEST:
+            return None
+        rows, columns, shares, kept = [], [], [], []
+        chains: list[tuple[Indices, Array]] = []
+        count = 0
+        for nodes, s in self.chains:
+            stays = np.zeros(len(nodes), bool)
+            stays[::2] = stays[-1] = True
+            stays |= ~self._moves[nodes]
+            c = np.flatnonzero(stays)
+            left = np.clip(np.cumsum(stays) - 1, 0, max(len(c) - 2, 0))
+            right = np.minimum(left + 1, len(c) - 1)
+            length = s[c[right]] - s[c[left]]
+            t = np.divide(s - s[c[left]], length, out=np.zeros(len(s)), where=length > 0)
+            rows += [nodes, nodes]
+            columns += [count + left, count + right]
+            shares += [1 - t, t]
+            kept.append(nodes[c])
+            chains.append((count + np.arange(len(c)), s[c]))
+            count += len(c)
+        if count == self.n:
+            return None
+        d, place = self.d, np.arange(self.d)
+        i, j, t = (np.concatenate(parts) for parts in (rows, columns, shares))
+        entries = np.repeat(t, d), ((i[:, None] * d + place).ravel(), (j[:, None] * d + place).ravel())
+        self._P = P = sparse.csr_matrix(entries, shape=(self.n * d, count * d))
+        P.eliminate_zeros()
+        self._R = R = P.T.tocsr()
+        self._kept = k = np.concatenate(kept)
+        H = np.ascontiguousarray(R @ (R @ self.H).T)
+        held = self.held[k].ravel()
+        if held.any():
+            H[held], H[:, held] = 0.0, 0.0
+            H[held, held] = H.diagonal().max()
+        weights: Array = np.bincount(j, t * self.weights[i], count).astype(float)
+        return DenseSystem(H, weights, self.frames[k], self.held[k], chains, COARSE)
+
+    def nested(self, law: ContactLaw, load: Load) -> Array:
+        """Jumps to start from: those of the coarse system, which starts likewise."""
+        coarse = self.coarse
+        if coarse is None:
+            return self.bonded(law, load)
+        g = (self._R @ load.g.ravel()).reshape(coarse.n, self.d)
+        on_coarse = Load(g, load.slip[self._kept], load.held_jumps[self._kept], load.size)
+        w = coarse.nested(law, on_coarse)
+        coarse.newton(law, on_coarse, w, ROUGH, [])
+        if not coarse.converged:
+            return self.bonded(law, load)
+        return np.where(self.held, load.held_jumps, (self._P @ w.ravel()).reshape(self.n, self.d))
+
+    def destroy(self) -> None:
+        """Free the solver, of the coarser systems too."""
+        if self._snes is not None:
+            for thing in (self._snes, self._J, self._x, self._f):
+                thing.destroy()
+            self._snes = None
+        if vars(self).get("coarse") is not None:
+            assert self.coarse is not None
+            self.coarse.destroy()
