@@ -18,13 +18,13 @@ from thinlayer import Model, march, piecewise, solve
 from thinlayer.contact.report import ContactReport
 
 
-def to_and_fro(folder=None, last=4.0):
+def to_and_fro(folder=None, last=4.0, method=None):
     joint = block(3.0, 1.0, 0.25, structured=True)
     law = IncrementalCoulomb(300.0, 80.0, 0.4)
     supports = {"TOP": {"x": piecewise({0: 0.0, 2: 0.06, 4: -0.06}), "y": -0.02}}
     model = Model.interface(joint, layer=law, body=LinearElastic.young(400.0, 0.3), supports=supports, element="P1")
     times = [0.5 * k for k in range(1, round(2 * last) + 1)]
-    return march(model, times, out=folder, resume=folder is not None)
+    return march(model, times, out=folder, resume=folder is not None, method=method)
 
 
 def reports():

@@ -13,7 +13,8 @@ from forms import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Law, LinearE
 from forms.elastic import lame
 from geometry import block, ring, sandwich
 from studies.problems import BAR, sliding_bar
-from thinlayer import Model, ModelError, SolveError, ThinLayer, march, piecewise, solve
+from tests.contact_run import to_and_fro
+from thinlayer import Model, ModelError, SolveError, ThinLayer, compare, march, piecewise, solve
 from thinlayer.contact import pictures
 from thinlayer.contact.nodes import ContactNodes
 from thinlayer.contact.report import ContactReport
@@ -240,6 +241,17 @@ def test_friction_cycle_of_a_rigid_block():
     unloading = history.at(1.5), holonomic.at(1.5)
     reports = [ContactReport.of(s).friction_force[0] / 3.0 for s in unloading]
     assert abs(reports[0] - reports[1]) > 0.5 * bound  # the laws differ where slip turns
+
+
+def test_solvers_agree_on_a_march_that_turns():
+    histories = [to_and_fro(method=method) for method in (*SOLVERS, "relaxation")]
+    for one in histories[1:]:
+        for state, other in zip(one, histories[0], strict=True):
+            size = np.abs(other.u.x.array).max()
+            assert state.u.x.array == pytest.approx(other.u.x.array, rel=1e-7, abs=1e-7 * size)
+            assert state.memory[-1] == pytest.approx(other.memory[-1], rel=1e-5, abs=1e-6)
+        assert np.abs(one.table["imbalance"]).max() < 1e-6
+    assert (np.array(histories[0].table["dissipated"])[-3:] > 1e-3).all()
 
 
 def test_uniform_stress_without_any_support():
@@ -473,3 +485,25 @@ def test_refused_solves():
     other, data = sliding_bar(5)
     with pytest.raises(ModelError, match="same joint"):
         solve(model, like=solve(Model.interface(other, layer=coulomb("middle"), **data)))
+
+
+# ------------------------------------------------------------------------ against the meshed layer
+def test_pressed_column_against_its_meshed_layer():
+    """Where nothing opens or slides the contact law with the stiffness of a layer is that layer's interface law."""
+    glue, eps = LinearElastic(60.0, 40.0), 0.05
+    joint = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
+    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    setup = {
+        "body": LinearElastic.young(100.0, 0.3),
+        "supports": {"BOTTOM": 0.0, **sides},
+        "tractions": {"TOP": (0.0, -0.7)},
+        "element": "P1",
+    }
+    full = solve(Model.full(joint, layer=ThinLayer(glue, eps), **setup))
+    law = HolonomicCoulomb.of_layer(glue.lmbda, glue.mu, friction=0.3)
+    row = compare(full, solve(Model.interface(joint, layer=ThinLayer(law, eps), **setup)))
+    assert row["error_traction"] < 1e-8
+    assert row["error_jump"] < 1e-8
+    soft = HolonomicCoulomb(glue.lmbda + glue.mu, glue.mu, 0.3)
+    wrong = compare(full, solve(Model.interface(joint, layer=ThinLayer(soft, eps), **setup)))
+    assert wrong["error_jump"] > 0.1

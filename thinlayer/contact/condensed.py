@@ -17,6 +17,7 @@ from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.schur import FactorError, SchurFactor
 from thinlayer.contact.sides import Sides
 from thinlayer.failure import SolveError
+from thinlayer.loads import ModelError
 
 TOLERANCE = 1e-11  # of Newton's method, over the forces
 RAMP = (0.1, 0.3, 0.6, 1.0)  # of stiffness and friction, where Newton's method fails at once
@@ -34,16 +35,16 @@ class Condensed:
         problem: its matrix is read at the first `solve`, its loads and slip at every one.
 
     Raises:
-        ValueError: several processes, or no free displacement on S.
+        ModelError: several ranks, or no free displacement on S.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
         if problem.comm.size > 1:
-            raise ValueError("the condensed contact solver is serial; use another one on several processes")
+            raise ModelError("method='condensed' runs on one rank; use 'multigrid'")
         self.problem, self.law = problem, problem.law
         self._sides = Sides(problem)
         if not len(self._sides.dofs):
-            raise ValueError("supports hold every displacement on S: nothing is left for contact")
+            raise ModelError("supports hold every displacement on S: nothing is left for contact")
 
     @cached_property
     def _factor(self) -> SchurFactor:

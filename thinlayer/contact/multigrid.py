@@ -22,7 +22,7 @@ from thinlayer.options import PREFIX, OptionValue, defaults, is_set
 
 Shares = tuple[float, float]  # of the residual, that the first and the later linear solves leave
 
-TOLERANCE = 1e-9  # of the true residual, over the forces
+TOLERANCE = 1e-10  # of the true residual, over the forces
 LOOSE: Shares = (0.3, 0.2)  # the status is far off
 STRICT: Shares = (0.02, 0.05)  # a prediction is not; and the last attempt
 EXPECTED = 3.0  # times what the linear solve has left: the residual of a Newton step that the tangent has foreseen

@@ -94,7 +94,8 @@ class ContactNodes:
             places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
         corners = mesh.geometry.x[places][..., :d]
         areas, normals = _vertex_areas(corners)
-        inside = mesh.geometry.x[mesh.geometry.dofmap[upper]][..., :d].mean(axis=1) - corners.mean(axis=1)
+        nodes = model.V.tabulate_dof_coordinates()[np.asarray(model.V.dofmap.list)[upper]]
+        inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
         normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # from the lower side to the upper one
         above = self._nodes(upper, vertices).ravel()
         below = np.full(above.size, -1.0) if base else self._global(self._nodes(lower, vertices).ravel())

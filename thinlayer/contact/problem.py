@@ -11,7 +11,7 @@ from petsc4py import PETSc
 from forms.contact import ContactLaw
 from thinlayer.contact.nodes import Array, ContactNodes
 
-ROUNDING = 1e-6  # times 1e-9, what is demanded: stiffness times displacement is rounded to 1e-15
+ROUNDING = 1e-5  # times 1e-10, what is demanded: stiffness times displacement is rounded to 1e-15
 
 
 class ContactProblem:
