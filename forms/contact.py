@@ -52,6 +52,12 @@ class ContactLaw(Law):
     def in_series(self) -> bool:
         return False
 
+    def per_thickness(self, eps: float) -> Self:
+        raise LawError(
+            f"{type(self).__name__} has no thickness: K_N and K_T are per length already; "
+            f"of a layer of thickness eps: {type(self).__name__}.of_layer(lmbda / eps, mu / eps, ...)"
+        )
+
     @property
     def has_energy(self) -> bool:
         return self.memory
@@ -63,6 +69,36 @@ class ContactLaw(Law):
     def threshold_rate(self, p: Array) -> Array:
         """Derivative of the threshold by the pressure."""
         raise LawError(f"{type(self).__name__} gives no threshold_rate(p)")
+
+    def check_threshold(self) -> None:
+        """Raise LawError unless `threshold` (>= 0) and `threshold_rate` give a finite number for each of (n,) pressures."""
+        p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
+        for name in ("threshold", "threshold_rate"):
+            where, given = f"{type(self).__name__}.{name}(p)", p.copy()
+            try:
+                with np.errstate(all="ignore"):  # pressures of a law may not reach that far
+                    found = getattr(self, name)(given)
+            except LawError:
+                raise
+            except Exception as error:
+                raise LawError(f"{where}: {type(error).__name__}: {error}; p is an array (n,) of pressures") from error
+            if not np.array_equal(given, p):
+                raise LawError(f"{where} changes p; it must return a new array")
+            array = found if isinstance(found, np.ndarray) else None
+            if array is None or array.shape != p.shape or array.dtype.kind != "f":
+                raise LawError(f"{where} is {found!r} for {len(p)} pressures; it must be an array of {len(p)} floats")
+            wrong = np.flatnonzero(~(np.isfinite(array) & ((array >= 0) | (name != "threshold"))))
+            if len(wrong):
+                allowed = "finite, >= 0" if name == "threshold" else "finite"
+                raise LawError(f"{where} is {array[wrong[0]]} at p = {p[wrong[0]]:g}; allowed: {allowed}")
+        if self.numbers is not None:
+            if np.shape(self.numbers) != (4,) or self.numbers[:2] != (self.K_N, self.K_T):
+                raise LawError(
+                    f"{type(self).__name__}.numbers is {self.numbers!r}; see ContactLaw.numbers, or give None"
+                )
+            friction, cohesion = self.numbers[2:]
+            if not np.allclose(cohesion + friction * p, self.threshold(p)):
+                raise LawError(f"{type(self).__name__}: numbers and threshold(p) are two laws; give numbers = None")
 
     def pressure(self, w: Array) -> Array:
         """p, (n,)."""
@@ -108,7 +144,10 @@ class ContactLaw(Law):
         return np.tile(np.diag([self.K_T] * (d - 1) + [self.K_N]), (n, 1, 1))
 
     def status(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> npt.NDArray[np.int8]:
-        """`Status` of each node, (n,): separated without pressure, else stick up to the threshold, else sliding."""
+        """`Status` of each node, (n,): separated without pressure, else stick up to the threshold, else sliding.
+
+        A node that is separated may carry t_T: up to the cohesion, or to Tresca's bound.
+        """
         p, bound, _, size = self._trial(w, slip, threshold)
         return np.where(p <= 0, Status.SEPARATED, np.where(size <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
 
@@ -131,7 +170,7 @@ class ContactLaw(Law):
 
     @classmethod
     def of_layer(cls, lmbda: float, mu: float, **others: Any) -> Self:
-        """The law with the stiffness of an isotropic layer: K_N = lmbda + 2 mu, K_T = mu.
+        """The law with the stiffness of an isotropic layer in plane strain or 3D: K_N = lmbda + 2 mu, K_T = mu.
 
         Args:
             lmbda, mu: moduli per thickness, stress per length: of a layer of thickness eps its Lame moduli over eps.

@@ -96,6 +96,7 @@ class Law:
     constrained: ClassVar[bool] = False
 
     def __new__(cls, *_: Any, **named: Any) -> Self:
+        cls._require_dataclass()
         known = [name for name in inspect.signature(cls.__init__).parameters if name != "self"]
         for name in named:
             if name not in known:
@@ -117,12 +118,16 @@ class Law:
                 f"{type(self).__name__}: {name} is {value!r}; allowed: {'a number' if scalar else 'numbers'}"
             )
 
+    @classmethod
+    def _require_dataclass(cls) -> None:
+        own = [n for n, note in inspect.get_annotations(cls).items() if "ClassVar" not in str(note)]
+        if own and "__dataclass_params__" not in vars(cls):
+            raise LawError(f"{cls.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
+
     def check_declarations(self) -> None:
         """Raise LawError unless what the class declares fits its parameters."""
         kind, known = type(self), self.parameters()
-        own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
-        if own and "__dataclass_params__" not in vars(kind):
-            raise LawError(f"{kind.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
+        kind._require_dataclass()
         if not isinstance(self.powers, Mapping) or not isinstance(self.internal, Mapping):
             raise LawError(f"{kind.__name__}: powers is {{parameter: power}}, internal is {{name: shape}}")
         for name, power in self.powers.items():

@@ -49,7 +49,7 @@ def run(record: Record) -> None:
             reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base"
         )
     stiff, soft = states[label(*STIFFNESS[0])], states[label(*STIFFNESS[2])]
-    shown = {f"K {label(*STIFFNESS[0])}": stiff, f"K {label(*STIFFNESS[2])}": soft}
+    shown = {label(*STIFFNESS[0]): stiff, label(*STIFFNESS[2]): soft}
     plotting.deformed(
         shown, save=record.path("deformed.png"), unit="mm", title="bar pushed to the right and onto its base"
     )
@@ -73,7 +73,7 @@ def run(record: Record) -> None:
 
 def label(lmbda: float, mu: float) -> str:
     """Text for a stiffness."""
-    return f"({lmbda:.3g}, {mu:.3g}) N/mm³"
+    return f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"
 
 
 def draw(record: Record) -> None:

@@ -18,7 +18,7 @@ from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.solver import contact_problem, scheme
 from thinlayer.equations import Equations, Interval
 from thinlayer.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.options import PREFIX, defaults
+from thinlayer.options import PREFIX, defaults, require_all_read
 from thinlayer.progress import track
 from thinlayer.record import Record
 from thinlayer.solvers import Solver
@@ -53,6 +53,7 @@ def run(record: Record, *, quick: bool = False) -> None:
             table.append(row)
             record.say(row)
         bench.close()
+        require_all_read("contact", ())
     for n in RELAXED[:1] if quick else RELAXED:
         bench = Bench(n, depth=False)
         table.append(row := bench.relaxed())

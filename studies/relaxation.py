@@ -98,7 +98,7 @@ def draw(record: Record) -> None:
                 table["omega"][at],
                 np.where(table["converged"][at] == 1, table["sweeps"][at], np.nan),
             )
-        parts[f"({lmbda:g}, {mu:g}) N/mm³"] = lines
+        parts[f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"] = lines
     colours = dict(zip(parts[next(iter(parts))], plotting.COLOURS, strict=False))
     plotting.panels(
         parts,

@@ -14,7 +14,7 @@ from forms.elastic import lame
 from geometry import block, ring, sandwich
 from studies.problems import BAR, sliding_bar
 from tests.contact_run import to_and_fro
-from thinlayer import Model, ModelError, SolveError, ThinLayer, compare, march, piecewise, solve
+from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, march, piecewise, solve
 from thinlayer.contact import pictures
 from thinlayer.contact.nodes import ContactNodes
 from thinlayer.contact.report import ContactReport
@@ -205,6 +205,18 @@ def test_rotated_structure(angle):
     way = slice(None, None, 1 if np.cos(angle) > 0 else -1)  # a report starts at the lower coordinates
     assert two.p[way] == pytest.approx(one.p, rel=1e-6, abs=1e-6)
     assert two.u_T[way] == pytest.approx(one.u_T, rel=1e-6, abs=1e-10)
+
+
+@pytest.mark.parametrize("joint", [sandwich(6, 3, 2, 1.0).rotated(0.5), ring(10, 15, 20, 3.0)], ids=["rotated", "ring"])
+def test_relaxation_where_s_is_not_along_the_axes(joint):
+    inner = "BOTTOM" if "BOTTOM" in joint.facets else "INSIDE"
+    outer = {"BOTTOM": "TOP", "INSIDE": "OUTSIDE"}[inner]
+    loads = {outer: (3.0, -9.0)} if outer == "TOP" else {outer: lambda x, t: (-0.2 * x[0] - 0.1 * x[1], -0.2 * x[1])}
+    data = {"body": LinearElastic.young(5e3, 0.3), "supports": {inner: 0.0}, "tractions": loads, "element": "P1"}
+    law = HolonomicCoulomb(7e3, 2e3, 0.5)
+    one, two = (solved(joint, law, data, method=method) for method in ("relaxation", "condensed"))
+    assert one.u_T == pytest.approx(two.u_T, rel=1e-6, abs=1e-9)
+    assert (one.status == two.status).all()
 
 
 # ------------------------------------------------------------------------ closed forms
@@ -409,6 +421,18 @@ def test_report():
     assert report.along[-1] == pytest.approx(40.0)
 
 
+@pytest.mark.parametrize("make", [lambda: sliding_bar(12), stacked], ids=["base", "bodies"])
+def test_traction_of_the_surface_is_that_of_the_nodes(make):
+    joint, setup = make()
+    state = solve(Model.interface(joint, layer=coulomb("middle"), **setup))
+    surface, report = Surface(state.model), ContactReport.of(state)
+    x, t = surface.profile(surface.frame(surface.traction(state)))
+    assert x == pytest.approx(report.x, abs=1e-9)
+    free = report.x[:, 0] < report.x[:, 0].max() - 1e-6  # a support holds the last node
+    assert -t[free, 1] == pytest.approx(report.p[free], rel=1e-7, abs=1e-7)
+    assert t[free, 0] == pytest.approx(report.t_T[free, 0], rel=1e-7, abs=1e-7)
+
+
 def test_nodes_of_two_bodies_see_the_jump():
     joint, setup = stacked()
     model = Model.interface(joint, layer=coulomb("soft"), **setup)
@@ -461,6 +485,8 @@ def test_refused_models():
             Model.interface(joint, **{"layer": law} | setup | change)
     with pytest.raises(ModelError, match="no meshed layer"):
         Model.full(joint, layer=law, **setup)
+    with pytest.raises(ModelError, match="is for layers"):
+        Model.interface(joint, layer=law, **setup | {"body": law})
     with pytest.raises(ModelError, match="contact law"):
         ContactReport.of(solve(Model.bonded(joint, **setup)))
     two, data = stacked()
@@ -476,6 +502,12 @@ def test_refused_solves():
         solve(model, method="linear")
     with pytest.raises(ValueError, match="has none"):
         solve(elastic, method="condensed")
+    for name, value in {"relaxation_omega": 2.5, "relaxation_tolerance": 0.0, "relaxation_max_sweeps": 0}.items():
+        with pytest.raises(OptionError, match="allowed"):
+            solve(model, method="relaxation", options={name: value})
+    for options in ({"snes_type": "nonsense"}, {"snes_max_it": "many"}, {"relaxation_omga": 1.5}, {"ksp_type": "cg"}):
+        with pytest.raises(OptionError):
+            solve(model, method="condensed", options=options)
     with pytest.raises(ModelError, match="theta"):
         march(model, [1.0], theta=0.5)
     with pytest.raises(ModelError, match="like"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -172,3 +174,59 @@ def test_errors(make, words):
         make()
     for word in words:
         assert word in str(error.value)
+
+
+@dataclass(frozen=True)
+class Own(ContactLaw):
+    number: int
+
+    @property
+    def kind(self):
+        return ("right", "changes", "negative", "nan", "short", "number", "integers")[self.number]
+
+    def threshold(self, p):
+        if self.kind == "changes":
+            p *= 0.3
+            return p
+        values = {
+            "negative": -0.3 * p,
+            "nan": np.nan * p,
+            "short": p[1:],
+            "number": 0.3,
+            "integers": np.ones(len(p), int),
+        }
+        return values.get(self.kind, 0.3 * p)
+
+    def threshold_rate(self, p):
+        return 0.3 * np.ones_like(p)
+
+
+@dataclass(frozen=True)
+class Other(HolonomicCoulomb):
+    def threshold(self, p):
+        return 0.1 * p**2
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (Own(K_N, K_T, 1), "changes p"),
+        (Own(K_N, K_T, 2), "finite, >= 0"),
+        (Own(K_N, K_T, 3), "finite, >= 0"),
+        (Own(K_N, K_T, 4), "array of 11 floats"),
+        (Own(K_N, K_T, 5), "array of 11 floats"),
+        (Own(K_N, K_T, 6), "array of 11 floats"),
+        (ContactLaw(K_N, K_T), "gives no threshold"),
+        (Other(K_N, K_T, F), "numbers = None"),
+    ],
+    ids=lambda x: getattr(x, "kind", None),
+)
+def test_laws_of_ones_own_are_checked(law, words):
+    with pytest.raises(LawError, match=words):
+        law.check_threshold()
+    Own(K_N, K_T, 0).check_threshold()
+
+
+def test_no_thickness():
+    with pytest.raises(LawError, match="of_layer"):
+        LAWS[0].per_thickness(0.1)

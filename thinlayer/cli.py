@@ -85,7 +85,10 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
         parser.error(f"no table.csv in {out}; run the study first")
     from thinlayer.record import Record
 
-    importlib.import_module(f"studies.{study.name}").draw(Record(study.name, out, {}))
+    try:
+        importlib.import_module(f"studies.{study.name}").draw(Record(study.name, out, {}))
+    except KeyError as error:
+        parser.error(f"table.csv in {out} is not one of {study.name}: it has no column {error}")
     print(f"drawn again in {out}")
     return OK
 

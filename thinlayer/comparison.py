@@ -58,10 +58,13 @@ def compare(
         raise ModelError("compare needs two models of the same joint")
     if abs(full.t - interface.t) > SAME_TIME * max(abs(full.t), abs(interface.t)):
         raise ModelError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
+    if full.model.element != interface.model.element:
+        raise ModelError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
     assert full.model.layer is not None
     assert interface.model.layer is not None
     if full.model.layer.eps != interface.model.layer.eps:
-        raise ModelError(f"compare needs one thickness, not {full.model.layer.eps} and {interface.model.layer.eps}")
+        what = f"compare needs one thickness, not {full.model.layer.eps} and {interface.model.layer.eps}"
+        raise ModelError(f"{what}; give laws of jumps the layer's too, as ThinLayer(law, eps)")
     surface = Surface(interface.model)
     part = 1 if where is None else _part(surface, where)
     row = {"eps": float(full.model.layer.eps)}

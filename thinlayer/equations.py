@@ -308,7 +308,7 @@ class Equations:
             dissipated += layer[1]
             remainder += layer[2] - (layer[0] - self.interval.old.audit.layer) - layer[1]
             if not self.model.contact.has_energy:
-                stored = dissipated = remainder = np.nan
+                stored = dissipated = remainder = total = layer[0] = np.nan
         out.destroy()
         audit = Audit(*map(float, (supplied, stored, dissipated, remainder, layer[0], total)))
         return tuple(memory), audit

@@ -22,7 +22,8 @@ class ThinLayer:
 
     Attributes:
         law: the layer's law, its parameters per thickness (`law.per_thickness(eps)` converts real ones). Sublayers in
-            series: `Stack((fraction, law), ...)` from the lower to the upper face.
+            series: `Stack((fraction, law), ...)` from the lower to the upper face. Laws of jumps (contact, `TractionLaw`)
+            have no thickness: eps does not enter them.
         eps: thickness, a length > 0; where it varies along S, times the profile.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their

@@ -178,7 +178,10 @@ class Model:
                 f"a contact law acts at the vertices of S and needs element={linear!r}, not {self.element}: nodes in the "
                 "middle of edges would carry most of the pressure, or none of it"
             )
-        if self.layer is not None and self.layer.profile is not None:
+        assert self.layer is not None
+        assert isinstance(self.layer.law, ContactLaw)
+        self.layer.law.check_threshold()
+        if self.layer.profile is not None:
             raise ModelError("a contact law has no thickness that could vary along S")
 
     def _check_order_1(self, bodies: str) -> None:
@@ -231,7 +234,7 @@ class Model:
         for name in regions:
             if not isinstance(laws.get(name), Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
-            if laws[name].pointwise or laws[name].constrained:
+            if laws[name].pointwise or laws[name].constrained or isinstance(laws[name], (TractionLaw, ContactLaw)):
                 raise ModelError(f"body {name!r}: {type(laws[name]).__name__} is for layers; bodies take elastic laws")
         return laws
 

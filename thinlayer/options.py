@@ -55,3 +55,11 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
     if names:
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
         raise OptionError(f"PETSc options not read by the {solver} solver: {listed}; -{PREFIX}help lists what it reads")
+
+
+def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
+    """Raise OptionError instead of a PETSc error that says that the value of an option is not known or out of range."""
+    if error.ierr in (62, 63, 86):  # PETSC_ERR_ARG_WRONG, PETSC_ERR_ARG_OUTOFRANGE, PETSC_ERR_ARG_UNKNOWN_TYPE
+        found = {k.removeprefix(PREFIX): v for k, v in PETSc.Options().getAll().items() if k.startswith(PREFIX)}
+        given = ", ".join(f"-{PREFIX}{name} {value}" for name, value in found.items() if name not in ours)
+        raise OptionError(f"a PETSc option has a value that PETSc does not take, among: {given}") from error

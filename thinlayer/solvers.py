@@ -17,7 +17,7 @@ from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import linear_solvers, mark, tell_multigrid
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
-from thinlayer.options import PREFIX, OptionValue, defaults, is_set, require_all_read
+from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set, require_all_read, require_known_values
 from thinlayer.state import Report, State
 
 NEWTON: dict[str, OptionValue] = {
@@ -50,9 +50,9 @@ def solve(
         options: PETSc options without prefix, over our defaults; options given to PETSc as -thinlayer_NAME come first.
         method: "linear" (default if every law is linear) or "newton". Of contact laws "condensed" (to the jumps on S;
             default on one rank while S is narrow), "multigrid" (default otherwise), "newton" (default if a body is not
-            linear) or "relaxation" (the paper's, for comparison).
+            linear, or for a law of one's own) or "relaxation" (the paper's, for comparison).
         like: under a contact law, a state of the same joint with a similar contact status, such as that of another load or
-            thickness; it saves Newton steps.
+            thickness; it saves "condensed" and "multigrid" Newton steps, the other methods do not use it.
 
     Raises:
         SolveError: no convergence, or no unique solution. OptionError: a PETSc option that the solver does not read.
@@ -84,7 +84,8 @@ def _check_like(model: Model, like: Any) -> None:
     if like is None:
         return
     if not isinstance(like, State) or like.model.joint is not model.joint:
-        raise ModelError(f"like is {like!r}; it must be a state of a model of the same joint")
+        given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
+        raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
     if model.contact is None or like.model.kind != "interface" or like.model.element != model.element:
         raise ModelError("like is for contact laws: a state of an interface model with the same element")
 
@@ -104,7 +105,7 @@ class Solver:
         like: State | None = None,
     ) -> None:
         _require_model(model)
-        self.model, self.method = model, method or _default_method(model)
+        self.model, self.method = model, _default_method(model) if method is None else method
         allowed = ("newton", *METHODS) if model.contact else ("linear", "newton")
         if self.method not in allowed:
             check_method(model, self.method)
@@ -113,11 +114,14 @@ class Solver:
         _check_like(model, like)
         if self.method == "linear" and not model.linear:
             raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
+        if options is not None and not isinstance(options, Mapping):
+            raise OptionError(f"options is {options!r}; it must be {{name without prefix: value}}")
         self._given = dict(options or {})
         self._choices = [{}] if self.method in METHODS else linear_solvers(model)
-        if is_set("ksp_type", self._given) or is_set("pc_type", self._given):
+        if len(self._choices) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
             self._choices = self._choices[:1]
-        self._own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
+        if self.method not in METHODS:
+            self._own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         self.equations = Equations(model)
         self._contact = self._contact_solver(like) if self.method in METHODS else None
         self._ksp: PETSc.KSP | None = None
@@ -166,7 +170,11 @@ class Solver:
             ours = {**self._choices[0], **self._newton_options}
             try:
                 with defaults({**ours, **self._given}):
-                    x, iterations, residual = self._advance(old)
+                    try:
+                        x, iterations, residual = self._advance(old)
+                    except PETSc.Error as error:
+                        require_known_values(error, ours.keys() - self._given.keys())
+                        raise
                     if not self._reused:
                         require_all_read(self.method, ours.keys() - self._given.keys())
                     self._reused |= self._contact is not None  # its solvers read their options once
@@ -341,6 +349,8 @@ class Solver:
         tell_multigrid(snes.getKSP(), A, self.model)
         snes.solve(None, x)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
+        if self._own_test and not residuals:
+            raise OptionError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
         last = float(snes.getFunctionNorm()) / max(equations.scale, 1e-300)
         ksp_reason = snes.getKSP().getConvergedReason()
         snes.destroy()

@@ -22,7 +22,7 @@ class Report:
     Attributes:
         method: "linear" or "newton"; of contact "condensed", "multigrid" or "relaxation" too.
         iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation.
-        residual: norm of the residual over that of the loads (linear) or over the first residual (Newton).
+        residual: norm of the residual over the size of the forces.
         seconds: wall time of assembling and solving.
     """
 

@@ -94,7 +94,7 @@ class Surface:
         """
         self._require_same_joint(state)
         r = transfer(reaction(state), state.model, self.trace_space, self.model)
-        t = self._divide_by_mass(r, self._held)
+        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, self._held)
         if self.model.joint.rigid_base:
             return -self.sides.upper(t)
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
@@ -171,6 +171,18 @@ class Surface:
         A.assemble()
         diagonal = A.getDiagonal()
         return A, diagonal.array > 0
+
+    def _divide_by_areas(self, r: fem.Function) -> fem.Function:
+        """Nodal forces over the areas of the nodes, as contact laws see them; zero where held."""
+        v, sides = ufl.TestFunction(self.trace_space), self.sides
+        ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
+        both = sides.upper(v) if self.model.joint.rigid_base else sides.upper(v) + sides.lower(v)
+        area = nodal_forces(self.trace_space, ufl.inner(ones, both) * sides.measure).x.array
+        t = fem.Function(self.trace_space)
+        on_s = area > 0
+        t.x.array[on_s] = r.x.array[on_s] / area[on_s]
+        t.x.array[self._held] = 0.0
+        return t
 
     def _divide_by_mass(self, r: fem.Function, left_out: np.ndarray) -> fem.Function:
         """Solve M t = r on the nodes of S with the components `left_out` zero."""

@@ -18,7 +18,7 @@ from thinlayer.contact.surface_blocks import Surface
 from thinlayer.contact.tangent import Tangent
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.options import PREFIX, OptionValue, defaults, is_set
+from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set
 
 Shares = tuple[float, float]  # of the residual, that the first and the later linear solves leave
 
@@ -97,6 +97,10 @@ class MultigridContact:
                     self._u.set(0.0)
                 reason = newton.run(self._u, guess)
                 history += newton.residuals
+                if not newton.residuals:
+                    raise OptionError(
+                        f"-{PREFIX}snes_type ksponly does not look at the residual; contact needs Newton's method"
+                    )
                 self._solved = reason > 0
                 if self._solved:
                     return self._u, len(newton.residuals) - 1, history

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from thinlayer.contact.nodes import Array
-from thinlayer.contact.report import ContactReport
+from thinlayer.contact.report import PINNED, ContactReport
 from thinlayer.plotting import COLOURS, finish
 
 STATUS = {"separated": "#d7d7d7", "sliding": "#f0a202", "stick": "#1b6ca8", "pinned": "#222222"}
@@ -43,7 +43,9 @@ def contact(
     Raises:
         ValueError: no report, reports of both dimensions, a curved S in 3D.
     """
-    cases = {"": reports} if isinstance(reports, ContactReport) else dict(reports)
+    cases = {"": reports} if isinstance(reports, ContactReport) else reports
+    if not isinstance(cases, Mapping) or not all(isinstance(report, ContactReport) for report in cases.values()):
+        raise ValueError("contact pictures take a ContactReport, or {label: ContactReport}")
     dimensions = {report.x.shape[1] for report in cases.values()}
     if len(dimensions) != 1:
         raise ValueError("contact pictures need one report or more, all of one dimension")
@@ -63,12 +65,16 @@ def _curves(cases: Mapping[str, ContactReport], length: str, stress: str) -> Fig
         for left, right, status in _cells(report):
             axes[0].barh(-row, right - left, left=left, height=0.8, color=STATUS[status], linewidth=0)
         colour = COLOURS[row % len(COLOURS)]
-        axes[1].plot(report.along, report.p, color=colour, label=name)
-        axes[1].plot(report.along, report.t_T[:, 0], "--", color=colour)
-        axes[2].plot(report.along, report.u_T[:, 0], color=colour, label=name)
-        axes[3].plot(report.along, -report.u_N, color=colour, label=name)
+        known = np.where(report.status == PINNED, np.nan, 1.0)  # the force there is the support's
+        for k, piece in enumerate(report.pieces):
+            s, style = report.along[piece], dict[str, Any](color=colour, label="" if k else name)
+            axes[1].plot(s, (known * report.p)[piece], **style)
+            axes[1].plot(s, (known * report.t_T[:, 0])[piece], "--", **style)
+            axes[2].plot(s, report.u_T[piece, 0], **style)
+            axes[3].plot(s, -report.u_N[piece], **style)
     axes[0].set_yticks(-np.arange(len(cases)), list(cases))
     axes[0].tick_params(left=False)
+    axes[0].set_xlim(0, max(float(report.along[-1]) for report in cases.values()))
     for side in ("top", "right", "left", "bottom"):
         axes[0].spines[side].set_visible(False)
     seen = {str(s) for report in cases.values() for s in report.status}
@@ -89,10 +95,12 @@ def _curves(cases: Mapping[str, ContactReport], length: str, stress: str) -> Fig
 
 def _cells(report: ContactReport) -> list[tuple[float, float, str]]:
     """Start, end and status of the part of S around each node."""
-    s = report.along
-    middles = (s[1:] + s[:-1]) / 2
-    edges = np.concatenate([s[:1], middles, s[-1:]])
-    return [(float(edges[k]), float(edges[k + 1]), str(status)) for k, status in enumerate(report.status)]
+    cells = []
+    for piece in report.pieces:
+        s = report.along[piece]
+        edges = np.concatenate([s[:1], (s[1:] + s[:-1]) / 2, s[-1:]])
+        cells += [(float(edges[k]), float(edges[k + 1]), str(report.status[node])) for k, node in enumerate(piece)]
+    return cells
 
 
 def _maps(cases: Mapping[str, ContactReport], length: str, stress: str) -> Figure:
@@ -108,7 +116,9 @@ def _maps(cases: Mapping[str, ContactReport], length: str, stress: str) -> Figur
         plan.draw(left, [to_rgba(STATUS[str(status)]) for status in report.status])
         left.set_title(f"{name}: status" if name else "status", fontsize=11)
         colours = ScalarMappable(Normalize(0.0, max(float(report.p.max()), 1e-300)), "viridis")
-        plan.draw(right, np.asarray(colours.to_rgba(report.p)).tolist())
+        pressures = np.asarray(colours.to_rgba(report.p))
+        pressures[report.status == PINNED] = to_rgba(STATUS[PINNED])
+        plan.draw(right, pressures.tolist())
         plan.arrows(right, report)
         right.set_title("pressure, arrows: friction on the lower side", fontsize=11)
         figure.colorbar(colours, ax=right, label=f"p{stress}")
@@ -166,6 +176,8 @@ class _Plan:
                 *self.x[shown].T,
                 *t[shown].T,
                 color="white",
+                edgecolor="black",
+                linewidth=0.4,
                 angles="xy",
                 scale_units="xy",
                 scale=largest / (1.6 * span),

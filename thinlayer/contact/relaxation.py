@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
@@ -11,12 +13,29 @@ from thinlayer.contact.nodes import Array
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.failure import SolveError
 from thinlayer.loads import ModelError
-from thinlayer.options import PREFIX
+from thinlayer.options import PREFIX, OptionError
 
 LARGEST_RESIDUAL = 1e-6
 SLOW = 1e5  # residual over the tolerance of the increments that slow convergence may leave
 FIXED = 1e20  # times the mean stiffness, on the diagonal of held components of contact nodes
 ALIGNED = 1e-9
+
+
+def _options() -> dict[str, Any]:
+    """What PETSc's database says of the relaxation; OptionError if it is out of range."""
+    options = PETSc.Options(PREFIX + "relaxation_")
+    chosen: dict[str, Any] = {
+        "omega": options.getReal("omega", 1.7),
+        "omega_contact": options.getReal("omega_contact", 1.0),
+        "tolerance": options.getReal("tolerance", 1e-12),
+        "max_sweeps": options.getInt("max_sweeps", 200_000),
+        "fixed_point": options.getBool("fixed_point", False),
+    }
+    ranges = {"omega": (0, 2), "omega_contact": (0, 2), "tolerance": (0, 1e-3), "max_sweeps": (0, np.inf)}
+    for name, (low, high) in ranges.items():
+        if not low < chosen[name] < high:
+            raise OptionError(f"-{PREFIX}relaxation_{name} is {chosen[name]:g}; allowed: > {low} and < {high:g}")
+    return chosen
 
 
 class ContactRelaxation:
@@ -80,7 +99,7 @@ class ContactRelaxation:
         for k in others:
             T.setValue(k, k, 1.0)
         for i, rows in enumerate(slots):
-            T.setValues(rows, rows, nodes.frames[i].T)
+            T.setValues(rows, rows, nodes.frames[i].T.copy())  # petsc4py would read a transposed view untransposed
             if lower is not None:
                 T.setValues(rows, lower[i], np.eye(d))
         T.assemble()
@@ -93,6 +112,7 @@ class ContactRelaxation:
             SolveError: it does not converge; with the increments of its sweeps as residuals.
         """
         problem, nodes = self.problem, self.problem.nodes
+        chosen = _options()
         b, z = problem.b.duplicate(), problem.b.duplicate()
         self.T.multTranspose(problem.loads, b)
         z.set(0.0)
@@ -108,14 +128,11 @@ class ContactRelaxation:
         diagonal.array[at] *= FIXED
         A.setDiagonal(diagonal)
         b.array[at] *= FIXED
-        options = PETSc.Options(PREFIX + "relaxation_")
-        tolerance = options.getReal("tolerance", 1e-12)
+        tolerance = chosen["tolerance"]
         indptr, indices, data = A.getValuesCSR()
         self.last = found = relax(
             indptr, indices, data, b.array_r.copy(), nodes.dofs[self._moving], nodes.weights[self._moving], problem.law,
-            slip=problem.slip[self._moving], order=self._order, omega=options.getReal("omega", 1.7),
-            omega_contact=options.getReal("omega_contact", 1.0), tolerance=tolerance,
-            max_sweeps=options.getInt("max_sweeps", 200_000), fixed_point=options.getBool("fixed_point", False),
+            slip=problem.slip[self._moving], order=self._order, **chosen,
         )  # fmt: skip
         z.array[:] = found.u
         u = problem.b.duplicate()
@@ -124,7 +141,7 @@ class ContactRelaxation:
         residual = problem.residual(u, b)
         for thing in (A, b, z, diagonal):
             thing.destroy()
-        if not (found.converged and residual <= max(LARGEST_RESIDUAL, SLOW * tolerance)):
+        if not (found.converged and residual <= max(LARGEST_RESIDUAL, min(SLOW * tolerance, 1e-2))):
             u.destroy()
             last = found.increments[-1] if len(found.increments) else np.nan
             raise SolveError(

@@ -44,7 +44,7 @@ class Zone:
     nodes: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class ContactReport:
     """Contact on S in a state, the same on all ranks; nodes in order along S in 2D, else by their coordinates.
 
@@ -55,12 +55,12 @@ class ContactReport:
         status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
         u_T: (n, d - 1) tangential jump in the frame of S (`Surface.frame`).
         u_N: (n,) penetration, the upper side into the lower one; negative where S is open.
-        p: (n,) pressure >= 0.
-        t_T: (n, d - 1) tangential traction.
+        p: (n,) pressure >= 0 that the law gives; at pinned nodes it says nothing, their force is the support's.
+        t_T: (n, d - 1) tangential traction on the lower side; that on the upper side is opposite.
         threshold: (n,) largest |t_T| at this pressure.
         weights: (n,) area of S around each node.
         frames: (n, d, d), rows are the tangential axes and the normal of S.
-        force: (d,) resultant that S exerts on the upper body.
+        force: (d,) resultant that S exerts on the upper body, without what supports at pinned nodes exert.
         equilibrium: what the forces on the free nodes sum up to, over the largest sum of their absolute values.
         clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
             over the larger of the two: zero in equilibrium.
@@ -89,7 +89,8 @@ class ContactReport:
             ModelError: no contact law in the state's model.
         """
         if not isinstance(state, State) or state.model.contact is None:
-            raise ModelError(f"a contact report needs a state of a model with a contact law, not {state!r}")
+            given = f"one of {state.model!r}" if isinstance(state, State) else repr(state)[:200]
+            raise ModelError(f"a contact report needs a state of a model with a contact law, not {given}")
         model, law = state.model, state.model.contact
         held = model.supports.held(model.V)
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
@@ -133,7 +134,7 @@ class ContactReport:
 
     @property
     def friction_force(self) -> Array:
-        """Integral of the tangential traction over S, (d - 1,): a force where S is planar."""
+        """Integral of the tangential traction on the lower side, (d - 1,): a force where S is planar."""
         return np.asarray(self.weights @ self.t_T)
 
     @cached_property
@@ -157,6 +158,14 @@ class ContactReport:
         """(n,) way along S from the first node, in 2D; from one piece of S to the next straight."""
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.x, axis=0), axis=1))])
 
+    @cached_property
+    def pieces(self) -> list[npt.NDArray[np.int64]]:
+        """In 2D, the nodes of each piece of S, in order along it."""
+        a, b = _edges(self.joint, self.numbers)
+        near = np.abs(a - b) == 1
+        joined = np.isin(np.arange(len(self.numbers) - 1), np.minimum(a, b)[near])
+        return np.split(np.arange(len(self.numbers)), np.flatnonzero(~joined) + 1)
+
     @property
     def table(self) -> Table:
         """A row for each node: place, u_T, u_N, p, t_T and status."""
@@ -170,6 +179,9 @@ class ContactReport:
             {name: float(values[row]) for name, values in columns.items()} | {"status": str(self.status[row])}
             for row in range(len(self.x))
         )
+
+    def __repr__(self) -> str:
+        return f"ContactReport({', '.join(f'{count} {name}' for name, count in self.counts.items() if count)})"
 
     def __str__(self) -> str:
         lines = [", ".join(f"{count} {name}" for name, count in self.counts.items() if count)]

@@ -103,6 +103,8 @@ def check_method(model: Model, method: Any) -> None:
     """Raise ValueError if a method is for contact and the model has none, or bodies that are not linear."""
     if method in METHODS and model.contact is None:
         raise ValueError(f"method={method!r} is for contact laws; the model has none")
+    if method in ("condensed", "relaxation") and model.comm.size > 1:
+        raise ValueError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
     if method in METHODS and not all(p.law.linear for p in model.bodies):
         raise ValueError(f"method={method!r} needs linear bodies; use method='newton'")
     if method in METHODS and model.contact and model.contact.numbers is None:
