@@ -152,6 +152,19 @@ class Equations:
         self.least_residual = np.finfo(float).eps * self._stiffness * farthest
         self._e_old = [p.strain(self.old) for p in self.points]
 
+    def rounding_at(self, x: PETSc.Vec) -> float:
+        """What rounding leaves of the forces at unknowns x, about."""
+        stiffness = self._stiffness
+        if self.nodes and self.nodes.lower is not None and self.model.contact:  # springs see a difference
+            areas = self.comm.allreduce(float((self.nodes.weights**2).sum()))
+            stiffness = max(stiffness, max(self.model.contact.K_N, self.model.contact.K_T) * areas**0.5)
+        return float(np.finfo(float).eps * stiffness * x.norm(PETSc.NormType.INFINITY))
+
+    @property
+    def least_scale(self) -> float:
+        """Size of the loads, or of what rounding leaves where supports move stiff bodies."""
+        return max(float(self.loads.norm()), self._rounding)
+
     def check_times(self, times: list[float]) -> None:
         """Raise ModelError if loads or supports are not finite at one of these times."""
         for t in times:

@@ -334,7 +334,8 @@ class Solver:
             residuals.append(norms[2] / max(equations.scale, 1e-300))
             if math.isnan(norms[2]):
                 return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
-            enough = max(TOLERANCE * equations.scale, equations.least_residual)
+            rounding = min(equations.rounding_at(snes.getSolution()), LARGEST_RESIDUAL * equations.least_scale)
+            enough = max(TOLERANCE * equations.scale, equations.least_residual, rounding)
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS if norms[2] <= enough else False
 
         A = equations.tangent()

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from petsc4py import PETSc
 
-from forms.contact import Status
 from forms.law import LawError
 from thinlayer.contact.gauss_seidel import load
-from thinlayer.contact.nodes import Array
+from thinlayer.contact.nodes import Array, ContactNodes
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.surface_blocks import Surface
 from thinlayer.contact.tangent import Tangent
+from thinlayer.contact.turning import Sliding, sliding, turned
+from thinlayer.exchange import carry
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set
@@ -64,8 +65,9 @@ class MultigridContact:
         if problem.law.numbers is None:
             raise LawError(f"{type(problem.law).__name__} is not among the laws that Gauss-Seidel sweeps know")
         load(problem.comm)
-        self.problem, self.tolerance = problem, tolerance
-        self._surface = Surface(problem)
+        self.given, self.tolerance = problem, tolerance
+        self.problem = _from_softer_side(problem)
+        self._surface = Surface(self.problem)
         self._tangent: Tangent | None = None
         self._u = problem.A.createVecRight()
         self._solved = False
@@ -85,6 +87,7 @@ class MultigridContact:
             SolveError: no convergence, as when there is no equilibrium.
         """
         history: list[float] = []
+        start = self._take_load(start)
         with defaults({**HIERARCHY, **NEWTON}):
             if self._tangent is None:
                 self._tangent = Tangent(self._surface, start)
@@ -112,13 +115,42 @@ class MultigridContact:
             residuals=tuple(history),
         )
 
+    def _take_load(self, start: Array | None) -> Array | None:
+        """The given problem's load and slip, and the jumps to start from, at the nodes as they are seen here."""
+        given, here = self.given, self.problem
+        if here is given:
+            return start
+        here.least, here.largest = given.least, given.largest
+        places = given.nodes.numbers, here.nodes.numbers
+        here.slip = carry(given.comm, places[0], given.slip, places[1])
+        return None if start is None else carry(given.comm, places[0], start, places[1])
+
     def close(self) -> None:
         """Free vectors, matrices and the hierarchy."""
+        if self.problem is not self.given:
+            self.problem.nodes.destroy()
         if self._tangent is not None:
             self._tangent.close()
             self._tangent = None
         self._surface.close()
         self._u.destroy()
+
+
+def _from_softer_side(problem: ContactProblem) -> ContactProblem:
+    """The problem with nodes whose upper side is on the softer bodies: block solves move that side alone."""
+    nodes = problem.nodes
+    if nodes.lower is None:
+        return problem
+    diagonal = problem.A.getDiagonal()
+    above, below = diagonal.array_r.reshape(-1, nodes.dim)[nodes.upper], nodes.lower_side(diagonal)
+    diagonal.destroy()
+    sums = [float(((~held) * side).sum()) for held, side in ((nodes.held_upper, above), (nodes.held_lower, below))]
+    upper, lower = problem.comm.allreduce(np.array(sums))
+    if not 0 < lower < upper:
+        return problem
+    turned = copy(problem)
+    turned.nodes = ContactNodes(nodes.model, problem.held, turned=True)
+    return turned
 
 
 class _Newton:
@@ -135,7 +167,7 @@ class _Newton:
         self.residuals: list[float] = []
         self.iterations: list[int] = []
         self._target = shares[0]
-        self._at: tuple[npt.NDArray[np.int8], Array] | None = None  # status and elastic slip of the last tangent
+        self._at: Sliding | None = None  # at the last tangents
         self._set_rtol = not is_set("ksp_rtol", {})
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
@@ -173,7 +205,7 @@ class _Newton:
         if not math.isfinite(norms[2]):
             return reason.DIVERGED_FNORM_NAN
         # a body far away has large forces to measure the residual by, of rounding alone
-        near = norms[2] <= math.sqrt(self.tolerance) * float(self.problem.b.norm())
+        near = norms[2] <= math.sqrt(self.tolerance) * self.problem.largest
         return reason.CONVERGED_FNORM_ABS if self._h <= self.tolerance and near else False
 
     def _prepare(self, snes: PETSc.SNES, step: int) -> None:
@@ -213,9 +245,9 @@ class _Newton:
             left: what the last linear solve has left, over the norm of f.
         """
         problem, w = self.problem, self.nodes.jump(u)
-        turned = self.turned(w)
-        if self._is_new(w, turned) or self._h > EXPECTED * self._target:
-            self.surface.sweep(u, f, turned)
+        turn = turned(problem.law, w, problem.slip, self._at)
+        if self._is_new(w, turn) or self._h > EXPECTED * self._target:
+            self.surface.sweep(u, f, turn)
             self._residual(None, u, f)
             w = self.nodes.jump(u)
             self._target = self.shares[1] * min(self._h, self._target)
@@ -230,30 +262,12 @@ class _Newton:
     # ---------------------------------------------------------------- status
     def _note(self, w: Array) -> None:
         """Remember the jumps of tangents."""
-        self._at = self.problem.law.status(w, self.problem.slip), w[:, :-1] - self.problem.slip
+        self._at = sliding(self.problem.law, w, self.problem.slip)
 
-    def turned(self, w: Array) -> Array:
-        """What makes nodes stick that slide, but the other way than at the last tangents: change of the jumps (n, d).
-
-        Along its slip a sliding node has no stiffness of its own. If it should stick, Newton's method can throw it to and
-        fro for ever, and sweeps follow.
-        """
-        out = np.zeros_like(w)
-        if self._at is None:
-            return out
-        slip, (status, old) = self.problem.slip, self._at
-        now = w[:, :-1] - slip
-        back = (status == Status.SLIDING) & (self.problem.law.status(w, slip) == Status.SLIDING)
-        back &= (old * now).sum(axis=1) < 0
-        way = old[back] - now[back]
-        part = -(now[back] * way).sum(axis=1) / (way**2).sum(axis=1)
-        out[back, :-1] = part[:, None] * way
-        return out
-
-    def _is_new(self, w: Array, turned: Array) -> bool:
+    def _is_new(self, w: Array, turn: Array) -> bool:
         """Whether on some rank the status is not that of the last tangents."""
         other = self._at is None or bool((self.problem.law.status(w, self.problem.slip) != self._at[0]).any())
-        return bool(self.problem.comm.allreduce(int(other or bool(turned.any()))))
+        return bool(self.problem.comm.allreduce(int(other or bool(turn.any()))))
 
 
 def _nothing(*_: Any) -> None:

@@ -11,6 +11,7 @@ from dolfinx.mesh import entities_to_geometry
 from petsc4py import PETSc
 
 from geometry.joint import S
+from geometry.topology import corner_count
 from thinlayer.compat import interior_facet_entities
 from thinlayer.exchange import ask
 from thinlayer.loads import ModelError
@@ -35,7 +36,9 @@ class ContactNodes:
         held_upper: (n, d) components of the upper side's displacement that supports prescribe.
     """
 
-    def __init__(self, model: Model, held: npt.NDArray[np.int32]) -> None:
+    def __init__(self, model: Model, held: npt.NDArray[np.int32], *, turned: bool = False) -> None:
+        """turned: the lower side takes the place of the upper one, and frames are mirrored: components stay the same."""
+        self._turned = turned
         self.model, self.comm, self.dim = model, model.comm, model.joint.dim
         V, d = model.V, self.dim
         imap = V.dofmap.index_map
@@ -66,7 +69,7 @@ class ContactNodes:
         size = np.linalg.norm(vectors, axis=1)
         if self.comm.allreduce(int((size <= 0).any())):
             raise ModelError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
-        self.frames = _frames(vectors / size[:, None])
+        self.frames = (-1.0 if turned else 1.0) * _frames(vectors / size[:, None])
         self._note_held(held)
 
     def _global(self, local: npt.NDArray[Any]) -> Array:
@@ -97,6 +100,8 @@ class ContactNodes:
         nodes = model.V.tabulate_dof_coordinates()[np.asarray(model.V.dofmap.list)[upper]]
         inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
         normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # from the lower side to the upper one
+        if self._turned:
+            upper, lower = lower, upper
         above = self._nodes(upper, vertices).ravel()
         below = np.full(above.size, -1.0) if base else self._global(self._nodes(lower, vertices).ravel())
         numbers = np.asarray(mesh.geometry.input_global_indices)[places.ravel()]
@@ -119,7 +124,7 @@ class ContactNodes:
         """Local nodes of V in cells (n,) at vertices (n, k) of theirs."""
         V, dim = self.model.V, self.dim
         to_vertices = self.model.domain.mesh.topology.connectivity(dim, 0)
-        corners = to_vertices.array.reshape(to_vertices.num_nodes, -1)[cells]
+        corners = to_vertices.array.reshape(-1, corner_count(self.model.joint.cell_type))[cells]
         corner = (corners[:, None, :] == vertices[:, :, None]).argmax(axis=2)
         places = np.array([V.dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])])
         dofs = np.asarray(V.dofmap.list)[cells]

@@ -209,8 +209,8 @@ def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: 
     at_supports = comm.allreduce(float(total[held] @ u.array_r[held]))
     total[held] = 0.0
     sums = comm.allreduce(total.reshape(-1, d).sum(axis=0))
-    sizes = comm.allreduce(np.abs(inner.array_r).sum() + np.abs(outer.array_r).sum())
-    largest = max(abs(spent + tractions), abs(supplied + at_supports))
+    sizes = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner, outer, on_s)))
+    largest = max(map(abs, (spent, tractions, supplied, at_supports)))
     on_s.destroy()
     return (
         float(np.abs(sums).max() / sizes) if sizes else 0.0,

@@ -86,7 +86,7 @@ class ContactSolver:
             prescribed: values of held displacements.
         """
         problem = self.problem
-        problem.begin(loads, prescribed, old.memory[-1])
+        problem.begin(loads, prescribed, old.memory[-1], old.u.x.petsc_vec)
         start = self._start if self._start is not None else self._jumps(old)
         known = problem.comm.allreduce(int(start.any()))
         u, steps, residuals = self._scheme.solve(start if known else None)

@@ -205,7 +205,8 @@ class Checkpoint:
             memory.append(np.zeros((places.order.size, wanted.shape[1] // places.order.shape[1])))
             places.put(memory[-1], wanted)
         t, layer = self.comm.bcast((float(arrays["t"]), float(arrays["layer"])) if self.comm.rank == 0 else None)
-        found = {name: float(value or 0.0) for name, value in table.rows[row].items() if not isinstance(value, str)}
+        numbers = {name: value for name, value in table.rows[row].items() if not isinstance(value, str)}
+        found = {name: np.nan if value is None else float(value) for name, value in numbers.items()}
         audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"], layer)
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
         return State(self.model, u, t, report, p, tuple(memory), audit)
