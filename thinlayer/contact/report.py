@@ -23,6 +23,7 @@ from thinlayer.table import Table
 
 PINNED = "pinned"
 NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
+ROUNDING = 1e-10  # of the largest pressure: what solvers leave where there is none
 AT_LIMIT = 1e-9  # of the threshold: a law with memory returns to it, up to rounding
 
 
@@ -103,6 +104,8 @@ class ContactReport:
         if law.memory:
             at_limit = np.linalg.norm(t[:, :-1], axis=1) >= (1 - AT_LIMIT) * threshold
             kind = np.where((kind == Status.STICK) & at_limit, Status.SLIDING, kind)
+        largest = model.comm.allreduce(float(p.max(initial=0.0)), max)
+        kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
         pinned = nodes.held.all(axis=1)
         axes = nodes.frames.reshape(len(w), d * d)
         columns = [nodes.numbers, nodes.x, kind, pinned, w, p, t[:, :-1], threshold, nodes.weights, axes]
