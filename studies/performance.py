@@ -77,14 +77,15 @@ def draw(record: Record) -> None:
     rows = [row for row in Table.load(path).rows if str(row["work"]).startswith("friction")]
     lines = {}
     for work in dict.fromkeys(str(row["work"]) for row in rows):
-        own = [(float(row["cells_along"] or 0), float(row["ratio"] or 0)) for row in rows if row["work"] == work]
+        own = [(float(row["dofs"] or 0), float(row["ratio"] or 0)) for row in rows if row["work"] == work]
         lines[work] = tuple(np.array(own).T)
     plotting.curves(
         lines,
-        xlabel="cells along each side",
+        xlabel="unknowns",
         ylabel="time over that of one linear solve",
         title="contact with friction",
         styles=dict.fromkeys(lines, "o-"),
+        xscale="log",
         save=record.path("ratios.png"),
     )
 

@@ -92,6 +92,7 @@ def curves(
     save: str | Path | None = None,
     styles: Mapping[str, str] | None = None,
     logarithmic: bool = False,
+    xscale: str = "linear",
     ylim: tuple[float, float] | None = None,
 ) -> Figure:
     """Curves over a common axis.
@@ -102,12 +103,12 @@ def curves(
         save: PNG file.
         styles: label -> line style (default "-").
         logarithmic: whether both axes are.
+        xscale: "linear" or "log", of the first axis alone.
         ylim: range of the second axis.
     """
     figure, axes = _figure(6.5, 4.5)
     _plot(axes, lines, styles or {}, {})
-    if logarithmic:
-        axes.set(xscale="log", yscale="log")
+    axes.set(xscale="log" if logarithmic else xscale, yscale="log" if logarithmic else "linear")
     axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
     if ylim:
         axes.set_ylim(*ylim)
