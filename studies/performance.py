@@ -105,11 +105,11 @@ class Bench:
         self.solver = Solver(self.model, method="newton")
         self.equations: Equations = self.solver.equations
         self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
-        assert self.equations.nodes is not None
-        self.problem: ContactProblem = contact_problem(self.equations.nodes, self.equations.K, self.equations.held)
+        assert self.equations.contact is not None
+        nodes = self.equations.contact.nodes
+        self.problem: ContactProblem = contact_problem(nodes, self.equations.K, self.equations.held)
         self.dim, self.dofs = joint.dim, self.problem.A.getSize()[0]
         self.load(1.0)
-        nodes = self.problem.nodes
         springs = nodes.stiffness(law.bonded(len(nodes.upper), self.dim))
         self.bonded = self.problem.A.copy()
         self.bonded.axpy(1.0, springs, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)

@@ -12,10 +12,9 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.contact import ContactLaw
 from forms.elastic import LinearElastic
 from forms.work import energy, work
-from thinlayer.contact.nodes import ContactNodes
+from thinlayer.contact.springs import ContactSprings
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.pointwise.constraint import Constraint
@@ -50,7 +49,7 @@ class Equations:
     Attributes:
         points: where compiled laws act.
         constraint: the pressures of an incompressible layer.
-        nodes: the nodes of S under a contact law.
+        contact: the springs at the nodes of S under a contact law.
         loads: nodal forces of the loads in the balance of the present step.
         scale: size of the forces in the last residual: of the bodies' stresses, of the loads, or of what rounding leaves
             of the stresses of stiff bodies that supports move.
@@ -79,7 +78,7 @@ class Equations:
         constrained = [p for p in model.points if p.law.constrained]
         self.constraint = Constraint(model.domain, V, constrained[0]) if constrained else None
         self.pressure = fem.Function(self.constraint.space) if self.constraint else None
-        self.nodes = ContactNodes(model, self.held) if model.contact else None
+        self.contact = ContactSprings(model, model.contact, self.held) if model.contact else None
         self._matrix: PETSc.Mat | None = None
         self._responses: list[Response] = []
         self._forces, self._product = self.K.createVecLeft(), self.K.createVecLeft()
@@ -127,8 +126,8 @@ class Equations:
     def rest(self) -> tuple[npt.NDArray[np.float64], ...]:
         """Internal values before anything happened."""
         memory = [p.rest() for p in self.points]
-        if self.nodes:
-            memory.append(np.zeros((len(self.nodes.upper), self.nodes.dim - 1)))
+        if self.contact:
+            memory.append(self.contact.rest())
         return tuple(memory)
 
     # ---------------------------------------------------------------- a step
@@ -154,10 +153,7 @@ class Equations:
 
     def rounding_at(self, x: PETSc.Vec) -> float:
         """What rounding leaves of the forces at unknowns x, about."""
-        stiffness = self._stiffness
-        if self.nodes and self.nodes.lower is not None and self.model.contact:  # springs see a difference
-            areas = self.comm.allreduce(float((self.nodes.weights**2).sum()))
-            stiffness = max(stiffness, max(self.model.contact.K_N, self.model.contact.K_T) * areas**0.5)
+        stiffness = max(self._stiffness, self.contact.cancelling if self.contact else 0.0)
         return float(np.finfo(float).eps * stiffness * x.norm(PETSc.NormType.INFINITY))
 
     @property
@@ -220,8 +216,8 @@ class Equations:
             forces.axpy(1.0, self._product)
             self.constraint.G.mult(now, self.constraint.volume)
             out.array[self.n_displacements :] = self.constraint.volume.array_r
-        if self.nodes and self.model.contact:
-            self.nodes.add_forces(self.model.contact.traction(self.nodes.jump(now), self._slip), forces)
+        if self.contact:
+            self.contact.add_forces(now, self._slip, forces)
         forces.axpy(-1.0, self.loads)
         out.array[: self.n_displacements] = np.nan if self.failed else forces.array_r
 
@@ -234,8 +230,8 @@ class Equations:
         """Tangent at the last residual's unknowns, supports not yet taken in. The same matrix is filled each time."""
         theta = self.interval.theta
         parts = [p.stiffness(r.tangent) for p, r in zip(self.points, self._responses, strict=True)]
-        if self.nodes and self.model.contact:
-            parts.append(self.nodes.stiffness(self._contact_tangent(self.nodes, self.model.contact)))
+        if self.contact:
+            parts.append(self.contact.stiffness(self.u.x.petsc_vec, self._slip))
         if self._curved:
             J = dolfinx.fem.petsc.assemble_matrix(self._J)
             J.assemble()
@@ -260,13 +256,6 @@ class Equations:
             A.copy(self._matrix, SAME)
             A.destroy()
         return self._matrix
-
-    def _contact_tangent(self, nodes: ContactNodes, law: ContactLaw) -> npt.NDArray[np.float64]:
-        """Tangents at the nodes of S; at rest, where the law has no stiffness, of bonded springs."""
-        w = nodes.jump(self.u.x.petsc_vec)
-        if self.comm.allreduce(int(w.any())):
-            return law.tangent(w, self._slip)
-        return law.bonded(len(w), nodes.dim)
 
     def _saddle(self, A: PETSc.Mat) -> PETSc.Mat:
         assert self.constraint is not None
@@ -304,7 +293,7 @@ class Equations:
             stored += after - before
             total += after
             remainder += curved - (after - before)
-        layer = np.zeros(3)
+        layer: npt.NDArray[np.float64] = np.zeros(3)
         if self.points:
             layer = self.comm.allreduce(sum(r.energies for r in self._responses))
             stored += layer[0] - self.interval.old.audit.layer
@@ -312,28 +301,17 @@ class Equations:
             dissipated += layer[1]
             remainder += layer[2]
         memory = [r.memory for r in self._responses]
-        if self.nodes and self.model.contact:
-            at_nodes, slip = self._contact_energies(self.nodes, self.model.contact)
+        if self.contact:
+            layer, slip = self.contact.audit(now, self.old, self._slip)
             memory.append(slip)
-            layer = self.comm.allreduce(at_nodes)
+            change_of_layer = layer[0] - self.interval.old.audit.layer
+            stored += change_of_layer
             total += layer[0]
-            stored += layer[0] - self.interval.old.audit.layer
             dissipated += layer[1]
-            remainder += layer[2] - (layer[0] - self.interval.old.audit.layer) - layer[1]
-            if not self.model.contact.has_energy:
-                stored = dissipated = remainder = total = layer[0] = np.nan
+            remainder += layer[2] - change_of_layer - layer[1]
         out.destroy()
         audit = Audit(*map(float, (supplied, stored, dissipated, remainder, layer[0], total)))
         return tuple(memory), audit
-
-    def _contact_energies(
-        self, nodes: ContactNodes, law: ContactLaw
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Of this rank's nodes: energy stored in springs, dissipated, work of the tractions in the step; the new slip."""
-        w, old = nodes.jump(self.u.x.petsc_vec), nodes.jump(self.old)
-        stored, dissipated = law.energies(w, self._slip)
-        worked = (law.traction(w, self._slip) * (w - old)).sum(axis=1)
-        return np.array([nodes.weights @ e for e in (stored, dissipated, worked)]), law.slip_after(w, self._slip)
 
     def _elastic(self, u: PETSc.Vec) -> float:
         self.K.mult(u, self._forces)
@@ -365,7 +343,7 @@ class Equations:
         """Free the matrices."""
         for p in self.points:
             p.destroy()
-        for thing in (self.K, self._matrix, self.constraint, self.nodes, self._forces, self._product, self.loads):
+        for thing in (self.K, self._matrix, self.constraint, self.contact, self._forces, self._product, self.loads):
             if thing is not None:
                 thing.destroy()
 

@@ -137,8 +137,8 @@ class Solver:
 
     def _contact_solver(self, like: State | None) -> ContactSolver:
         equations = self.equations
-        assert equations.nodes is not None
-        return ContactSolver(contact_problem(equations.nodes, equations.K, equations.held), self.method, like)
+        assert equations.contact is not None
+        return ContactSolver(contact_problem(equations.contact.nodes, equations.K, equations.held), self.method, like)
 
     def close(self) -> None:
         """Free matrices and factors."""

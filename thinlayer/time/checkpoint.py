@@ -99,9 +99,9 @@ class Checkpoint:
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
         self._owned, self._cells = np.arange(owned, dtype=np.int32), self.model.domain.original_cells
         self._points = [_Places.of_points(p) for p in equations.points]
-        if equations.nodes:
-            here = np.arange(len(equations.nodes.numbers))
-            self._points.append(_Places(equations.nodes.numbers, here[:, None], None))
+        if equations.contact:
+            numbers = equations.contact.nodes.numbers
+            self._points.append(_Places(numbers, np.arange(len(numbers))[:, None], None))
         self._pressures = equations.constraint
 
     def _file(self, row: int) -> Path:
