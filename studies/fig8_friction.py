@@ -7,7 +7,6 @@ import numpy as np
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from thinlayer import Model, Table, plotting, solve
-from thinlayer.contact import pictures
 from thinlayer.contact.report import ContactReport
 from thinlayer.record import Record
 
@@ -45,7 +44,7 @@ def run(record: Record) -> None:
         record.say(entry)
     draw(record)
     if record.root:
-        pictures.contact(
+        plotting.contact(
             reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base"
         )
     stiff, soft = states[label(*STIFFNESS[0])], states[label(*STIFFNESS[2])]

@@ -9,7 +9,6 @@ import numpy as np
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from thinlayer import Model, Table, observed_orders, plotting, solve
-from thinlayer.contact import pictures
 from thinlayer.contact.report import ContactReport
 from thinlayer.progress import track
 from thinlayer.record import Record
@@ -43,7 +42,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     draw(record)
     if record.root:
         shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
-        pictures.contact(
+        plotting.contact(
             shown, save=record.path("contact.png"), length="mm", stress="MPa", title="stiffer and stiffer contact"
         )
     _check(record, table, steps, meshes)

@@ -14,8 +14,19 @@ from forms.elastic import lame
 from geometry import block, ring, sandwich
 from studies.problems import BAR, sliding_bar
 from tests.contact_run import to_and_fro
-from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, march, piecewise, solve
-from thinlayer.contact import pictures
+from thinlayer import (
+    Model,
+    ModelError,
+    OptionError,
+    SolveError,
+    Surface,
+    ThinLayer,
+    compare,
+    march,
+    piecewise,
+    plotting,
+    solve,
+)
 from thinlayer.contact.nodes import ContactNodes
 from thinlayer.contact.report import ContactReport
 
@@ -448,16 +459,16 @@ def test_nodes_of_two_bodies_see_the_jump():
 
 def test_pictures(tmp_path):
     one, two = bar(12, coulomb("middle")), bar(12, coulomb("soft"))
-    pictures.contact({"a": one, "b": two}, save=tmp_path / "two.png", length="mm", stress="MPa", title="contact")
+    plotting.contact({"a": one, "b": two}, save=tmp_path / "two.png", length="mm", stress="MPa", title="contact")
     joint, setup = sliding_bar(4, depth=True)
     solid = solved(joint, coulomb("middle"), setup)
-    pictures.contact(solid, save=tmp_path / "solid.png", length="mm", stress="MPa")
+    plotting.contact(solid, save=tmp_path / "solid.png", length="mm", stress="MPa")
     for name in ("two", "solid"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     with pytest.raises(ValueError, match="one dimension"):
-        pictures.contact({"a": one, "b": solid})
+        plotting.contact({"a": one, "b": solid})
     with pytest.raises(ValueError, match="one report"):
-        pictures.contact({})
+        plotting.contact({})
 
 
 # ------------------------------------------------------------------------ status known before

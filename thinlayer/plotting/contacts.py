@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.report import PINNED, ContactReport
-from thinlayer.plotting import COLOURS, finish
+from thinlayer.plotting.curves import COLOURS, finish
 
 STATUS = {"separated": "#d7d7d7", "sliding": "#f0a202", "stick": "#1b6ca8", "pinned": "#222222"}
 FLAT = 1e-6  # sine of the largest angle between normals of an S that is drawn as a map

@@ -1,0 +1,155 @@
+"""Rates and curves from tables, drawn by matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
+from mpi4py import MPI
+
+from thinlayer.table import Table
+
+SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}
+COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
+MARKERS = ("o", "s", "^", "D", "v")
+ERRORS = {"traction": "error_traction", "jump": "error_jump"}
+
+
+def rates(
+    table: Table | str | Path | Mapping[str, Table | str | Path],
+    *,
+    save: str | Path | None = None,
+    title: str = "",
+    reference: float = 1.0,
+    errors: Mapping[str, str] = ERRORS,
+) -> Figure:
+    """Errors of a sweep against eps on logarithmic axes, with a reference slope.
+
+    Args:
+        table: a sweep, or the csv file it was committed to; or label -> sweep.
+        save: PNG file.
+        title: title of the picture.
+        reference: order of the reference line.
+        errors: label -> column of the sweeps.
+    """
+    tables = table if isinstance(table, Mapping) else {"": table}
+    data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
+    lines = {
+        f"{case}: {name}" if case else name: (one["eps"], one[column])
+        for name, column in errors.items()
+        for case, one in data.items()
+    }
+    figure, axes = _figure(6, 4.5)
+    for (name, (eps, error)), colour, marker in zip(lines.items(), cycle(COLOURS), cycle(MARKERS), strict=False):
+        axes.loglog(eps, error, marker=marker, color=colour, label=name)
+    eps, lowest = min(lines.values(), key=lambda line: float(line[1][-1]))
+    line = 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
+    axes.loglog(eps, line, color="0.5", linestyle="--", label=f"slope {reference:g}")
+    axes.set(xlabel="layer thickness eps", ylabel="relative difference on S, L2", title=title)
+    axes.set_xticks(eps, [f"{e:.4g}" for e in eps])
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.minorticks_off()
+    axes.grid(color="0.9")
+    axes.legend(frameon=False)
+    return finish(figure, save)
+
+
+def curves(
+    lines: Mapping[str, tuple[Any, Any]],
+    *,
+    xlabel: str,
+    ylabel: str,
+    title: str = "",
+    save: str | Path | None = None,
+    styles: Mapping[str, str] | None = None,
+    logarithmic: bool = False,
+    xscale: str = "linear",
+    ylim: tuple[float, float] | None = None,
+) -> Figure:
+    """Curves over a common axis.
+
+    Args:
+        lines: label -> (x, y).
+        xlabel, ylabel, title: texts, units included.
+        save: PNG file.
+        styles: label -> line style (default "-").
+        logarithmic: whether both axes are.
+        xscale: "linear" or "log", of the first axis alone.
+        ylim: range of the second axis.
+    """
+    figure, axes = _figure(6.5, 4.5)
+    _plot(axes, lines, styles or {}, {})
+    axes.set(xscale="log" if logarithmic else xscale, yscale="log" if logarithmic else "linear")
+    axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
+    if ylim:
+        axes.set_ylim(*ylim)
+    axes.legend(frameon=False)
+    return finish(figure, save)
+
+
+def panels(
+    parts: Mapping[str, Mapping[str, tuple[Any, Any]]],
+    *,
+    xlabel: str,
+    ylabels: Mapping[str, str],
+    styles: Mapping[str, str],
+    colours: Mapping[str, str],
+    save: str | Path | None = None,
+    columns: int = 3,
+    yscale: str = "linear",
+) -> Figure:
+    """Curves in several pictures with one legend.
+
+    Args:
+        parts: title -> label -> (x, y); the same labels in every part.
+        xlabel: text, units included.
+        ylabels: title -> text, units included.
+        styles, colours: label -> line style, colour.
+        save: PNG file.
+        columns: pictures in a row.
+        yscale: "linear" or "log".
+    """
+    columns = min(columns, len(parts))
+    rows = -(-len(parts) // columns)
+    figure = Figure(figsize=(3.1 * columns, 2.6 * rows + 0.6), layout="constrained")
+    for k, (title, lines) in enumerate(parts.items()):
+        axes = figure.add_subplot(rows, columns, k + 1)
+        _plot(axes, lines, styles, colours)
+        axes.set(xlabel=xlabel, ylabel=ylabels[title], title=title, yscale=yscale)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
+    return finish(figure, save)
+
+
+def _plot(
+    axes: Axes, lines: Mapping[str, tuple[Any, Any]], styles: Mapping[str, str], colours: Mapping[str, str]
+) -> None:
+    for k, (label, (x, y)) in enumerate(lines.items()):
+        axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label)
+    axes.grid(color="0.9")
+
+
+def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    """A picture with one set of axes; outside pyplot, so that a notebook keeps its own backend."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots()
+
+
+def finish(figure: Figure, save: str | Path | None) -> Figure:
+    """Save a picture on rank 0, if asked to."""
+    if save and MPI.COMM_WORLD.rank == 0:
+        figure.savefig(folder(save), **SAVED)
+    return figure
+
+
+def folder(path: str | Path) -> Path:
+    """The path of a picture, its folder made; raises ValueError if it is a folder itself."""
+    if Path(path).is_dir():
+        raise ValueError(f"{str(path)!r} is a folder; give the name of a picture")
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    return Path(path)
