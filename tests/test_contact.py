@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from scipy.spatial.transform import Rotation
 
 from forms import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Law, LinearElastic, Tresca
 from forms.elastic import lame
@@ -27,6 +28,7 @@ from thinlayer import (
     plotting,
     solve,
 )
+from thinlayer.contact import nodes as nodes_module
 from thinlayer.contact.nodes import ContactNodes
 from thinlayer.contact.report import ContactReport
 
@@ -438,6 +440,19 @@ def test_traction_of_the_surface_is_that_of_the_nodes(make):
     free = report.x[:, 0] < report.x[:, 0].max() - 1e-6  # a support holds the last node
     assert -t[free, 1] == pytest.approx(report.p[free], rel=1e-7, abs=1e-7)
     assert t[free, 0] == pytest.approx(report.t_T[free, 0], rel=1e-7, abs=1e-7)
+
+
+def test_frames_in_three_dimensions():
+    """The smallest rotation that takes e_2 to the normal, and a half turn where there is none."""
+    normals = np.random.default_rng(5).normal(size=(50, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    for n, frame in zip(normals, nodes_module._frames(normals), strict=True):
+        axis = np.cross((0.0, 1.0, 0.0), n)
+        turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(n[1])).as_matrix()
+        assert frame == pytest.approx(turn[:, [0, 2, 1]].T, abs=1e-12)
+    assert nodes_module._frames(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(
+        np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)])
+    )
 
 
 def test_nodes_of_two_bodies_see_the_jump():

@@ -95,7 +95,8 @@ class State:
     def energies(self) -> dict[str, float]:
         """Stored energy of the bodies and of the layer, and the work of the loads (per unit thickness in 2D). Collective.
 
-        For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron).
+        For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron). NaN for the layer under a
+        contact law that has no energy.
         """
         model = self.model
         model.coordinates.t.value = self.t

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
@@ -132,10 +133,14 @@ class Surface:
     @cached_property
     def _upper_nodes(self) -> npt.NDArray[np.bool_]:
         """Which local nodes of the trace space lie on the upper side of S."""
+        return self._areas(self.sides.upper).reshape(-1, self.model.joint.dim)[:, 0] > 0
+
+    def _areas(self, *sides: Callable[[Expr], Expr]) -> npt.NDArray[np.float64]:
+        """Area of S around the nodes of sides, for every trace degree of freedom; zero elsewhere."""
         v = ufl.TestFunction(self.trace_space)
         ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
-        weight = nodal_forces(self.trace_space, ufl.inner(ones, self.sides.upper(v)) * self.sides.measure)
-        return weight.x.array.reshape(-1, self.model.joint.dim)[:, 0] > 0
+        form = sum(ufl.inner(ones, side(v)) for side in sides) * self.sides.measure
+        return np.asarray(nodal_forces(self.trace_space, form).x.array)
 
     def integral(self, f: Expr) -> float:
         """Integral over S of a scalar expression. Collective."""
@@ -174,10 +179,8 @@ class Surface:
 
     def _divide_by_areas(self, r: fem.Function) -> fem.Function:
         """Nodal forces over the areas of the nodes, as contact laws see them; zero where held."""
-        v, sides = ufl.TestFunction(self.trace_space), self.sides
-        ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
-        both = sides.upper(v) if self.model.joint.rigid_base else sides.upper(v) + sides.lower(v)
-        area = nodal_forces(self.trace_space, ufl.inner(ones, both) * sides.measure).x.array
+        sides = (self.sides.upper,) if self.model.joint.rigid_base else (self.sides.upper, self.sides.lower)
+        area = self._areas(*sides)
         t = fem.Function(self.trace_space)
         on_s = area > 0
         t.x.array[on_s] = r.x.array[on_s] / area[on_s]

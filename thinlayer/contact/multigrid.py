@@ -204,9 +204,7 @@ class _Newton:
             self.iterations.append(snes.getKSP().getIterationNumber())
         if not math.isfinite(norms[2]):
             return reason.DIVERGED_FNORM_NAN
-        # a body far away has large forces to measure the residual by, of rounding alone
-        near = norms[2] <= math.sqrt(self.tolerance) * self.problem.largest
-        return reason.CONVERGED_FNORM_ABS if self._h <= self.tolerance and near else False
+        return reason.CONVERGED_FNORM_ABS if self._h <= self.tolerance else False
 
     def _prepare(self, snes: PETSc.SNES, step: int) -> None:
         """Before a Newton step: sweeps if need be, tangents, tolerance of the linear solve."""

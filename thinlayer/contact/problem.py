@@ -12,7 +12,6 @@ from forms.contact import ContactLaw
 from thinlayer.contact.nodes import Array, ContactNodes
 
 ROUNDING = 1e-5  # times 1e-10, what is demanded: stiffness times displacement is rounded to 1e-15
-
 FORGOTTEN = 1e-4  # of the displacements before: where loads vanish, what may be left of them after a solve
 LOOSEST = 1e3  # times the loads: what a body far away, on soft springs, is measured by at most
 NEAR = 3e-5  # of the loads, or of the forces before

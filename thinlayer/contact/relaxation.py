@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.contact.gauss_seidel import Relaxation, relax
+from thinlayer.contact.gauss_seidel import relax
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.failure import SolveError
@@ -45,17 +45,13 @@ class ContactRelaxation:
     displacements. PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments
     (1e-12), max_sweeps (200000), fixed_point (false: thresholds follow the pressure within the sweeps; true: the paper's
     outer fixed point).
-
-    Attributes:
-        last: what the last solve did.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
         if problem.comm.size > 1:
             raise ModelError("method='relaxation' runs on one rank; use 'multigrid'")
         self.problem, nodes = problem, problem.nodes
-        self.last: Relaxation | None = None
-        lower = self._lower_dofs()
+        self._lower = self._lower_dofs()
         held = np.zeros(problem.b.getLocalSize(), bool)
         held[problem.held] = True
         self._held_jumps = self._components(nodes.held)
@@ -64,18 +60,20 @@ class ContactRelaxation:
             raise ModelError(
                 "method='relaxation' needs supports on both sides of S or on the lower one; use 'condensed'"
             )
-        self.T = self._change(lower)
+        self.T = self._change()
         self.A = problem.K.ptap(self.T)
         slots = nodes.dofs
         held[slots] = self._held_jumps
         self._held = np.flatnonzero(held).astype(PETSc.IntType)
-        self._lower = lower
+        self._order = self._row_by_row()
+
+    def _row_by_row(self) -> npt.NDArray[np.int32]:
+        """Unknowns in the order of the nodes' places, along x first; convergence depends on the order of sweeps."""
+        nodes = self.problem.nodes
         d, x = nodes.dim, nodes.model.V.tabulate_dof_coordinates()
         close = 1e-9 * np.ptp(nodes.model.joint.points, axis=0).max()
-        rows = np.lexsort(
-            np.rint(x[:, :d] / close).T
-        )  # along x first: what convergence depends on is the order of sweeps
-        self._order = (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
+        rows = np.lexsort(np.rint(x[:, :d] / close).T)
+        return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
 
     def _lower_dofs(self) -> npt.NDArray[np.int64] | None:
         """Displacements of the lower side, (n, d); None on a rigid base."""
@@ -90,7 +88,7 @@ class ContactRelaxation:
             raise ModelError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
         return np.asarray(np.einsum("nij,nj->ni", along > 0.5, held) > 0)
 
-    def _change(self, lower: npt.NDArray[np.int64] | None) -> PETSc.Mat:
+    def _change(self) -> PETSc.Mat:
         """Displacements from jumps and the others."""
         nodes, n = self.problem.nodes, self.problem.b.getLocalSize()
         d, slots = nodes.dim, nodes.dofs
@@ -100,8 +98,8 @@ class ContactRelaxation:
             T.setValue(k, k, 1.0)
         for i, rows in enumerate(slots):
             T.setValues(rows, rows, nodes.frames[i].T.copy())  # petsc4py would read a transposed view untransposed
-            if lower is not None:
-                T.setValues(rows, lower[i], np.eye(d))
+            if self._lower is not None:
+                T.setValues(rows, self._lower[i], np.eye(d))
         T.assemble()
         return T
 
@@ -128,9 +126,8 @@ class ContactRelaxation:
         diagonal.array[at] *= FIXED
         A.setDiagonal(diagonal)
         b.array[at] *= FIXED
-        tolerance = chosen["tolerance"]
         indptr, indices, data = A.getValuesCSR()
-        self.last = found = relax(
+        found = relax(
             indptr, indices, data, b.array_r.copy(), nodes.dofs[self._moving], nodes.weights[self._moving], problem.law,
             slip=problem.slip[self._moving], order=self._order, **chosen,
         )  # fmt: skip
@@ -141,7 +138,7 @@ class ContactRelaxation:
         residual = problem.residual(u, b)
         for thing in (A, b, z, diagonal):
             thing.destroy()
-        if not (found.converged and residual <= max(LARGEST_RESIDUAL, min(SLOW * tolerance, 1e-2))):
+        if not (found.converged and residual <= max(LARGEST_RESIDUAL, min(SLOW * chosen["tolerance"], 1e-2))):
             u.destroy()
             last = found.increments[-1] if len(found.increments) else np.nan
             raise SolveError(

@@ -62,9 +62,9 @@ class ContactReport:
         weights: (n,) area of S around each node.
         frames: (n, d, d), rows are the tangential axes and the normal of S.
         force: (d,) resultant that S exerts on the upper body, without what supports at pinned nodes exert.
-        equilibrium: what the forces on the free nodes sum up to, over the largest sum of their absolute values.
+        equilibrium: what the forces on the free nodes sum up to, over the sum of the absolute values of all nodal forces.
         clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
-            over the larger of the two: zero in equilibrium.
+            over the largest of the four: zero in equilibrium.
     """
 
     joint: Joint
