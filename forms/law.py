@@ -85,6 +85,8 @@ class Law:
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
         quadratic: whether the stored energy is a quadratic function of strain and internal variables.
         constrained: whether the strain's trace is held to zero by a pressure that is a field of its own.
+        yields: whether stresses are bounded in some direction, so that loads may have a limit.
+        otherwise: a law with the same parameters and internal values for the points where this one does not hold.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
@@ -94,6 +96,8 @@ class Law:
     internal: ClassVar[Mapping[str, tuple[int, ...]]] = {}
     quadratic: ClassVar[bool] = False
     constrained: ClassVar[bool] = False
+    yields: ClassVar[bool] = False
+    otherwise: ClassVar[Law | None] = None
 
     def __new__(cls, *_: Any, **named: Any) -> Self:
         cls._require_dataclass()
@@ -170,6 +174,23 @@ class Law:
         """Dissipated power per unit volume over the step, UFL."""
         return ufl.as_ufl(0.0)
 
+    def dissipated(self, step: Step) -> Expr:
+        """Dissipated energy per unit volume in the step, UFL; of laws without rate it has no power."""
+        return step.dt * self.dissipation(step)
+
+    def holds(self, step: Step) -> Expr:
+        """Where the law holds, a UFL condition; `otherwise` answers at the other points."""
+        return None
+
+    def eased(self, ease: float) -> Law:
+        """A law between this one (ease = 0) and one whose equilibrium is easily found (1), for continuation."""
+        return self
+
+    @property
+    def can_ease(self) -> bool:
+        """Whether there are such laws."""
+        return type(self).eased is not Law.eased
+
     def remainder(self, step: Step) -> Expr:
         """What the time scheme adds to the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
 
@@ -181,7 +202,7 @@ class Law:
             increments = {name: new[name] - step.q[name] for name in new}
             return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
         stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
-        return ufl.inner(self.stress(step), step.e - step.e_old) - stored - step.dt * self.dissipation(step)
+        return ufl.inner(self.stress(step), step.e - step.e_old) - stored - self.dissipated(step)
 
     def plane_stress(self) -> Law:
         """The law of in-plane strains whose out-of-plane stresses are zero."""

@@ -4,6 +4,7 @@ from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tres
 from forms.elastic import Anisotropic, LinearElastic
 from forms.incompressible import Incompressible
 from forms.law import Law, LawError, Step
+from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
 from forms.point import PointLaw
 from forms.series import Stack
 from forms.traction import JumpStep, TractionLaw
@@ -21,6 +22,9 @@ __all__ = [
     "LawError",
     "LinearElastic",
     "Maxwell",
+    "MohrCoulomb",
+    "MohrCoulombMonodirectional",
+    "MohrCoulombReturn",
     "Norton",
     "PointLaw",
     "Stack",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import ClassVar
 
 from forms.law import Law
@@ -22,6 +23,13 @@ class PointLaw(Law):
     at the end of the step, dissipated in the step, and what is left of stress : (e - e_old), all per unit volume. It
     returns whether it succeeded; a failed point makes the solver take a smaller step.
 
+    Or they name a `source`, a C file with a function
+
+        int kernel(double *out, const void *, const double *in)
+
+    where `in` has e, e_old, q, n, dt, theta and the parameters one after the other, `out` stress, q_new, tangent and
+    energies; at a point that fails it leaves a NaN in the stress.
+
     Attributes:
         memory: number of internal values.
         energetic: whether the kernel fills `energies`.
@@ -30,6 +38,7 @@ class PointLaw(Law):
     memory: ClassVar[int] = 0
     energetic: ClassVar[bool] = False
     kernel: ClassVar[Callable[..., bool]]
+    source: ClassVar[Path | None] = None
 
     @property
     def pointwise(self) -> bool:

@@ -80,6 +80,17 @@ class Stack(Law):
     def rate(self) -> bool:  # type: ignore[override]
         return any(law.rate for law in self.laws)
 
+    @property
+    def yields(self) -> bool:  # type: ignore[override]
+        return any(law.yields for law in self.laws)
+
+    @property
+    def can_ease(self) -> bool:
+        return any(law.can_ease for law in self.laws)
+
+    def eased(self, ease: float) -> Stack:
+        return self.with_laws([law.eased(ease) for law in self.laws])
+
     def with_laws(self, laws: Sequence[Law]) -> Stack:
         """The same fractions with other laws, unchecked."""
         return self.with_parameters({"sublayers": tuple(zip(self.fractions, laws, strict=True))})

@@ -1,7 +1,7 @@
 """Laws as compiled functions of one point.
 
-A law written in UFL is differentiated by UFL and compiled by FFCx; a `PointLaw` is compiled by numba. Either is then a C
-function of two arrays of numbers,
+A law written in UFL is differentiated by UFL and compiled by FFCx; a `PointLaw` is compiled by numba, or from C. Each is
+then a C function of two arrays of numbers,
 
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
     out: stress (6), q_new, tangent (36), energies (3)
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import basix.ufl
@@ -29,6 +30,7 @@ from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
 from forms.traction import TractionLaw
+from thinlayer.compiled import library
 
 Array = npt.NDArray[np.float64]
 ARGUMENTS = 7  # of the C functions that FFCx writes; fewer in older releases, which ignore the rest
@@ -45,13 +47,15 @@ class Kernel:
         memory: number of internal values.
         parameters: real parameters, one after the other.
         fraction: of the thickness.
-        keep: what must live as long as the address is used.
+        otherwise: address of the function that answers where this one gives NaN; 0 if there is none.
+        keep: what must live as long as the addresses are used.
     """
 
     address: int
     memory: int
     parameters: Array
     fraction: float = 1.0
+    otherwise: int = 0
     keep: Any = field(default=None, repr=False, compare=False)
 
 
@@ -66,12 +70,18 @@ def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
     values = [np.ravel(np.asarray(value, float)) for value in law.parameters().values()]
     numbers = np.concatenate([np.empty(0), *values])
     kind: Any = type(law)
+    if isinstance(law, PointLaw) and law.source is not None:
+        address, keep = _compiled_from_c(comm, law.source)
+        return Kernel(address, law.memory, numbers, fraction, keep=keep)
     if isinstance(law, PointLaw):
         _rehearse(law, numbers)
         address, keep = _compiled_by_numba(kind, len(numbers))
-        return Kernel(address, law.memory, numbers, fraction, keep)
+        return Kernel(address, law.memory, numbers, fraction, keep=keep)
     address, keep = _compiled_by_ffcx(comm, law)
-    return Kernel(address, _memory(law), numbers, fraction, keep)
+    if law.otherwise is None:
+        return Kernel(address, _memory(law), numbers, fraction, keep=keep)
+    other = _kernel(comm, law.otherwise, fraction)
+    return Kernel(address, _memory(law), numbers, fraction, other.address, (keep, other.keep))
 
 
 def _memory(law: Law) -> int:
@@ -132,15 +142,21 @@ def point_expression(law: Law) -> Expr:
     for name, shape in law.internal.items():
         rows += _packed(shaped(law, f"advance[{name!r}]", new[name], shape), shape)
     rows += [tangent[i, j] for i in range(6) for j in range(6)]
+    with explained(law, "holds"):
+        rows[0] += _nan_unless(symbolic.holds(step))
     with explained(law, "energy or dissipation"):
         return ufl.as_vector([*rows, *_energies(symbolic, step, new)])
+
+
+def _nan_unless(condition: Expr) -> Expr:
+    return 0.0 if condition is None else ufl.sqrt(ufl.conditional(condition, 0.0, -1.0))
 
 
 def _energies(law: Law, step: Step, new: dict[str, Expr]) -> list[Expr]:
     """Stored, dissipated, remainder; zero for laws that declare no energy."""
     if not law.has_energy:
         return [ufl.as_ufl(0.0)] * 3
-    return [law.energy(Step(step.e, step.n, q=new)), step.dt * law.dissipation(step), law.remainder(step)]
+    return [law.energy(Step(step.e, step.n, q=new)), law.dissipated(step), law.remainder(step)]
 
 
 def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
@@ -155,6 +171,11 @@ def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
 
 
 # ---------------------------------------------------------------- laws written for one point
+def _compiled_from_c(comm: MPI.Intracomm, source: Path) -> tuple[int, Any]:
+    module = library(source, comm)
+    return int(module.ffi.cast("intptr_t", module.ffi.addressof(module.lib, "kernel"))), module
+
+
 def _rehearse(law: PointLaw, parameters: Array) -> None:
     """Call the kernel once, uncompiled, at rest: mistakes have clear messages there, and indices are checked."""
     name = type(law).__name__

@@ -28,6 +28,7 @@ class Material:
         self.law, self._kernels = law, kernels(comm, law)
         self._library = library(SOURCE, comm)
         self._addresses = np.array([k.address for k in self._kernels], np.intp)
+        self._others = np.array([k.otherwise for k in self._kernels], np.intp)
         self._memories = np.array([k.memory for k in self._kernels], np.int32)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
         self._fractions = np.array([k.fraction for k in self._kernels])
@@ -58,7 +59,7 @@ class Material:
                 raise ValueError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
-        law = self._given(self._addresses, self._memories, self._counts, self._fractions, self._parameters)
+        law = self._given(self._addresses, self._others, self._memories, self._counts, self._fractions, self._parameters)
         failed = self._library.lib.run(
             len(self._kernels), *law,
             m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta,

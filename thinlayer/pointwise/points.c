@@ -11,7 +11,7 @@
 typedef void function(double *, const double *, const double *, const double *, const int *, const uint8_t *, void *);
 
 typedef struct {
-    function *law;
+    function *law, *otherwise; /* which answers where the law leaves a NaN; or NULL */
     int memory, n_parameters;
     double fraction;
     double *in, *out;
@@ -21,10 +21,16 @@ typedef struct {
 
 static const double root2 = 1.4142135623730951;
 
-static void evaluate(sublayer *a)
+static void call(function *law, sublayer *a)
 {
     memset(a->out, 0, (45 + a->memory) * sizeof(double));
-    a->law(a->out, NULL, a->in, NULL, NULL, NULL, NULL);
+    law(a->out, NULL, a->in, NULL, NULL, NULL, NULL);
+}
+
+static void evaluate(sublayer *a)
+{
+    call(a->law, a);
+    if (a->otherwise && isnan(a->out[0])) call(a->otherwise, a);
 }
 
 static double *tangent(const sublayer *a) { return a->out + 6 + a->memory; }
@@ -179,9 +185,10 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
  * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each. */
-int run(int count, const intptr_t *addresses, const int32_t *memories, const int32_t *n_parameters, const double *fractions,
-        const double *parameters, int m, const int32_t *slots, int points, int width, const double *e, const double *e_old,
-        const double *q, const double *n, double dt, double theta, double *stress, double *C, double *q_new, double *energy)
+int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *n_parameters,
+        const double *fractions, const double *parameters, int m, const int32_t *slots, int points, int width,
+        const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, double *stress,
+        double *C, double *q_new, double *energy)
 {
     sublayer *layers = calloc(count, sizeof(sublayer));
     int room = (3 * count + 3) * (3 * count + 10), failed = 0;
@@ -193,7 +200,8 @@ int run(int count, const intptr_t *addresses, const int32_t *memories, const int
     }
     for (int i = 0; i < count; i++) {
         sublayer *a = &layers[i];
-        a->law = (function *)addresses[i], a->memory = memories[i], a->n_parameters = n_parameters[i];
+        a->law = (function *)addresses[i], a->otherwise = (function *)others[i];
+        a->memory = memories[i], a->n_parameters = n_parameters[i];
         a->fraction = fractions[i];
         a->in = next, a->out = a->in + 17 + a->memory + a->n_parameters;
         next = a->out + 45 + a->memory;

@@ -1,0 +1,231 @@
+"""Mohr-Coulomb elasto-plasticity: the full law, and the one whose slip planes are parallel to S."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import ufl
+
+from forms.elastic import lame, require_moduli
+from forms.kinematics import Expr, lift
+from forms.law import Law, LawError, Step, require
+from forms.point import PointLaw
+from forms.viscous import isotropic_energy
+
+LEAST_FRACTION = 1e-6  # that continuation takes before none at all
+
+
+@dataclass(frozen=True)
+class Plastic(Law):
+    """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear meets its bound.
+
+    A fraction h of the layer stays elastic beside the rest, stress = (1 - h) stress_plastic + h C : e, where C is the
+    elasticity of the whole. It makes problems well posed that ideal plasticity leaves without a solution (a layer without
+    cohesion has no strength at its free ends), and belongs to the law: the meshed layer and S have the same.
+
+    Attributes:
+        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        C: cohesion, stress, also in a layer (C and the angles do not scale with its thickness); >= 0.
+        Omega: friction angle in degrees, 0 <= Omega < 90; > 0 if C = 0.
+        h: elastic fraction, 0 <= h < 1.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+    lmbda: float
+    mu: float
+    C: float
+    Omega: float
+    h: float = 0.0
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    symmetric: ClassVar = False
+    internal: ClassVar = {"plastic": (3, 3)}
+    quadratic: ClassVar = True
+    yields: ClassVar = True
+
+    def check(self) -> None:
+        require_moduli(self, self.lmbda, self.mu)
+        require(math.isfinite(self.C) and self.C >= 0, self, "C", self.C, ">= 0")
+        require(0 <= self.Omega < 90, self, "Omega", self.Omega, "0 <= Omega < 90 degrees")
+        require(self.C > 0 or self.Omega > 0, self, "C", self.C, "> 0 where Omega = 0: nothing would resist shear")
+        require(0 <= self.h < 1, self, "h", self.h, "0 <= h < 1")
+
+    def eased(self, ease: float) -> Plastic:
+        """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
+        if not 0 <= ease <= 1:
+            raise LawError(f"{type(self).__name__}: ease is {ease}; allowed: 0 to 1")
+        return self.with_parameters({"h": max(self.h, LEAST_FRACTION) ** (1 - ease) if ease else self.h})
+
+    # ---------------------------------------------------------------- of a step, UFL
+    def _elastic_strain(self, e: Expr, q: Any) -> Expr:
+        return e - q["plastic"]
+
+    def _trial(self, step: Step) -> Expr:
+        """Stress of the plastic part if nothing flows in the step, at t + theta dt."""
+        return lame(self.lmbda, self.mu, self._elastic_strain(step.mid, step.q))
+
+    def _flow(self, step: Step) -> Expr:
+        """Plastic strain that grows until t + theta dt, (3, 3), traceless."""
+        raise NotImplementedError
+
+    def stress(self, step: Step) -> Expr:
+        plastic = self._trial(step) - 2 * self.mu * self._flow(step)
+        return (1 - self.h) * plastic + self.h * lame(self.lmbda, self.mu, step.mid)
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        return {"plastic": step.q["plastic"] + self._flow(step) / step.theta}
+
+    def energy(self, step: Step) -> Expr:
+        stored = isotropic_energy(self.lmbda, self.mu, self._elastic_strain(step.e, step.q))
+        return (1 - self.h) * stored + self.h * isotropic_energy(self.lmbda, self.mu, step.e)
+
+    def dissipated(self, step: Step) -> Expr:
+        flow = self._flow(step)
+        stress = self._trial(step) - 2 * self.mu * flow
+        return (1 - self.h) * ufl.inner(stress, flow) / step.theta
+
+
+@dataclass(frozen=True)
+class MohrCoulomb(Plastic):
+    """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= C - tan(Omega) normal stress.
+
+    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= C cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if the
+    angle were psi. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one plane,
+    which is not coaxial with the stress: two such planes exist, and their mean is the flow taken here. In (31) and (33)
+    the plastic strains lack a factor 2, and the trace of the elastic strain is that of the whole one.
+
+    As a layer's law it is not Coulomb's law with tan(Omega): in plane strain, with p = (lmbda + mu) w_N and the in-plane
+    deviator s = (s_N, s_T), mu dw in each step as long as |s| <= R = C cos(Omega) - p sin(Omega),
+
+        t_N = p + s_N, t_T = s_T    (psi = 0)
+
+    and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega): (34)-(35) hold with w^p only if the plastic strain
+    has the form of a jump, which it has not.
+
+    This closed form answers where it holds: psi = 0, plane strain, and s_33 between the in-plane principal stresses
+    wherever they are (at yield |p| (1 - 2 nu) <= R, which fails for dilute friction in compression and near the apex in
+    tension). `MohrCoulombReturn` answers elsewhere, point by point.
+
+    For psi = 0 the flow keeps the mean stress, and beyond C cot(Omega) none leads back to the yield surface. There the
+    stress is cut off, C cot(Omega) times the identity, with a volumetric plastic strain: the material has torn, and closes
+    only when the volume gained is pressed out again. For psi > 0 that happens by itself.
+
+    Attributes:
+        psi: dilatancy angle in degrees, 0 <= psi <= Omega.
+    """
+
+    psi: float = 0.0
+
+    def check(self) -> None:
+        super().check()
+        allowed = f"0 <= psi <= Omega = {self.Omega:g} degrees"
+        require(0 <= self.psi <= self.Omega, self, "psi", self.psi, allowed)
+
+    @property
+    def otherwise(self) -> MohrCoulombReturn:
+        return MohrCoulombReturn(**self.parameters())
+
+    def holds(self, step: Step) -> Expr:
+        trial = self._trial(step)
+        centre, radius2, bound = self._circle(trial)
+        in_plane = ufl.And(ufl.eq(trial[0, 2], 0), ufl.eq(trial[1, 2], 0))
+        between = ufl.le((trial[2, 2] - centre) ** 2, ufl.min_value(radius2, bound**2))
+        return ufl.And(ufl.And(in_plane, between), ufl.And(ufl.ge(bound, 0), ufl.eq(self.psi, 0)))
+
+    def _circle(self, trial: Expr) -> tuple[Expr, Expr, Expr]:
+        """Centre and squared radius of the in-plane circle of a trial stress, and the bound of the radius."""
+        angle = ufl.pi / 180 * self.Omega
+        centre = (trial[0, 0] + trial[1, 1]) / 2
+        radius2 = (trial[0, 0] - trial[1, 1]) ** 2 / 4 + trial[0, 1] ** 2
+        return centre, radius2, self.C * ufl.cos(angle) - centre * ufl.sin(angle)
+
+    def _flow(self, step: Step) -> Expr:
+        trial = self._trial(step)
+        centre, radius2, bound = self._circle(trial)
+        beyond = ufl.gt(radius2, bound**2)
+        excess = ufl.conditional(beyond, 1 - bound / ufl.sqrt(radius2), 0)
+        deviator = [[trial[0, 0] - centre, trial[0, 1], 0], [trial[0, 1], trial[1, 1] - centre, 0], [0, 0, 0]]
+        return excess * ufl.as_tensor(deviator) / (2 * self.mu)
+
+
+@dataclass(frozen=True)
+class MohrCoulombReturn(PointLaw):
+    """`MohrCoulomb` by the return to faces, edges and apex of its yield surface in principal stresses, in 3D.
+
+    Parameters and internal values are the same; this is the general answer, compiled from C.
+    """
+
+    lmbda: float
+    mu: float
+    C: float
+    Omega: float
+    h: float = 0.0
+    psi: float = 0.0
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    symmetric: ClassVar = False
+    memory: ClassVar = 6
+    energetic: ClassVar = True
+    source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
+
+    def check(self) -> None:
+        MohrCoulomb(**self.parameters())
+
+
+@dataclass(frozen=True)
+class MohrCoulombMonodirectional(Plastic):
+    """Mohr-Coulomb elasto-plasticity that slips on planes parallel to S alone: |t_T| <= C - tan(Omega) t_N, t = stress n.
+
+    Equations (37)-(38) and (54)-(55), with the sign of the shear stress in the flow: dw^p/dt = k t_T/|t_T|, k >= 0. As a
+    layer's law, t = K_L ([u] - w^p): Coulomb's friction with penalties lmbda + 2 mu and mu. Where t_N > C cot(Omega) the
+    shear traction vanishes and the normal one stays elastic: bilateral, as in the paper.
+
+    Unilateral, the layer opens instead of pulling: a strain along n that costs nothing makes up for tension, t_N <= 0, and
+    |t_T| <= C is left. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
+
+    Attributes:
+        unilateral: whether the layer can only push.
+    """
+
+    unilateral: bool = False
+
+    def parameters(self) -> dict[str, Any]:
+        return {name: value for name, value in super().parameters().items() if name != "unilateral"}
+
+    @property
+    def quadratic(self) -> bool:  # type: ignore[override]
+        return not self.unilateral
+
+    def check(self) -> None:
+        super().check()
+        require(isinstance(self.unilateral, bool), self, "unilateral", repr(self.unilateral), "True or False")
+
+    def _opened(self, e: Expr, n: Expr) -> Expr:
+        """An elastic strain less the opening along n that leaves no tension."""
+        n = lift(n)
+        tension = ufl.dot(n, ufl.dot(lame(self.lmbda, self.mu, e), n))
+        opening = ufl.max_value(tension, 0) / (self.lmbda + 2 * self.mu)
+        return e - opening * ufl.outer(n, n)
+
+    def _trial(self, step: Step) -> Expr:
+        e = self._elastic_strain(step.mid, step.q)
+        return lame(self.lmbda, self.mu, self._opened(e, step.n) if self.unilateral else e)
+
+    def energy(self, step: Step) -> Expr:
+        e = self._elastic_strain(step.e, step.q)
+        stored = isotropic_energy(self.lmbda, self.mu, self._opened(e, step.n) if self.unilateral else e)
+        return (1 - self.h) * stored + self.h * isotropic_energy(self.lmbda, self.mu, step.e)
+
+    def _flow(self, step: Step) -> Expr:
+        n = lift(step.n)
+        t = ufl.dot(self._trial(step), n)
+        t_N = ufl.dot(t, n)
+        t_T = t - t_N * n
+        bound = ufl.max_value(self.C - ufl.tan(ufl.pi / 180 * self.Omega) * t_N, 0)
+        size2 = ufl.inner(t_T, t_T)
+        beyond = ufl.gt(size2, bound**2)
+        excess = ufl.conditional(beyond, 1 - bound / ufl.sqrt(size2), 0)
+        return excess * ufl.sym(ufl.outer(t_T, n)) / self.mu
