@@ -86,7 +86,8 @@ class Law:
         quadratic: whether the stored energy is a quadratic function of strain and internal variables.
         constrained: whether the strain's trace is held to zero by a pressure that is a field of its own.
         yields: whether stresses are bounded in some direction, so that loads may have a limit.
-        otherwise: a law with the same parameters and internal values for the points where this one does not hold.
+        otherwise: a law with the same parameters and internal values for the points where this one does not hold, and for
+            three dimensions.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}

@@ -93,10 +93,10 @@ class Plastic(Law):
 class MohrCoulomb(Plastic):
     """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= C - tan(Omega) normal stress.
 
-    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= C cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if the
-    angle were psi. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one plane,
-    which is not coaxial with the stress: two such planes exist, and their mean is the flow taken here. In (31) and (33)
-    the plastic strains lack a factor 2, and the trace of the elastic strain is that of the whole one.
+    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= C cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if
+    the angle were psi. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one
+    plane, which is not coaxial with the stress: two such planes exist, and their mean is the flow taken here. In (31) and
+    (33) the plastic strains lack a factor 2, and the plastic strain has no trace.
 
     As a layer's law it is not Coulomb's law with tan(Omega): in plane strain, with p = (lmbda + mu) w_N and the in-plane
     deviator s = (s_N, s_T), mu dw in each step as long as |s| <= R = C cos(Omega) - p sin(Omega),
@@ -126,7 +126,7 @@ class MohrCoulomb(Plastic):
         require(0 <= self.psi <= self.Omega, self, "psi", self.psi, allowed)
 
     @property
-    def otherwise(self) -> MohrCoulombReturn:
+    def otherwise(self) -> MohrCoulombReturn:  # type: ignore[override]
         return MohrCoulombReturn(**self.parameters())
 
     def holds(self, step: Step) -> Expr:
@@ -203,27 +203,31 @@ class MohrCoulombMonodirectional(Plastic):
         super().check()
         require(isinstance(self.unilateral, bool), self, "unilateral", repr(self.unilateral), "True or False")
 
-    def _opened(self, e: Expr, n: Expr) -> Expr:
-        """An elastic strain less the opening along n that leaves no tension."""
-        n = lift(n)
-        tension = ufl.dot(n, ufl.dot(lame(self.lmbda, self.mu, e), n))
-        opening = ufl.max_value(tension, 0) / (self.lmbda + 2 * self.mu)
-        return e - opening * ufl.outer(n, n)
+    def _tension(self, e: Expr, n: Expr) -> Expr:
+        """Normal traction of an elastic strain that an opening along n takes away."""
+        return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
     def _trial(self, step: Step) -> Expr:
-        e = self._elastic_strain(step.mid, step.q)
-        return lame(self.lmbda, self.mu, self._opened(e, step.n) if self.unilateral else e)
+        e, n = self._elastic_strain(step.mid, step.q), lift(step.n)
+        stress = lame(self.lmbda, self.mu, e)
+        if not self.unilateral:
+            return stress
+        opening = self._tension(e, n) / (self.lmbda + 2 * self.mu)
+        return stress - opening * lame(self.lmbda, self.mu, ufl.outer(n, n))
 
     def energy(self, step: Step) -> Expr:
         e = self._elastic_strain(step.e, step.q)
-        stored = isotropic_energy(self.lmbda, self.mu, self._opened(e, step.n) if self.unilateral else e)
+        stored = isotropic_energy(self.lmbda, self.mu, e)
+        if self.unilateral:
+            stored -= self._tension(e, lift(step.n)) ** 2 / (2 * (self.lmbda + 2 * self.mu))
         return (1 - self.h) * stored + self.h * isotropic_energy(self.lmbda, self.mu, step.e)
 
     def _flow(self, step: Step) -> Expr:
         n = lift(step.n)
-        t = ufl.dot(self._trial(step), n)
-        t_N = ufl.dot(t, n)
-        t_T = t - t_N * n
+        e = self._elastic_strain(step.mid, step.q)  # of the traction alone: compiles 50 times as fast as with _trial
+        e_N = ufl.dot(n, ufl.dot(e, n))
+        t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
+        t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
         bound = ufl.max_value(self.C - ufl.tan(ufl.pi / 180 * self.Omega) * t_N, 0)
         size2 = ufl.inner(t_T, t_T)
         beyond = ufl.gt(size2, bound**2)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from forms import Law, Stack
 from forms.kinematics import Expr
 from geometry import Joint
 from thinlayer import History, Model, State, Table, ThinLayer, compare, plotting, solve
@@ -23,6 +24,7 @@ class Sweep:
         joint: the joint.
         setup: data of its models other than the layer and the bodies' way to make room for it.
         layer: thickness -> the layer.
+        instead: thickness -> another layer for the interface model alone, to see what a wrong law costs.
         bodies: "kept" or "extended".
         where: part of S to measure on, see `thinlayer.compare`.
         times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
@@ -38,14 +40,15 @@ class Sweep:
     bodies: str = "kept"
     where: Callable[[Expr], Expr] | None = None
     times: Sequence[float] | None = None
-    more: Callable[[Solution, Solution], dict[str, float]] | None = None
+    more: Callable[[Solution, Solution], dict[str, Any]] | None = None
     case: str = ""
+    instead: Callable[[float], ThinLayer] | None = None
 
     def solved(self, eps: float) -> tuple[Solution, Solution]:
         """The full and the interface model's state, or history, for a thickness."""
         layer = self.layer(eps)
         full = Model.full(self.joint, layer=layer, bodies=self.bodies, **self.setup)
-        limit = Model.interface(self.joint, layer=layer, **self.setup)
+        limit = Model.interface(self.joint, layer=self.instead(eps) if self.instead else layer, **self.setup)
         return self._solved(full), self._solved(limit)
 
     def _solved(self, model: Model) -> Solution:
@@ -61,7 +64,7 @@ class Sweep:
     def run(
         self,
         eps: Sequence[float],
-        order: tuple[float, float | None],
+        order: tuple[float, float | None] | None,
         pictured: float,
         *,
         title: str = "",
@@ -71,7 +74,8 @@ class Sweep:
 
         Args:
             eps: thicknesses, lengths.
-            order: range that the last observed orders of traction and jump must lie in; None for an open end.
+            order: range that the last observed orders of traction and jump must lie in; None for an open end, or for no
+                such check.
             pictured: the thickness to draw the deformed structures of.
             title, unit: of that picture.
         """
@@ -81,11 +85,12 @@ class Sweep:
             if e == pictured:
                 states = {f"meshed layer, eps = {e:g} {unit}".rstrip(): last(full), "interface law": last(limit)}
                 plotting.deformed(states, save=self.record.path(self._named("deformed.png")), title=title, unit=unit)
-            return compare(full, limit, where=self.where) | (self.more(full, limit) if self.more else {})
+            more = self.more(full, limit) if self.more else {}
+            return compare(full, limit, where=self.where) | elastic_fraction(self.layer(e).law) | more
 
         table = self.record.sweep(compare_at, eps, self._named("table.csv"))
         self.record.say(table)
-        if len(eps) > 1:
+        if order and len(eps) > 1:
             for name in ("traction", "jump"):
                 value = table[f"order_{name}"][-1]
                 what = f"last observed order of the {name}" + (f", {self.case}" if self.case else "")
@@ -93,19 +98,32 @@ class Sweep:
         return table
 
 
+def elastic_fraction(law: Law) -> dict[str, float]:
+    """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
+    laws = law.laws if isinstance(law, Stack) else (law,)
+    fractions = [one.parameters()["h"] for one in laws if "h" in one.parameters()]
+    return {"h": max(fractions)} if fractions else {}
+
+
 def last(solution: Solution) -> State:
     """The state itself, or the last one of a history."""
     return solution if isinstance(solution, State) else solution.last
 
 
-def draw_rates(record: Record, *, title: str, cases: Mapping[str, str] | None = None) -> None:
+def draw_rates(record: Record, *, title: str, cases: Mapping[str, str] | None = None, apart: bool = False) -> None:
     """Draw rates.png from the study's tables.
 
     Args:
         record: the run.
         title: of the picture.
         cases: label -> name of a sweep's table; default table.csv alone.
+        apart: whether the jump gets a picture of its own, rates_jump.png: for many cases.
     """
-    if record.root:
-        tables = {label: record.path(name) for label, name in (cases or {"": "table.csv"}).items()}
+    if not record.root:
+        return
+    tables = {label: record.path(name) for label, name in (cases or {"": "table.csv"}).items()}
+    if not apart:
         plotting.rates(tables, save=record.path("rates.png"), title=title)
+        return
+    for name, picture in (("traction", "rates.png"), ("jump", "rates_jump.png")):
+        plotting.rates(tables, save=record.path(picture), title=f"{title}: {name}", errors={name: f"error_{name}"})

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from thinlayer.comparison import compare, observed_orders, sweep
     from thinlayer.contact.report import ContactReport
-    from thinlayer.failure import SolveError
+    from thinlayer.failure import LimitLoad, SolveError
     from thinlayer.layer import ThinLayer
     from thinlayer.loads import ModelError, piecewise
     from thinlayer.model import Model
     from thinlayer.options import OptionError
+    from thinlayer.pointwise.drive import PointHistory, drive
     from thinlayer.solvers import solve
     from thinlayer.state import State
     from thinlayer.surface import Surface
@@ -27,15 +28,18 @@ __all__ = [
     "Adaptive",
     "ContactReport",
     "History",
+    "LimitLoad",
     "Model",
     "ModelError",
     "OptionError",
+    "PointHistory",
     "SolveError",
     "State",
     "Surface",
     "Table",
     "ThinLayer",
     "compare",
+    "drive",
     "march",
     "observed_orders",
     "piecewise",
@@ -56,6 +60,9 @@ _HOME = {
     "march": "time.marching",
     "Model": "model",
     "OptionError": "options",
+    "PointHistory": "pointwise.drive",
+    "drive": "pointwise.drive",
+    "LimitLoad": "failure",
     "SolveError": "failure",
     "solve": "solvers",
     "State": "state",

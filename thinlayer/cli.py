@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--eps", nargs="+", type=float, metavar="E", help="thicknesses of the layer, > 0")
     run.add_argument("--bodies", choices=("kept", "extended"), help="how the bodies make room for the meshed layer")
     run.add_argument("--order", type=int, choices=(0, 1), help="order of the interface law")
+    run.add_argument("--loads", choices=("both", "R1", "R4m"), help="readings of the paper's loads (fig3_mohr_coulomb)")
     run.add_argument("--quick", action="store_true", default=None, help="coarse meshes and few thicknesses")
     run.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
     run.add_argument("--out", type=Path, metavar="DIR", help="folder for tables and pictures (default: out/STUDY)")
@@ -95,9 +96,8 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
 
 def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
     study = _study(parser, chosen.study)
-    given = {
-        name: getattr(chosen, name) for name in ("eps", "bodies", "order", "quick") if getattr(chosen, name) is not None
-    }
+    known = ("eps", "bodies", "order", "loads", "quick")
+    given = {name: getattr(chosen, name) for name in known if getattr(chosen, name) is not None}
     _check_options(parser, study, given)
     petsc = _petsc_options(parser, rest)
     out = chosen.out or Path("out") / study.name

@@ -55,10 +55,12 @@ class Equations:
             of the stresses of stiff bodies that supports move.
         least_residual: what rounding leaves of the forces of stiff bodies that supports move.
         failed: number of points where a law failed in the last residual.
+        eased: ease of the laws at points.
     """
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
+        self.eased = 0.0
         V = model.V
         self.u, self.mid = fem.Function(V), fem.Function(V)
         forms = [p for p in model.points if not p.law.pointwise]
@@ -129,6 +131,17 @@ class Equations:
         if self.contact:
             memory.append(self.contact.rest())
         return tuple(memory)
+
+    @property
+    def can_ease(self) -> bool:
+        """Whether laws at points can be replaced by easier ones."""
+        return any(p.points.law.can_ease for p in self.points)
+
+    def ease(self, ease: float) -> None:
+        """Replace the laws at points by ones between themselves (0) and an elastic layer (1)."""
+        self.eased = ease
+        for p in self.points:
+            p.ease(ease)
 
     # ---------------------------------------------------------------- a step
     def begin(self, interval: Interval) -> None:

@@ -1,7 +1,8 @@
-"""The error of a solve that did not converge."""
+"""Errors of solves that did not converge."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 
@@ -9,10 +10,33 @@ class SolveError(RuntimeError):
     """A solve that did not converge: the reason, the last residual, and what to try.
 
     Attributes:
+        reason: the message without what to try.
         history: of a march, its accepted steps.
-        residuals: of a contact solve, the residual at every step over the forces.
+        residuals: of a contact solve, or of Newton's method, the residual at every step over the forces.
     """
 
-    def __init__(self, message: str, history: Any = None, residuals: tuple[float, ...] = ()) -> None:
-        super().__init__(message)
-        self.history, self.residuals = history, residuals
+    def __init__(
+        self, reason: str, history: Any = None, residuals: tuple[float, ...] = (), advice: str | None = None
+    ) -> None:
+        super().__init__(f"{reason}; {advice}" if advice else reason)
+        self.reason, self.history, self.residuals = reason, history, residuals
+
+
+class LimitLoad(SolveError):
+    """A march whose loads grow beyond what a layer that yields can carry: no step leads on, however short.
+
+    Attributes:
+        t: time of the last equilibrium.
+        failed_at: earliest time at which none was found.
+        resultant: tractions and body forces on the bodies at t, their sum, one number for each component.
+        history: the accepted steps.
+    """
+
+    def __init__(self, reason: str, t: float, failed_at: float, resultant: Sequence[float], history: Any) -> None:
+        loads = ", ".join(f"{force:.6g}" for force in resultant)
+        super().__init__(
+            f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
+            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}). What was found before is kept",
+            history,
+        )
+        self.t, self.failed_at, self.resultant = t, failed_at, tuple(resultant)

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from geometry.parallel import on_root
 from thinlayer.comparison import sweep
+from thinlayer.failure import SolveError
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.state import State
@@ -162,11 +163,18 @@ class Record:
         if not (self._begun or self.resume):  # of a run that was killed
             on_root(MPI.COMM_WORLD, lambda: shutil.rmtree(self.path(MARCHES), ignore_errors=True))
         self._begun = True
-        history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
+        try:
+            history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
+        except SolveError as error:
+            self._noted_states(error.history)
+            raise
         self._begin()
-        for state in history:
-            self.solved(state)
+        self._noted_states(history)
         return history
+
+    def _noted_states(self, history: History | None) -> None:
+        for state in history or ():
+            self.solved(state)
 
     def _begin(self) -> None:
         """Write down the options once there is something to resume."""

@@ -12,25 +12,20 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
+from thinlayer.continuation import Continuation
 from thinlayer.equations import Equations, Interval
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import linear_solvers, mark, tell_multigrid
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
+from thinlayer.newton import LARGEST_RESIDUAL, NEWTON, YIELDING, newton, reason_name
 from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set, require_all_read, require_known_values
 from thinlayer.state import Report, State
 
-NEWTON: dict[str, OptionValue] = {
-    "snes_type": "newtonls",
-    "snes_linesearch_type": "bt",
-    "snes_rtol": 0,  # the first residual says nothing: a dashpot at rest lets the first step go anywhere
-    "snes_stol": 0,
-    "snes_max_it": 100,
-}
-LARGEST_RESIDUAL = 1e-6
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov methods
 WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
-TOLERANCE = 1e-10  # of Newton's method: residual over the forces of the bodies' stresses, or the loads
+SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
+FARTHEST = 1e4  # displacements of a first step over the old ones
 OVERSHOOT = 10.0  # residual of a first step over the forces
 
 
@@ -66,7 +61,13 @@ def solve(
     if not isinstance(t, Real) or not math.isfinite(t):
         raise ModelError(f"t is {t!r}; it must be a finite number")
     with Solver(model, options=options, method=method, like=like) as solver:
-        return solver.step(solver.rest(t), t)
+        try:
+            return solver.step(solver.rest(t), t)
+        except SolveError as error:
+            if not solver.yields:
+                raise
+            advice = "loads on a layer that yields may have a limit: let them grow in time, and march in small steps"
+            raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
 
 
 def _require_model(model: Any) -> None:
@@ -159,25 +160,78 @@ class Solver:
         report = Report("rest", 0, 0.0, 0.0)
         return State(self.model, fem.Function(self.model.V), t, report, memory=self.equations.rest())
 
-    def step(self, old: State, t: float, theta: float = 1.0) -> State:
+    def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
 
-        With t = old.t it is the response to a sudden load. Errors as in `solve`.
+        With t = old.t it is the response to a sudden load. Errors as in `solve`. Where Newton's method fails with a law
+        that yields, it is tried with another line search and then through laws that are easier, if `thorough`.
         """
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
+        x, iterations, residual, eased = self._find(old, thorough)
+        memory, audit = self.equations.audit(x)
+        report = Report(self.method, iterations, residual, time.perf_counter() - start, eased)
+        return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
+
+    def _find(self, old: State, thorough: bool) -> tuple[PETSc.Vec, int, float, int]:
+        """Unknowns at the end of the step, all iterations, residual, number of solves that continuation took."""
+        spent, first = 0, None
+        for search in self._searches if thorough else self._searches[:1]:
+            try:
+                x, iterations, residual = self._solve(old, search)
+            except SolveError as error:
+                first = first or error
+                spent += len(error.residuals)
+            else:
+                return x, spent + iterations, residual, 0
+        assert first is not None
+        if not (thorough and self.equations.can_ease):
+            raise first
+        try:
+            x, iterations, residual, solves = self._continue(old)
+        except SolveError as error:
+            raise first from error
+        return x, spent + iterations, residual, solves
+
+    def _continue(self, old: State) -> tuple[PETSc.Vec, int, float, int]:
+        """The same through eased laws. Strains and internal values at the beginning of the step stay what they are."""
+        way, spent, residual = Continuation(), 0, math.nan
+
+        def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
+            nonlocal spent, residual
+            self.equations.ease(ease)
+            try:
+                x, iterations, residual = self._solve(old, self._searches[-1], begin)
+            except SolveError as error:
+                spent += len(error.residuals)
+                raise
+            spent += iterations
+            return x
+
+        try:
+            found = way.follow(solve)
+        finally:
+            self.equations.ease(0.0)
+        x = self._vectors[0]
+        found.copy(x)
+        found.destroy()
+        return x, spent, residual, way.solves
+
+    def _solve(self, old: State, search: str | None, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
+        """Unknowns at the end of the step, with one of the linear solvers; iterations, residual."""
         while True:
-            ours = {**self._choices[0], **self._newton_options}
+            ours = {**self._choices[0], **self._newton_options(search)}
             try:
                 with defaults({**ours, **self._given}):
                     try:
-                        x, iterations, residual = self._advance(old)
+                        found = self._advance(old, begin)
                     except PETSc.Error as error:
                         require_known_values(error, ours.keys() - self._given.keys())
                         raise
                     if not self._reused:
                         require_all_read(self.method, ours.keys() - self._given.keys())
                     self._reused |= self._contact is not None  # its solvers read their options once
+                    return found
             except SolveError:
                 reused, self._reused = self._reused, False
                 self._drop_factor()
@@ -185,23 +239,32 @@ class Solver:
                     raise
                 if not reused:
                     self._choices.pop(0)
-            else:
-                break
-        memory, audit = self.equations.audit(x)
-        report = Report(self.method, iterations, residual, time.perf_counter() - start)
-        return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
 
     @property
-    def _newton_options(self) -> Mapping[str, OptionValue]:
+    def yields(self) -> bool:
+        """Whether the layer's law bounds stresses, so that loads may have a limit."""
+        return any(p.law.yields for p in self.model.layer_points)
+
+    @property
+    def _searches(self) -> tuple[str | None, ...]:
+        """Line searches to try in turn; None: the one of the options."""
+        if self.yields and not is_set("snes_linesearch_type", self._given):
+            return SEARCHES
+        return (None,)
+
+    def _newton_options(self, search: str | None) -> dict[str, OptionValue]:
         if self.method != "newton":
             return {}
-        return {**NEWTON, "snes_linesearch_type": "basic"} if self.model.contact else NEWTON
+        if self.model.contact:
+            search = "basic"
+        options = NEWTON | YIELDING if self.yields else NEWTON
+        return options | ({"snes_linesearch_type": search} if search else {})
 
     @property
     def _advice(self) -> str:
         if self.model.contact:
             return "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
-        return f"-{PREFIX}snes_linesearch_type basic"
+        return "a larger elastic fraction" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
 
     def _pressure(self, old: State, theta: float) -> fem.Function | None:
         """Pressure at the end of the step; the balance of forces has the one at t + theta dt."""
@@ -213,12 +276,19 @@ class Solver:
         return p
 
     # ---------------------------------------------------------------- one step
-    def _advance(self, old: State) -> tuple[PETSc.Vec, int, float]:
-        """Unknowns at the end of the step: a linear step from the old ones, then Newton if need be."""
+    def _advance(self, old: State, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
+        """Unknowns at the end of the step: a linear step from the old ones, then Newton if need be.
+
+        With `begin` Newton starts from there.
+        """
         if self._contact:
             return self._contact.advance(old, self.equations.loads, self.equations.prescribed)
         equations = self.equations
         x, r, d, move = self._vectors
+        if begin is not None:
+            begin.copy(x)
+            equations.residual(x, r)
+            return self._newton(x, r)
         n, held = equations.n_displacements, equations.held
         for vector in self._vectors:
             vector.set(0.0)
@@ -239,6 +309,8 @@ class Solver:
         else:
             self._prepare(move, r)
         iterations = self._solve_linear(r, d)
+        if self.yields and x.norm() > 0 and not d.norm() <= FARTHEST * x.norm():  # where all yields nothing resists
+            self._elastic_step(x, r, d, move)
         if self.method == "newton":
             d.array[held] = move.array_r[held]
         x.axpy(1.0, d)
@@ -247,6 +319,17 @@ class Solver:
             self._retreat(x, r, d, move, forces)
             return self._newton(x, r)
         return x, iterations, self._refine(x, r, d)
+
+    def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
+        """The first step with the stiffness of an elastic layer."""
+        equations, ease = self.equations, self.equations.eased
+        equations.residual(x, r)
+        r.scale(-1.0)
+        equations.ease(1.0)
+        equations.residual(x, d)
+        equations.ease(ease)
+        self._prepare(move, r)
+        self._solve_linear(r, d)
 
     def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
         """Shorten a first step that a law which stiffens with its rate has made far too long; supports stay moved."""
@@ -302,7 +385,7 @@ class Solver:
         if not residual < LARGEST_RESIDUAL:
             few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
             raise SolveError(
-                f"linear solve failed: {_reason(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
+                f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
                 "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
                 f"says{few}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
             )
@@ -317,57 +400,6 @@ class Solver:
         return float(r.norm())
 
     def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
-        """SNES from displacements that satisfy the supports."""
-        equations = self.equations
-
-        def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
-            equations.residual(x, b)
-            b.array[equations.held] = 0.0
-
-        def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-            equations.tangent()
-            P.zeroRowsColumns(equations.held_rows, 1.0)
-
-        residuals: list[float] = []
-
-        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
-            residuals.append(norms[2] / max(equations.scale, 1e-300))
-            if math.isnan(norms[2]):
-                return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
-            rounding = min(equations.rounding_at(snes.getSolution()), LARGEST_RESIDUAL * equations.least_scale)
-            enough = max(TOLERANCE * equations.scale, equations.least_residual, rounding)
-            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS if norms[2] <= enough else False
-
-        A = equations.tangent()
-        A.zeroRowsColumns(equations.held_rows, 1.0)
-        snes = PETSc.SNES().create(self.model.comm)
-        snes.setOptionsPrefix(PREFIX)
-        snes.setFunction(function, r)
-        snes.setJacobian(jacobian, A)
-        if self._own_test:
-            snes.setConvergenceTest(converged)
-        snes.setFromOptions()
-        tell_multigrid(snes.getKSP(), A, self.model)
-        snes.solve(None, x)
-        reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
-        if self._own_test and not residuals:
-            raise OptionError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
-        last = float(snes.getFunctionNorm()) / max(equations.scale, 1e-300)
-        ksp_reason = snes.getKSP().getConvergedReason()
-        snes.destroy()
-        stalled = reason == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
-        if reason < 0 and not stalled:
-            failed = f"; the layer's law failed at {equations.failed} points" if equations.failed else ""
-            raise SolveError(
-                f"Newton's method failed after {steps} steps: {_reason(PETSc.SNES.ConvergedReason, reason)}"
-                + (f" (linear solver: {_reason(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")
-                + f", residual {last:.1e} of the forces{failed}; try a smaller step or load, {self._advice}, "
-                f"or -{PREFIX}snes_monitor to watch it",
-                residuals=tuple(residuals),
-            )
-        return x, steps + 1, last
-
-
-def _reason(kind: Any, value: int) -> str:
-    names = {v: k for k, v in vars(kind).items() if isinstance(v, int) and not k.startswith("_")}
-    return names.get(value, str(value))
+        advice = f"a smaller step or load, {self._advice}"
+        steps, residual = newton(self.equations, x, r, own_test=self._own_test, hopeless=self.yields, advice=advice)
+        return x, steps + 1, residual

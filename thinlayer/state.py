@@ -21,15 +21,18 @@ class Report:
 
     Attributes:
         method: "linear" or "newton"; of contact "condensed", "multigrid" or "relaxation" too.
-        iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation.
+        iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; of all attempts.
         residual: norm of the residual over the size of the forces.
         seconds: wall time of assembling and solving.
+        eased: number of solves, with laws that are easier than the layer's and then with its own, that continuation took
+            where Newton's method had failed; 0 if it had not.
     """
 
     method: str
     iterations: int
     residual: float
     seconds: float
+    eased: int = 0
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -39,24 +38,28 @@ def rates(
     """
     tables = table if isinstance(table, Mapping) else {"": table}
     data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
-    lines = {
-        f"{case}: {name}" if case else name: (one["eps"], one[column])
-        for name, column in errors.items()
-        for case, one in data.items()
-    }
     figure, axes = _figure(6, 4.5)
-    for (name, (eps, error)), colour, marker in zip(lines.items(), cycle(COLOURS), cycle(MARKERS), strict=False):
-        axes.loglog(eps, error, marker=marker, color=colour, label=name)
-    eps, lowest = min(lines.values(), key=lambda line: float(line[1][-1]))
+    lines = []
+    for k, (name, column) in enumerate(errors.items()):
+        for j, (case, one) in enumerate(data.items()):
+            lines.append((one["eps"], one[column]))
+            colour, marker = (j, k) if len(data) > 1 else (k, k)  # a colour for each case
+            style = {"marker": MARKERS[marker % len(MARKERS)], "color": COLOURS[colour % len(COLOURS)]}
+            style |= {"linestyle": "--", "markerfacecolor": "white"} if len(data) > 1 and k else {}
+            axes.loglog(*lines[-1], label=f"{case}: {name}" if case else name, **style)
+    eps, lowest = min(lines, key=lambda line: float(line[1][-1]))
     line = 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
-    axes.loglog(eps, line, color="0.5", linestyle="--", label=f"slope {reference:g}")
+    axes.loglog(eps, line, color="0.5", linestyle=":", label=f"slope {reference:g}")
     axes.set(xlabel="layer thickness eps", ylabel="relative difference on S, L2", title=title)
     axes.set_xticks(eps, [f"{e:.4g}" for e in eps])
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
     axes.grid(color="0.9")
-    axes.legend(frameon=False)
+    if len(lines) <= 4:
+        axes.legend(frameon=False)
+    else:
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return finish(figure, save)
 
 
@@ -103,6 +106,7 @@ def panels(
     save: str | Path | None = None,
     columns: int = 3,
     yscale: str = "linear",
+    ylims: Mapping[str, tuple[float, float]] | None = None,
 ) -> Figure:
     """Curves in several pictures with one legend.
 
@@ -114,6 +118,7 @@ def panels(
         save: PNG file.
         columns: pictures in a row.
         yscale: "linear" or "log".
+        ylims: title -> range of the second axis (default: all of the curves).
     """
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
@@ -122,6 +127,7 @@ def panels(
         axes = figure.add_subplot(rows, columns, k + 1)
         _plot(axes, lines, styles, colours)
         axes.set(xlabel=xlabel, ylabel=ylabels[title], title=title, yscale=yscale)
+        axes.set_ylim((ylims or {}).get(title))
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
     return finish(figure, save)
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.law import Law
+from forms.series import Stack
 from thinlayer.compiled import library
 from thinlayer.pointwise.kernels import Array, kernels
 
@@ -22,6 +23,7 @@ class Material:
 
     Attributes:
         memory: number of internal values at a point.
+        parameters: real parameters of the sublayers, one after the other.
     """
 
     def __init__(self, comm: MPI.Intracomm, law: Law) -> None:
@@ -32,9 +34,20 @@ class Material:
         self._memories = np.array([k.memory for k in self._kernels], np.int32)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
         self._fractions = np.array([k.fraction for k in self._kernels])
-        self._parameters = np.concatenate([k.parameters for k in self._kernels])
+        self.parameters = np.concatenate([k.parameters for k in self._kernels])
         layers = len(self._kernels)
         self.memory = int(self._memories.sum()) + (3 * layers if layers > 1 else 0)
+
+    def take(self, law: Law) -> None:
+        """Answer from now on with the parameters of another law of the same kind; nothing is compiled.
+
+        Raises:
+            ValueError: a law of another kind, or parameters of another shape.
+        """
+        counts = [len(numbers) for numbers in _numbers(law)]
+        if _kinds(law) != _kinds(self.law) or counts != self._counts.tolist():
+            raise ValueError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
+        self.parameters = np.concatenate(_numbers(law))
 
     def update(
         self, slots: Sequence[int], e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float
@@ -59,7 +72,9 @@ class Material:
                 raise ValueError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
-        law = self._given(self._addresses, self._others, self._memories, self._counts, self._fractions, self._parameters)
+        in_plane = m < 6  # laws that another one answers for are closed forms of plane strain
+        addresses = self._addresses if in_plane else np.where(self._others, self._others, self._addresses)
+        law = self._given(addresses, self._others, self._memories, self._counts, self._fractions, self.parameters)
         failed = self._library.lib.run(
             len(self._kernels), *law,
             m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta,
@@ -73,3 +88,17 @@ class Material:
         """Pointers to arrays, made contiguous (outputs are)."""
         kinds = {"int32": "int32_t[]", "int64": "intptr_t[]", "float64": "double[]"}
         return [self._library.ffi.from_buffer(kinds[a.dtype.name], np.ascontiguousarray(a)) for a in arrays]
+
+
+def _kinds(law: Law) -> list[type[Law]]:
+    return [type(one) for one in _sublayers(law)]
+
+
+def _numbers(law: Law) -> list[Array]:
+    """Parameters of each sublayer, one after the other."""
+    values = [[np.ravel(np.asarray(v, float)) for v in one.parameters().values()] for one in _sublayers(law)]
+    return [np.concatenate([np.empty(0), *numbers]) for numbers in values]
+
+
+def _sublayers(law: Law) -> tuple[Law, ...]:
+    return law.laws if isinstance(law, Stack) else (law,)

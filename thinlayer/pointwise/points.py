@@ -158,6 +158,10 @@ class LawPoints:
         total = self.weights @ energies if self.points.law.has_energy else np.full(3, np.nan)
         return Response(s, C, new, total, failed)
 
+    def ease(self, ease: float) -> None:
+        """Let the law answer from now on with an ease, see `Law.eased`; 0: the law itself."""
+        self.material.take(self.points.law.eased(ease) if ease else self.points.law)
+
     def rest(self) -> Array:
         """Internal values before anything happened."""
         return np.zeros((self.count, self.material.memory))

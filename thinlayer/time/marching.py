@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from thinlayer.failure import LimitLoad, SolveError
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.options import OptionValue
 from thinlayer.progress import track
-from thinlayer.solvers import SolveError, Solver
+from thinlayer.rigid import rigid_motions
+from thinlayer.solvers import Solver
 from thinlayer.state import State
 from thinlayer.table import Row
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
@@ -23,6 +25,7 @@ from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.plan import Adaptive, Plan
 
 Observe = Mapping[str, Callable[[State], float]]
+SAME_LOADS = 1e-12  # relative change
 SAFETY, LEAST, MOST = 0.9, 0.2, 3.0  # of the change of an adaptive step
 
 
@@ -62,6 +65,7 @@ def march(
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; a checkpoint that does not fit.
         SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
+        LimitLoad: the same with a layer that yields, as loads change; it tells the last loads with an equilibrium.
     """
     start, theta = _number("start", start), _number("theta", theta)
     _check(model, theta, keep, out, resume, observe)
@@ -137,6 +141,8 @@ class _March:
         self.pace = Pace(adaptive.first if adaptive else None)
         self.history = History(solver.model)
         self._written = 0
+        self._failed_at: float | None = None  # earliest end of a step that failed, still ahead
+        self._shortest = False  # whether the step cannot be shortened further
 
     @property
     def _sudden(self) -> bool:
@@ -180,29 +186,72 @@ class _March:
             try:
                 states, factor = self._try(old, end)
             except SolveError as error:
-                self._shorten((end - old.t) / 2, old, end, error)
+                self._fail(old, end, error)
                 continue
             if not states:
                 self._shorten(
                     (end - old.t) * factor, old, end, SolveError("its estimated error stays above the tolerance")
                 )
                 continue
+            passed = self._failed_at is None or end >= self._failed_at
             if self.plan.adaptive:
                 step = (end - old.t) * factor
                 if end == target:  # a step cut short for the target says nothing against a longer one
                     step = max(step, planned)
                 self.pace.step = min(step, self.plan.adaptive.largest)
             elif self.pace.step is not None:
-                self.pace.step = None if end == target else 2 * dt
+                self.pace.step = None if end == target else 2 * dt if passed or not self.solver.yields else dt
+            if passed:
+                self._failed_at = None
+            self._shortest = False
             self._accept(states)
 
+    @property
+    def _smallest(self) -> float:
+        return self.plan.smallest * (1 - SAME_TIME)
+
+    @property
+    def _thorough(self) -> bool:
+        """Whether a step is worth every effort: a planned one, the shortest one, one after another that took it."""
+        whole = self._failed_at is None and (self.pace.step is None or self.plan.adaptive is not None)
+        return whole or self._shortest or self.history.last.report.eased > 0
+
+    def _fail(self, old: State, end: float, error: SolveError) -> None:
+        """Shorten a step whose solve failed; the shortest one is tried again with every effort."""
+        dt, thorough = (end - old.t) / 2, self._thorough
+        self._failed_at = end if self._failed_at is None else min(end, self._failed_at)
+        if self.solver.yields and not thorough and dt < self._smallest:
+            self._shortest = True
+        else:
+            self._shorten(dt, old, end, error)
+
     def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
-        if dt < self.plan.smallest:
-            raise SolveError(
-                f"step {len(self.history)}, from t = {old.t:g} to {end:g}, failed, and so did longer ones: {error}",
-                self.history,
-            ) from error
-        self.pace.step = dt
+        if dt >= self._smallest:
+            self.pace.step = dt
+            return
+        if self.solver.yields and self._failed_at is not None and self._loads_change(old.t, end):
+            raise LimitLoad(error.reason, old.t, end, self._resultant(old.t), self.history) from error
+        raise SolveError(
+            f"step {len(self.history)}, from t = {old.t:g} to {end:g}, failed, and so did longer ones: {error}",
+            self.history,
+        ) from error
+
+    def _loads_change(self, before: float, after: float) -> bool:
+        a, b = (self.solver.equations.loads_at(t) for t in (before, after))
+        size = b.norm()
+        b.axpy(-1.0, a)
+        change = b.norm()
+        a.destroy()
+        b.destroy()
+        return bool(change > SAME_LOADS * size)
+
+    def _resultant(self, t: float) -> list[float]:
+        """Tractions and body forces on the bodies at a time, their sum."""
+        model, loads = self.solver.model, self.solver.equations.loads_at(t)
+        translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
+        forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
+        loads.destroy()
+        return forces
 
     def _try(self, old: State, end: float) -> tuple[list[State], float]:
         """States of a step, none if its error is too large, and by how much the next step may be longer or shorter."""
@@ -212,7 +261,7 @@ class _March:
         if not adaptive:
             ends = [middle, end] if theta != self.theta else [end]
             return [*self._chain(old, ends, theta)], 1.0
-        whole = self.solver.step(old, end, theta)
+        whole = self.solver.step(old, end, theta, self._thorough)
         halves = [*self._chain(old, [middle, end], theta)]
         order = 2 if theta == 0.5 else 1
         size = max(float(halves[-1].u.x.petsc_vec.norm()), self.pace.largest)
@@ -225,7 +274,7 @@ class _March:
 
     def _chain(self, state: State, ends: list[float], theta: float) -> Iterator[State]:
         for t in ends:
-            state = self.solver.step(state, t, theta)
+            state = self.solver.step(state, t, theta, self._thorough)
             yield state
 
     def _accept(self, states: list[State]) -> None:

@@ -1,0 +1,221 @@
+"""Figures 2 and 3: a steel bar on a Mohr-Coulomb layer; where it yields, tangential traction over displacement along S.
+
+The paper gives the loads as "(0.164, -0.0164) N/mm" and not the sides they act on. Two readings:
+
+R1: 0.164 MPa along S on the left side, 0.0164 MPa onto S on the upper one, the right side on rollers, as in Fig. 7. The
+    shear is ten times the pressure: without cohesion the layer yields all along S, and t_T/u_T is small everywhere.
+R4m: 0.164 MPa onto S on the upper side, 0.0164 MPa to the left on the right one, no support. The layer is pressed ten
+    times more than sheared: it stays elastic, with the ratio mu, but for a part near the left end. That is what Fig. 3
+    shows ("beginning of the plastification in the left part", the ratio "equal to the coefficient" mu on the right).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from forms import LinearElastic, MohrCoulomb
+from geometry import Joint, block
+from thinlayer import Model, State, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
+from thinlayer.progress import track
+from thinlayer.record import Record
+from thinlayer.table import Row
+
+SIDE = 100.0  # mm
+EPS = 1.0  # mm
+STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
+GLUE = LinearElastic.young(E=30e3, nu=0.3).per_thickness(EPS)  # MPa/mm
+OMEGA = 30.0
+H = 0.02  # elastic fraction, in both models where the layer is meshed
+R_X, U_T_50 = 0.7760, 2.9706e-5  # N/mm and mm, of R1 in one step, from an independent code
+R_X_REFINED = 0.792  # N/mm, likewise, the pressure first, then the shear in many steps
+STEPS = (1, 5, 20, 80)
+
+
+@dataclass(frozen=True)
+class Loads:
+    """A reading of the paper's loads.
+
+    Attributes:
+        pressure, shear: side and traction (MPa) of each.
+        supports: prescribed displacements.
+        why: what to expect, for the picture.
+        scale: of the displacements in the picture of the layer's left end.
+        shown: range of the ratio in the picture, 10^3 N/mm^3; the free ends of the meshed layer lie outside.
+    """
+
+    pressure: tuple[str, tuple[float, float]]
+    shear: tuple[str, tuple[float, float]]
+    supports: dict[str, dict[str, float]]
+    why: str
+    scale: float
+    shown: tuple[float, float]
+
+    @property
+    def tractions(self) -> dict[str, tuple[float, float]]:
+        """Both loads by side."""
+        return dict([self.pressure, self.shear])
+
+
+READINGS = {
+    "R1": Loads(
+        ("TOP", (0.0, -0.0164)), ("LEFT", (0.164, 0.0)), {"RIGHT": {"x": 0.0}}, "yields all along S", 1e4, (0.0, 12.5)
+    ),
+    "R4m": Loads(("TOP", (0.0, -0.164)), ("RIGHT", (-0.0164, 0.0)), {}, "yields on the left", 8e4, (11.0, 12.0)),
+}
+
+
+def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
+    """Solve Fig. 2 with the interface law and with the layer meshed; loads in one step, and for R1 in many.
+
+    Without cohesion the free end of a meshed layer has no strength: an elastic fraction h makes the problem well posed.
+    The interface law needs none; it is solved with and without.
+
+    Args:
+        record: where to write.
+        loads: "R1", "R4m" or "both".
+        quick: coarser mesh.
+    """
+    fine, coarse = (4.0, 2.0, 0.05), (6.0, 3.0, 0.1)
+    readings = READINGS if loads == "both" else {loads: READINGS[loads]}
+    record.parameters = {"eps_mm": EPS, "layer_per_mm": str(glue(0.0)), "h": H, "h_mm": coarse if quick else fine}
+    table = Table()
+    for name, reading in readings.items():
+        bar = Bar(record, name, reading, coarse if quick else fine)
+        shown = {
+            "interface law, h = 0": bar.solved(Model.interface, 0.0),
+            f"interface law, h = {H:g}": bar.solved(Model.interface, H),
+            f"meshed layer, h = {H:g}": bar.solved(Model.full, H),
+        }
+        for label, state in shown.items():
+            for row in bar.profile(state):
+                table.append({"loads": name, "model": label} | row)
+        bar.check(shown)
+        ends = {label: state for label, state in shown.items() if state is not next(iter(shown.values()))}
+        title = f"left end of a Mohr-Coulomb layer, loads {name}"
+        window, picture = (-2.0, 6.0, -1.6, 4.0), record.path(f"layer_end_{name}.png")
+        plotting.deformed(ends, save=picture, scale=reading.scale, unit="mm", title=title, zoom=window)
+    record.write("table.csv", table)
+    draw(record)
+    if "R1" in readings:
+        refine(record, Bar(record, "R1", READINGS["R1"], coarse))
+
+
+def glue(h: float) -> MohrCoulomb:
+    """The layer of Fig. 2, per mm."""
+    return MohrCoulomb(GLUE.lmbda, GLUE.mu, C=0.0, Omega=OMEGA, h=h)
+
+
+def meshed(sizes: tuple[float, float, float]) -> Joint:
+    """The bar of Fig. 2; sizes (mm) of its cells inside, at S and at the ends of S."""
+    return block(SIDE, SIDE, sizes[0], h_S=sizes[1], h_ends=sizes[2], cell="quadrilateral")
+
+
+class Bar:
+    """The bar of Fig. 2 under one reading of the loads; sizes as in `meshed`."""
+
+    def __init__(self, record: Record, name: str, loads: Loads, sizes: tuple[float, float, float]) -> None:
+        self.record, self.name, self.loads = record, name, loads
+        self.joint = meshed(sizes)
+        self.surface = Surface(self.model(Model.interface, 0.0, loads.tractions))
+
+    def model(self, kind: Callable[..., Model], h: float, tractions: dict[str, Any]) -> Model:
+        """The bar, its layer with an elastic fraction h."""
+        layer = ThinLayer(glue(h), EPS)
+        supports = self.loads.supports
+        return kind(self.joint, layer=layer, body=STEEL, supports=supports, tractions=tractions, element="S2")
+
+    def solved(self, kind: Callable[..., Model], h: float) -> State:
+        """All loads in one step."""
+        return self.record.solved(solve(self.model(kind, h, self.loads.tractions)))
+
+    def sheared(self, steps: int) -> State:
+        """The pressure at once, then the shear in equal steps; interface law."""
+        side, (x_part, y_part) = self.loads.shear
+        tractions = dict([self.loads.pressure]) | {side: lambda x, t: (t * x_part, t * y_part)}
+        times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
+        return march(self.model(Model.interface, 0.0, tractions), times, keep="last").last
+
+    def profile(self, state: State) -> list[dict[str, float | None]]:
+        """h, displacement, traction and their tangential ratio along S; the ratio is empty where it is nearly 0/0."""
+        layer, surface = state.model.layer, self.surface
+        assert layer is not None
+        x, u = surface.profile(surface.frame(surface.jump(state)))
+        _, t = surface.profile(surface.frame(surface.traction(state)))
+        columns = {"x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1], "t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1]}
+        found = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
+        rows: list[dict[str, float | None]] = []
+        for k in range(len(x)):
+            ratio = float(t[k, 0] / u[k, 0]) if found[k] else None
+            rows.append(
+                {"h": layer.law.parameters()["h"]} | {n: float(c[k]) for n, c in columns.items()} | {"ratio": ratio}
+            )
+        return rows
+
+    def shear_force(self, state: State) -> float:
+        """Tangential force on S, N/mm."""
+        return self.surface.integral(self.surface.frame(self.surface.traction(state))[0])
+
+    def check(self, shown: dict[str, State]) -> None:
+        """Numbers of the independent code, and where Fig. 3 shows the elastic ratio."""
+        record, mu = self.record, GLUE.mu
+        limit = next(iter(shown.values()))
+        record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in shown.items()}
+        record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
+        rows = self.profile(limit)
+        if self.name == "R1":
+            x, u = (np.array([row[column] for row in rows], float) for column in ("x_mm", "u_T_mm"))
+            error = self.shear_force(limit) / R_X - 1
+            record.check("R1: relative error of the shear force on S, one load step", abs(error), high=2e-4)
+            error = float(np.interp(SIDE / 2, x, u)) / U_T_50 - 1
+            record.check("R1: relative error of u_T at 50 mm, one load step", abs(error), high=1e-4)
+            stiffest = max(row["ratio"] for row in rows if row["ratio"]) / mu
+            record.check("R1: largest t_T/u_T over mu", stiffest, high=0.5)
+            return
+        elastic = [row["ratio"] / mu - 1 for row in rows if row["ratio"] and 20 < (row["x_mm"] or 0) < 90]
+        softest = min(row["ratio"] / mu for row in rows if row["ratio"])
+        record.check("R4m: |t_T/u_T / mu - 1| between 20 and 90 mm", max(map(abs, elastic)), high=1e-6)
+        record.check("R4m: smallest t_T/u_T over mu", softest, high=0.99)
+
+
+def refine(record: Record, bar: Bar) -> None:
+    """The pressure first, then the shear in 1, 5, 20, 80 steps: the shear force depends on the path, not on the mesh."""
+    forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(STEPS, "fig3_mohr_coulomb", "{} steps")}
+    table = Table()
+    orders = observed_orders([1 / s for s in STEPS[:-1]], [abs(forces[s] - forces[STEPS[-1]]) for s in STEPS[:-1]])
+    for k, (steps, force) in enumerate(forces.items()):
+        table.append({"steps": steps, "shear_force": force, "order": orders[k] if k < len(orders) else None})
+    record.write("steps.csv", table)
+    record.say(f"R1, pressure first, then shear in steps:\n{table}")
+    record.check(
+        "R1: shear force on S in many steps", forces[STEPS[-1]], low=R_X_REFINED - 1e-3, high=R_X_REFINED + 1e-3
+    )
+
+
+def draw(record: Record) -> None:
+    """Draw t_T/u_T along S from table.csv."""
+    if not record.root:
+        return
+    table = Table.load(record.path("table.csv"))
+    parts, labels, shown = {}, {}, {}
+    for name in dict.fromkeys(str(row["loads"]) for row in table.rows):
+        title = f"{name}: {READINGS[name].why}"
+        labels[title], shown[title] = "t_T / u_T (10³ N/mm³)", READINGS[name].shown
+        parts[title] = {
+            model: _ratio([row for row in table.rows if (row["loads"], row["model"]) == (name, model)])
+            for model in dict.fromkeys(str(row["model"]) for row in table.rows)
+        }
+        x = next(iter(parts[title].values()))[0]
+        parts[title]["elastic, mu"] = (x, np.full(len(x), GLUE.mu / 1e3))
+    styles = dict(zip(next(iter(parts.values())), ("-", "--", ":", "-."), strict=True))
+    colours = dict(zip(styles, plotting.COLOURS, strict=False))
+    save = record.path("ratio.png")
+    plotting.panels(parts, xlabel="x (mm)", ylabels=labels, styles=styles, colours=colours, save=save, ylims=shown)
+
+
+def _ratio(rows: list[Row]) -> tuple[np.ndarray, np.ndarray]:
+    x, ratio = (np.array([np.nan if row[c] is None else row[c] for row in rows], float) for c in ("x_mm", "ratio"))
+    return x, ratio / 1e3

@@ -1,0 +1,128 @@
+"""Benchmark: points per second of compiled laws on one core, the return mapping of Mohr-Coulomb among them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from mpi4py import MPI
+
+from forms import Law, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
+from forms.kinematics import MANDEL, ROOT2
+from thinlayer import SolveError, Table, plotting
+from thinlayer.plotting.curves import finish
+from thinlayer.pointwise.kernels import Array
+from thinlayer.pointwise.material import Material
+from thinlayer.progress import track
+from thinlayer.record import Record
+
+LMBDA, MU, C, OMEGA, PSI = 60.0, 40.0, 0.1, 30.0, 10.0
+PLANE, SPACE = (0, 1, 3), tuple(range(6))  # Mandel components of strains in plane strain and in 3D
+SIZE = 0.02  # of the strains; the elastic stresses are several times the cohesion
+LEAST = 5e5  # points per second of the return mapping
+
+
+@dataclass(frozen=True)
+class Case:
+    """A law and the strains it is run over.
+
+    Attributes:
+        law: the law, parameters per thickness.
+        slots: Mandel components of the strains.
+        closed: mean strain over SIZE, negative: compressed, where the closed in-plane form holds at most points.
+        floor: points per second that it must reach, or None.
+    """
+
+    law: Law
+    slots: tuple[int, ...] = PLANE
+    closed: float = 0.0
+    floor: float | None = None
+
+
+RETURN, DILATANT = MohrCoulombReturn(LMBDA, MU, C, OMEGA), MohrCoulombReturn(LMBDA, MU, C, OMEGA, psi=PSI)
+CASES = {
+    "linear elastic": Case(LinearElastic(LMBDA, MU)),
+    "monodirectional": Case(MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA)),
+    "Mohr-Coulomb, compressed": Case(MohrCoulomb(LMBDA, MU, C, OMEGA), closed=-0.3),
+    "Mohr-Coulomb, all strains": Case(MohrCoulomb(LMBDA, MU, C, OMEGA), floor=LEAST),
+    "return mapping, plane strain": Case(RETURN, floor=LEAST),
+    "return mapping, 3D": Case(RETURN, SPACE, floor=LEAST),
+    "return mapping, psi > 0, 3D": Case(DILATANT, SPACE, floor=LEAST),
+    "two linear elastic sublayers": Case(Stack((0.4, LinearElastic(LMBDA, MU)), (0.6, LinearElastic(2 * LMBDA, MU)))),
+    "elastic and Mohr-Coulomb sublayer": Case(
+        Stack((0.4, LinearElastic(LMBDA, MU)), (0.6, MohrCoulomb(LMBDA, MU, C, OMEGA))), closed=-0.3
+    ),
+}
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Stress, tangent, internal values and energies of random strains, from rest; the best of several repeats.
+
+    Args:
+        record: where to write.
+        quick: fewer points and repeats.
+    """
+    points, repeats = (4_000, 2) if quick else (20_000, 7)
+    record.parameters = {"laws": [str(case.law) for case in CASES.values()], "repeats": repeats, "strains": SIZE}
+    table = Table()
+    for name, case in track(list(CASES.items()), "law_speed", "{0[0]}"):
+        seconds, shares = measure(case, points, repeats)
+        row = {"law": name, "points": points, "seconds": seconds, "points_per_second": points / seconds}
+        table.append(row | shares)
+    record.write("table.csv", table)
+    record.say(table)
+    draw(record)
+    for k, (name, case) in enumerate(CASES.items()):
+        if case.floor:
+            record.check(f"{name}: points per second", table["points_per_second"][k], low=case.floor)
+            record.check(f"{name}: share of points that yield", table["yielding"][k], low=0.5)
+            for part in ("edge", "apex"):
+                record.check(f"{name}: share of points at an {part}", table[part][k], low=0.01)
+
+
+def measure(case: Case, points: int, repeats: int) -> tuple[float, dict[str, float]]:
+    """Least processor time of all points, in seconds, and the shares of points that yield, at edges and at the apex."""
+    random, m = np.random.default_rng(1), len(case.slots)
+    material = Material(MPI.COMM_SELF, case.law)
+    e = SIZE * random.normal(size=(points, m))
+    e[:, :2] += case.closed * SIZE
+    n = np.tile([0.0, 1.0, 0.0], (points, 1))
+    rest, q = np.zeros_like(e), np.zeros((points, material.memory))
+    times = []
+    for _ in range(repeats + 1):  # the first one warms up
+        begin = time.process_time()
+        _, _, _, energies, failed = material.update(case.slots, e, rest, q, n, 1.0, 1.0)
+        times.append(time.process_time() - begin)
+    if failed:
+        raise SolveError(f"{case.law}: {failed} points failed")
+    whole = np.zeros((points, 6))
+    whole[:, case.slots] = e
+    mandel = material.update(SPACE, whole, 0 * whole, q, n, 1.0, 1.0)[0]
+    yields = energies[:, 1] > 0
+    equal = np.abs(np.diff(principal(mandel), axis=1)) < 1e-9 * np.abs(mandel).max()
+    edge, apex = equal.sum(axis=1) == 1, equal.all(axis=1)
+    return min(times[1:]), {"yielding": yields.mean(), "edge": (yields & edge).mean(), "apex": (yields & apex).mean()}
+
+
+def principal(mandel: Array) -> Array:
+    """Principal stresses (points, 3) of Mandel vectors (points, 6)."""
+    tensors = np.empty((len(mandel), 3, 3))
+    for k, (i, j) in enumerate(MANDEL):
+        tensors[:, i, j] = tensors[:, j, i] = mandel[:, k] / (1.0 if i == j else ROOT2)
+    return np.asarray(np.linalg.eigvalsh(tensors), float)
+
+
+def draw(record: Record) -> None:
+    """Draw the speeds from table.csv."""
+    if not record.root:
+        return
+    table = Table.load(record.path("table.csv"))
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    axes = figure.subplots()
+    bars = axes.barh([str(row["law"]) for row in table.rows], table["points_per_second"], color=plotting.COLOURS[0])
+    axes.bar_label(bars, fmt="%.2g", padding=3)
+    axes.invert_yaxis()
+    axes.set(xscale="log", xlabel="points per second, one core", xlim=(1e5, 4 * table["points_per_second"].max()))
+    finish(figure, record.path("speed.png"))

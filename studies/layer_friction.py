@@ -1,0 +1,202 @@
+"""Friction of a Mohr-Coulomb layer at a point: sin(Omega), not tan(Omega), under lasting shear; path and dilatancy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from forms import MohrCoulomb, MohrCoulombMonodirectional, limits
+from thinlayer import Table, plotting
+from thinlayer.plotting.curves import finish
+from thinlayer.pointwise.drive import PointHistory, drive
+from thinlayer.record import Record
+
+Array = npt.NDArray[np.floating[Any]]
+LMBDA, MU = 60.0, 40.0
+NU = LMBDA / (2 * (LMBDA + MU))
+OMEGA = 30.0
+DILATANCIES = (10.0, 20.0, 30.0)
+DILATANT = {psi: f"psi = {psi:g}" for psi in DILATANCIES}
+CLOSING = -0.01  # jump that is held; the compression of the elastic layer, 1.4, is the stress that is held
+DIRECTION = 75.0  # of the proportional path, degrees from the normal
+SHEAR = 5.0  # end of the curves, mu w_T over the pressure at the start
+LOOSENED = 0.6  # of the closing, when the normal stress is taken away
+COHESION, STRONG_SHEAR = 0.1, 0.03  # of the number to six digits, at w_T = STRONG_SHEAR
+DIGITS = (0.573611999372, -1.12276731876)  # t_T, t_N there in the limit of small steps
+LASTING = 60.0  # shear at which friction is taken for the lasting one
+
+PRESSURE = -(LMBDA + 2 * MU) * CLOSING
+HELD_STRESS, HELD_JUMP = "normal stress held", "normal jump held"
+PROPORTIONAL = f"w_T/|w_N| held, {DIRECTION:g} degrees"
+UNLOADED = "sheared, opened by a part, sheared"
+PLANES = "slips parallel to S alone"
+PATHS, FLOW = "paths, psi = 0", "laws, normal stress held"
+PANELS = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
+COLOURS = dict(zip((HELD_STRESS, HELD_JUMP, PROPORTIONAL, UNLOADED, PLANES), plotting.COLOURS, strict=True))
+COLOURS |= dict(zip(DILATANT.values(), ("#5bb0c7", "#6b8e23", "#4a4a4a"), strict=True))
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Apparent friction t_T/|t_N| against shear for several paths and laws, against closed forms.
+
+    The law is that of a layer without cohesion; C only enters the number of six digits.
+
+    Args:
+        record: where to write.
+        quick: longer steps.
+    """
+    steps = 100 if quick else 400
+    record.parameters = {"lmbda": LMBDA, "mu": MU, "Omega": OMEGA, "w_N": CLOSING, "pressure": PRESSURE, "steps": steps}
+    law = MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
+    mono = MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)
+    curves: dict[str, PointHistory] = {
+        HELD_STRESS: drive(law, stress_held(steps)),
+        HELD_JUMP: drive(law, opening_held(steps)),
+        PROPORTIONAL: drive(law, in_proportion(steps)),
+        UNLOADED: drive(law, unloaded(steps)),
+        PLANES: drive(mono, stress_held(steps)),
+        f"{PLANES}, {HELD_JUMP}": drive(mono, opening_held(steps)),
+    }
+    for psi, name in DILATANT.items():
+        flowing = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, psi=psi)
+        curves[name] = drive(flowing, stress_held(steps))
+        curves[f"{name}, {HELD_JUMP}"] = drive(flowing, opening_held(steps))
+    table = Table()
+    for name, history in curves.items():
+        shear, friction = MU * history.jumps[:, 0] / PRESSURE, ratio(history)
+        for row, x, y in zip(history.table.rows, shear, friction, strict=True):
+            table.append({"path": name, "shear": x, "friction": y} | row)
+    record.write("table.csv", table)
+    draw(record)
+
+    held = curves[HELD_JUMP]
+    record.check("first yield after compression", first_yield(law), **near(limits.first_yield_ratio(NU, OMEGA), 1e-8))
+    exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
+    record.check(
+        "largest error against the closed form, opening held", np.abs(held.tractions - exact).max(), high=6 / steps
+    )
+    maximum = float(np.nanmax(ratio(curves[UNLOADED])))
+    record.check("largest friction while the normal stress is taken away", maximum, **near(tangent(), 1e-5))
+    for name, history in {
+        HELD_JUMP: drive(law, opening_held(60, LASTING)),
+        HELD_STRESS: drive(law, stress_held(60, LASTING)),
+    }.items():
+        record.check(f"lasting friction, {name}", ratio(history)[-1], **near(np.sin(np.radians(OMEGA)), 1e-6))
+    for psi in DILATANCIES[:2]:
+        history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, psi=psi), stress_held(60, LASTING))
+        record.check(
+            f"lasting friction, psi = {psi:g}", ratio(history)[-1], **near(limits.apparent_friction(OMEGA, psi), 5e-7)
+        )
+    record.check(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], **near(tangent(), 1e-12))
+    check_digits(record, 200 if quick else 800)
+
+
+def check_digits(record: Record, steps: int) -> None:
+    """Backward Euler is of order 1, and its extrapolation has the closed form's digits."""
+    law = MohrCoulomb(LMBDA, MU, COHESION, OMEGA)
+    errors, values = [], []
+    for count in (steps, 2 * steps, 4 * steps):
+        path = [{"w_T": 0.0, "w_N": CLOSING}]
+        path += [{"w_T": w, "w_N": CLOSING} for w in np.linspace(0, STRONG_SHEAR, count + 1)[1:]]
+        values.append(drive(law, path).tractions[-1])
+        errors.append(np.abs(values[-1] - DIGITS).max())
+    record.results["tractions"] = {
+        "extrapolated": [float(x) for x in 2 * values[-1] - values[-2]],
+        "closed form": DIGITS,
+    }
+    record.check("observed order of backward Euler", np.log2(errors[-2] / errors[-1]), low=0.98, high=1.02)
+    record.check("error of its extrapolation", np.abs(2 * values[-1] - values[-2] - DIGITS).max(), high=1e-5)
+
+
+def first_yield(law: MohrCoulomb) -> float:
+    """Largest friction of a step of shear, after compression, that leaves no plastic strain."""
+    low, high = 0.0, PRESSURE / MU
+    for _ in range(40):
+        middle = (low + high) / 2
+        history = drive(law, [{"w_T": 0.0, "w_N": CLOSING}, {"w_T": middle, "w_N": CLOSING}])
+        low, high = (low, middle) if history.memory[-1].any() else (middle, high)
+    return MU * low / PRESSURE
+
+
+def ratio(history: PointHistory) -> Array:
+    """Apparent friction t_T/|t_N|; NaN without pressure."""
+    t_T, t_N = history.tractions.T
+    return np.where(t_N < 0, t_T / np.where(t_N < 0, -t_N, 1.0), np.nan)
+
+
+def tangent() -> float:
+    """The friction coefficient of Coulomb's law with the angle Omega."""
+    return float(np.tan(np.radians(OMEGA)))
+
+
+def near(value: float, tolerance: float) -> dict[str, float]:
+    """A range around a value, relative."""
+    return {"low": value * (1 - tolerance), "high": value * (1 + tolerance)}
+
+
+# ---------------------------------------------------------------- paths
+def shears(steps: int, end: float) -> Array:
+    """Equal steps of w_T from 0."""
+    return np.linspace(0, end * PRESSURE / MU, steps + 1)[1:]
+
+
+def opening_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+    """Closed, then sheared at a constant normal jump."""
+    return [{"w_T": 0.0, "w_N": CLOSING}, *({"w_T": w, "w_N": CLOSING} for w in shears(steps, end))]
+
+
+def stress_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+    """Compressed, then sheared under a constant normal stress."""
+    return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in shears(steps, end))]
+
+
+def in_proportion(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+    """Closed and sheared at the same time."""
+    return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, end)]
+
+
+def unloaded(steps: int) -> list[dict[str, float]]:
+    """Sheared under a constant normal stress to the middle, opened by LOOSENED of its closing, sheared on."""
+    first = stress_held(steps // 2, SHEAR / 2)
+    w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]
+    opened = [{"w_T": w_T, "w_N": w} for w in np.linspace(w_N, (1 - LOOSENED) * w_N, steps // 2 + 1)[1:]]
+    last = opened[-1]["w_N"]
+    return [*first, *opened, *({"w_T": w_T + w, "w_N": last} for w in shears(steps // 2, SHEAR / 2))]
+
+
+def draw(record: Record) -> None:
+    """Draw the curves from table.csv."""
+    if not record.root:
+        return
+    table = Table.load(record.path("table.csv"))
+    names = np.array([row["path"] for row in table.rows])
+    friction = np.array([row["friction"] for row in table.rows], float)
+
+    def line(path: str) -> tuple[Array, Array]:
+        return table["shear"][names == path], friction[names == path]
+
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    for k, (title, shown) in enumerate(PANELS.items()):
+        axes = figure.add_subplot(1, 2, k + 1)
+        for name in shown:
+            label = "psi = 0" if (title, name) == (FLOW, HELD_STRESS) else name
+            axes.plot(*line(name), color=COLOURS[name], label=label)
+        for value, text in references(title).items():
+            label = "Davis' limits" if title == FLOW and value == tangent() else "_"  # with "_": not in the legend
+            axes.axhline(value, color="0.35", linestyle="--", linewidth=0.9, zorder=1, label=label)
+            axes.text(SHEAR - 0.05, value + 0.004, text, ha="right", va="bottom", color="0.25", fontsize="small")
+        axes.set(xlabel="shear  mu w_T / pressure at the start", ylabel="friction  t_T / |t_N|", title=title)
+        axes.set(xlim=(0, SHEAR), ylim=(0, 0.65))
+        axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.03))
+    finish(figure, record.path("friction.png"))
+
+
+def references(title: str) -> dict[float, str]:
+    """Friction of the straight lines of a panel, and their names."""
+    lines = {tangent(): "tan(Omega)", float(np.sin(np.radians(OMEGA))): "sin(Omega)"}
+    if title == FLOW:
+        return lines | {limits.apparent_friction(OMEGA, psi): "" for psi in DILATANCIES if psi < OMEGA}
+    return lines | {limits.first_yield_ratio(NU, OMEGA): "first yield"}

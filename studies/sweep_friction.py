@@ -1,0 +1,218 @@
+"""Frictional layer that opens, meshed, against Coulomb contact on S: error O(eps), with stick, sliding and separation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
+from studies.friction_profiles import draw_profiles, profile_name, profile_of
+from studies.problems import pressed
+from studies.sweeping import Solution, Sweep, draw_rates, last
+from thinlayer import History, Model, Surface, Table, ThinLayer, compare, march, solve
+from thinlayer.record import Record
+
+MODULI = {"lmbda": 60.0, "mu": 40.0}
+OMEGA = 25.0
+FRICTION = math.tan(math.radians(OMEGA))
+BAND = MohrCoulombMonodirectional(**MODULI, C=0.0, Omega=OMEGA, unilateral=True)
+HOLONOMIC = HolonomicCoulomb.of_layer(**MODULI, friction=FRICTION)
+INCREMENTAL = IncrementalCoulomb.of_layer(**MODULI, friction=FRICTION)
+ONCE = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
+TO_AND_FRO = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
+TIMES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+CELLS, FRACTION = 4, 1e-5  # through the thickness, and the elastic fraction that their inner nodes need
+TITLES = {
+    "": "at once",
+    "history": "to and fro",
+    "cells": "at once, 4 cells, h = 1e-5",
+    "sine": "at once, f = sin(Omega)",
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A meshed band against a contact law on S.
+
+    Attributes:
+        path: loads, see `pressed`.
+        times: ends of the steps, or None for one step.
+        contact: the law on S.
+        band: the band's law.
+        cells: cells through its thickness.
+    """
+
+    path: dict[int, tuple[float, float, float]]
+    times: Sequence[float] | None
+    contact: HolonomicCoulomb | IncrementalCoulomb
+    band: MohrCoulombMonodirectional = BAND
+    cells: int = 1
+
+    def sweep(self, record: Record, h: float, case: str) -> Sweep:
+        """Its sweep on squares of size h."""
+        joint, setup = pressed(h, self.path)
+        setup |= {"element": "Q1", "sublayers": self.cells}
+        layers = (partial(ThinLayer, law) for law in (self.band, self.contact))
+        profile = partial(_noted, record, case)
+        return Sweep(
+            record, joint, setup, next(layers), times=self.times, more=profile, case=case, instead=next(layers)
+        )
+
+
+AT_ONCE = Comparison(ONCE, None, HOLONOMIC)
+CASES = {"": AT_ONCE, "history": Comparison(TO_AND_FRO, TIMES, INCREMENTAL)}
+FINER = replace(AT_ONCE, band=replace(BAND, h=FRACTION), cells=CELLS)
+SINE = replace(AT_ONCE, contact=replace(HOLONOMIC, friction=math.sin(math.radians(OMEGA))))
+
+
+def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:
+    """Sweep the thickness; the band is Mohr-Coulomb's with slip planes parallel to S, unilateral, without cohesion.
+
+    table.csv: loads at once, holonomic friction on S. table_history.csv: pressed, sheared, and sheared back while a part of
+    S closes again; incremental friction on S. Elements are Q1 in both models. Contact acts at the nodes of S, the band at
+    its quadrature points: `discretisation` in run.json is what this changes, the difference on S between contact and the
+    band's own law on S.
+
+    The band has one cell through the thickness and no elastic fraction. Its nodes are those of the bodies, which hold it
+    where it is open or slides. Inner nodes would move freely in an open band: more cells need an elastic fraction h, and
+    since contact on S has none, h adds an error of its own that does not vanish with eps, about 6e-4 (jump) for h = 1e-4,
+    in proportion to h. table_cells.csv has four cells and h = 1e-5. Their errors differ from those of one cell by up to a
+    half: how slip and opening are shared through the thickness is not determined, which changes the next term in eps. The
+    order is the same.
+
+    table_sine.csv is a control: friction sin(Omega) on S leaves an error that does not vanish.
+
+    Args:
+        record: where to write.
+        eps: thicknesses; the blocks are 0.5 high.
+        quick: coarser mesh, without the four cells.
+    """
+    h, times = (1 / 64, TIMES[1::2]) if quick else (1 / 128, TIMES)
+    cases = CASES | {"history": replace(CASES["history"], times=times)}
+    record.parameters = {"h": h, "times": times, "friction": FRICTION, "layer": str(BAND)}
+    tables = {}
+    for case, comparison in cases.items():
+        record.say(f"{comparison.contact} on S")
+        sweep = comparison.sweep(record, h, case)
+        tables[case] = sweep.run(eps, (0.9, 1.1), pictured=max(eps), title=f"frictional layer, {TITLES[case]}")
+        _check_discretisation(record, case, comparison, h, tables[case])
+        _check_zones(record, case, tables[case], h)
+    if not quick:
+        record.say(f"{CELLS} cells through the thickness")
+        sweep = FINER.sweep(record, 2 * h, "cells")
+        sweep.run(eps, (0.7, 1.3), pictured=max(eps), title=f"frictional layer, {CELLS} cells through the thickness")
+        _check_fraction(record, 2 * h, min(eps))
+    record.say(f"{SINE.contact} on S, as a control")
+    control = replace(SINE.sweep(record, 2 * h, "sine"), more=None)
+    sine = control.run(eps, None, pictured=max(eps), title="friction sin(Omega) on S")
+    worst = sine["error_jump"][-1] / tables[""]["error_jump"][-1]
+    record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", worst, low=2)
+    draw(record)
+
+
+# ---------------------------------------------------------------- what is measured
+def _noted(record: Record, case: str, full: Solution, limit: Solution) -> dict[str, Any]:
+    """Solver, Newton steps and zones; writes the tractions along S."""
+    layer = last(full).model.layer
+    assert layer is not None
+    profile = profile_of(last(full), last(limit), FRICTION)
+    record.write(profile_name(case, layer.eps), profile)
+    row: dict[str, Any] = {"method": last(limit).report.method}
+    row |= {"steps_band": newton_steps(full), "steps_contact": newton_steps(limit)}
+    x = profile["x"]
+    weights = np.diff(np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]))
+    for model in ("band", "contact"):
+        status = np.array([str(one[f"status_{model}"]) for one in profile.rows])
+        row |= {f"{name}_{model}": float(weights[status == name].sum()) for name in ("separated", "sliding")}
+    return row
+
+
+def newton_steps(solution: Solution) -> int:
+    """Newton steps of a solve, or of all steps of a march."""
+    return int(sum(solution.table["iterations"]) if isinstance(solution, History) else solution.report.iterations)
+
+
+def _check_discretisation(record: Record, case: str, comparison: Comparison, h: float, table: Table) -> None:
+    """Contact at nodes against the same law at quadrature points of S, and the errors on cells twice as large."""
+    eps = float(table["eps"][-1])
+    found = {name: float(table[f"error_{name}"][-1]) for name in ("traction", "jump")}
+    sweep = comparison.sweep(record, h, case)
+    contact, points = (
+        _solved(Model.interface(sweep.joint, layer=ThinLayer(law, eps), **sweep.setup), comparison.times)
+        for law in (comparison.contact, comparison.band)
+    )
+    surface = Surface(last(contact).model)
+    fields = {"traction": surface.traction, "jump": surface.jump}
+    lumping = {
+        name: surface.norm(field(last(points)) - field(last(contact))) / surface.norm(field(last(contact)))
+        for name, field in fields.items()
+    }
+    coarse = compare(*(_solved(model, comparison.times) for model in _both(comparison.sweep(record, 2 * h, case), eps)))
+    label = f", {case}" if case else ""
+    noted: dict[str, Any] = {"case": case, "eps": eps, "h": h}
+    for name, error in found.items():
+        change = abs(error / coarse[f"error_{name}"] - 1)
+        noted |= {f"nodes_{name}": lumping[name], f"coarse_{name}": coarse[f"error_{name}"]}
+        record.check(
+            f"nodes against quadrature points, {name} over the last error{label}", lumping[name] / error, high=0.2
+        )
+        record.check(f"last error of the {name}{label}, change from cells twice as large", change, high=0.2)
+    record.say(noted)
+    record.results.setdefault("discretisation", []).append(noted)
+
+
+def _both(sweep: Sweep, eps: float) -> tuple[Model, Model]:
+    assert sweep.instead is not None
+    full = Model.full(sweep.joint, layer=sweep.layer(eps), **sweep.setup)
+    return full, Model.interface(sweep.joint, layer=sweep.instead(eps), **sweep.setup)
+
+
+def _solved(model: Model, times: Sequence[float] | None) -> Solution:
+    return solve(model) if times is None else march(model, times, keep="last")
+
+
+def _check_zones(record: Record, case: str, table: Table, h: float) -> None:
+    """Stick, sliding and separation at once, and their ends in the thinnest band within two cells of the contact's."""
+    label = f", {case}" if case else ""
+    sizes = {name: table[f"{name}_contact"][-1] for name in ("separated", "sliding")}
+    sizes["stick"] = 2.0 - sum(sizes.values())
+    record.say({name: float(size) for name, size in sizes.items()})
+    for name, size in sizes.items():
+        record.check(f"length of S: {name}{label}", size, low=0.2)
+    for name in ("separated", "sliding"):
+        away = abs(table[f"{name}_band"][-1] - sizes[name])
+        record.check(f"{name} zone{label}: thinnest band and contact differ by", away, high=2 * h + table["eps"][-1])
+
+
+def _check_fraction(record: Record, h: float, eps: float) -> None:
+    """What half the elastic fraction of four cells changes at one thickness."""
+    rows = []
+    for fraction in (FRACTION, FRACTION / 2):
+        sweep = replace(FINER, band=replace(BAND, h=fraction)).sweep(record, h, "cells")
+        rows.append(compare(*map(solve, _both(sweep, eps))))
+    for name in ("traction", "jump"):
+        one, half = (row[f"error_{name}"] for row in rows)
+        record.say(
+            f"{CELLS} cells, eps = {eps:g}: error of the {name} {one:.4g} with h = {FRACTION:g}, {half:.4g} with half"
+        )
+        record.check(
+            f"{CELLS} cells: half the elastic fraction changes the error of the {name} by",
+            half / one - 1,
+            low=-0.1,
+            high=0.1,
+        )
+
+
+# ---------------------------------------------------------------- pictures
+def draw(record: Record) -> None:
+    """Draw the rates and the tractions along S from the tables."""
+    names = {TITLES[case]: f"table_{case}.csv" if case else "table.csv" for case in TITLES}
+    there = {title: name for title, name in names.items() if record.path(name).exists()}
+    draw_rates(record, title="frictional layer", cases=there, apart=True)
+    if record.root:
+        draw_profiles(record, {case: TITLES[case] for case in CASES})

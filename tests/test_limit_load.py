@@ -1,0 +1,210 @@
+"""Limit loads of layers that yield, and continuation where Newton's method fails."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
+from tests.limit_load_run import FULL, SLIDING, dragged, sheared
+from tests.test_parallel import mpirun
+from thinlayer import Adaptive, SolveError, Surface, march, solve
+from thinlayer.cli import OK, SOLVE_FAILED
+from thinlayer.cli import main as command
+from thinlayer.continuation import Continuation
+from thinlayer.failure import LimitLoad
+from thinlayer.record import Record
+from thinlayer.solvers import Solver
+
+TAN, SIN, COS = np.tan(np.pi / 6), np.sin(np.pi / 6), np.cos(np.pi / 6)
+LIMITS = {SLIDING: 0.1 + TAN, FULL: 0.1 * COS + SIN}  # of the mean shear traction under a mean pressure of 1
+TIMES = [0.5, 0.8, 1.1]
+SMALLEST = 0.3 / 1024
+
+
+def limit(model, times=TIMES, **choices) -> LimitLoad:
+    with pytest.raises(LimitLoad) as caught:
+        march(model, times, **choices)
+    return caught.value
+
+
+# ---------------------------------------------------------------- the limit load
+@pytest.mark.parametrize("kind", ["S", "band"])
+@pytest.mark.parametrize("law", LIMITS, ids=lambda law: type(law).__name__)
+def test_the_limit_of_a_sheared_block(law, kind):
+    """The traction of every point is at its bound there, so that the mean is, wherever the pressure is."""
+    error = limit(sheared(kind, law))
+    assert error.t < LIMITS[law] < error.failed_at == pytest.approx(error.t + SMALLEST, abs=1e-9)
+    assert error.resultant == pytest.approx((error.t, -1.0), abs=1e-12)
+    assert f"at t = {error.t:.10g}, where the loads on the bodies add up to ({error.t:.6g}, -1)" in str(error)
+    assert f"at t = {error.failed_at:.10g} none was found" in str(error)
+    assert error.history.t[-1] == error.history.last.t == error.t
+    assert np.abs(error.history.table["imbalance"]).max() < 1e-8
+    before = march(sheared(kind, law), list(error.history.t[1:]))
+    assert before.last.u.x.array == pytest.approx(error.history.last.u.x.array, rel=1e-6, abs=1e-9)
+
+
+def test_a_body_force_counts():
+    """In a block 0.25 high; the pressure is that of its weight."""
+    error = limit(sheared("S", tractions={"TOP": lambda x, t: (t, 0.0)}, body_force=(0.0, -2.0)))
+    assert error.resultant == pytest.approx((error.t, -0.5), abs=1e-12)
+    assert error.t < 0.1 + 0.5 * TAN < error.failed_at
+
+
+def test_adaptive_steps_and_stacks():
+    law = Stack((0.4, LinearElastic(30.0, 50.0)), (0.6, SLIDING))
+    error = limit(sheared("S", law), Adaptive(1.0, first=0.2, tolerance=0.2, smallest=1e-3))
+    assert error.failed_at == pytest.approx(LIMITS[SLIDING], abs=2e-2)
+
+
+def test_a_moved_block_passes_the_limit_and_stays_there():
+    press = {"TOP": (0.0, -1.0)}
+    model = sheared("S", tractions=press, supports={"TOP": {"x": lambda x, t: 0.02 * t}})
+    surface = Surface(model)
+    observe = {"shear": lambda state: surface.integral(surface.traction(state)[0])}
+    shear = march(model, [1.0, 2.0, 5.0, 50.0], observe=observe).table["shear"]
+    assert shear[1] < 0.99 * LIMITS[SLIDING]
+    assert shear[3:] == pytest.approx(LIMITS[SLIDING], rel=1e-9)
+
+
+def test_an_elastic_fraction_has_no_limit():
+    law = MohrCoulombMonodirectional(60.0, 40.0, C=0.1, Omega=30.0, h=0.02)
+    assert march(sheared("S", law), TIMES).last.t == TIMES[-1]
+
+
+def test_loads_that_were_next_to_nothing():
+    """Displacements that grow a hundred million times are no sign of a limit."""
+    shear = lambda x, t: (0.5 * t + 1e-8 * (1 - t), -t - 1e-8 * (1 - t))
+    last = march(sheared("S", tractions={"TOP": shear}), [1.0]).last
+    assert last.report.iterations < 10
+    assert last.u.x.array == pytest.approx(solve(sheared("S"), 0.5).u.x.array, rel=1e-6, abs=1e-9)
+
+
+def test_it_takes_few_solves(monkeypatch):
+    efforts = []
+    step = Solver.step
+
+    def counted(solver, old, t, theta, thorough):
+        efforts.append(thorough)
+        return step(solver, old, t, theta, thorough)
+
+    monkeypatch.setattr(Solver, "step", lambda *a: counted(*a) if len(a) > 3 else step(*a))
+    limit(sheared("S"))
+    assert len(efforts) < 30
+    assert sum(efforts) <= 5
+
+
+def test_one_step_beyond_the_limit():
+    with pytest.raises(SolveError, match=r"loads on a layer that yields may have a limit: .* march in small steps"):
+        solve(sheared("S"), 0.7)
+    with pytest.raises(SolveError, match=r"the sudden load at t = 0\.7: "):
+        march(sheared("S"), [0.8], start=0.7)
+
+
+@pytest.mark.parametrize("keep", ["all", "last"])
+def test_results_are_kept_and_resumed(tmp_path, keep):
+    error = limit(sheared("S"), keep=keep, out=tmp_path)
+    rows = list(csv.DictReader((tmp_path / "table.csv").open()))
+    assert [float(row["t"]) for row in rows] == pytest.approx(list(error.history.t))
+    again = limit(sheared("S"), keep=keep, out=tmp_path, resume=True)
+    assert (again.t, again.failed_at) == (error.t, error.failed_at)
+    assert again.resultant == pytest.approx(error.resultant, abs=1e-12)
+    assert len(again.history) == len(error.history)
+
+
+def test_a_study_ends_with_status_3(tmp_path, monkeypatch, capsys):
+    import studies.sweep_maxwell as study
+
+    def run(record: Record, **_) -> None:
+        record.march(sheared("S"), TIMES, "sheared")
+
+    monkeypatch.setattr(study, "run", run)
+    assert command(["run", "sweep_maxwell", "--out", str(tmp_path)]) == SOLVE_FAILED != OK
+    assert re.search(r"limit load: .*\nwhat was done is kept in", capsys.readouterr().err)
+    assert "limit load" in json.loads((tmp_path / "run.json").read_text())["error"]
+    rows = list(csv.DictReader((tmp_path / "unfinished" / "sheared" / "table.csv").open()))
+    assert 0.677 < float(rows[-1]["t"]) < LIMITS[SLIDING]
+
+
+# ---------------------------------------------------------------- continuation
+@pytest.mark.parametrize("kind", ["S", "band"])
+def test_continuation_finds_what_newton_finds(kind):
+    """Newton's method, allowed fewer steps than it needs, is helped by easier laws."""
+    model = dragged(MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02), far=0.06, eps=1 / 16, kind=kind)
+    direct = solve(model)
+    continued = solve(model, options={"snes_max_it": 3})
+    assert direct.report.eased == 0 < continued.report.eased
+    assert direct.report.iterations <= 7 < continued.report.iterations
+    largest = np.abs(direct.u.x.array).max()
+    assert continued.u.x.array == pytest.approx(direct.u.x.array, abs=1e-8 * largest)
+    for one, other in zip(direct.memory, continued.memory, strict=True):
+        assert other == pytest.approx(one, abs=1e-7 * np.abs(one).max())
+    assert vars(continued.audit) == pytest.approx(vars(direct.audit), rel=1e-7)
+
+
+def test_continuation_finds_what_newton_does_not_find():
+    model = dragged(MohrCoulombMonodirectional(60.0, 40.0, C=0.0, Omega=30.0))
+    with Solver(model) as solver:
+        with pytest.raises(SolveError, match="Newton's method failed"):
+            solver.step(solver.rest(0.0), 0.0, 1.0, False)
+        state = solver.step(solver.rest(0.0), 0.0)
+    assert state.report.eased > 1
+    assert state.report.residual < 1e-8
+    assert abs(state.audit.imbalance) < 1e-8 * state.audit.supplied
+    assert state.audit.dissipated > 0
+
+
+def test_eased_laws_leave_no_trace():
+    """After a failure too: the next step is the law's own."""
+    model = sheared("S")
+    with Solver(model) as solver:
+        expected = solver.step(solver.rest(0.3), 0.3)
+        parameters = [p.material.parameters.copy() for p in solver.equations.points]
+        with pytest.raises(SolveError):
+            solver.step(expected, 0.7)
+        for p, before in zip(solver.equations.points, parameters, strict=True):
+            assert (p.material.parameters == before).all()
+        again = solver.step(solver.rest(0.3), 0.3)
+    assert (again.u.x.array == expected.u.x.array).all()
+    with Solver(model) as solver:
+        (points,) = solver.equations.points
+        with pytest.raises(ValueError, match="not of the kind that is compiled"):
+            points.material.take(FULL)
+
+
+def test_the_schedule_of_eases():
+    """Between 0.6 and 0.3 only small decrements lead on."""
+    tried: list[float] = []
+    way, reached = Continuation(), 1.0
+
+    def found(ease: float, start: PETSc.Vec | None) -> PETSc.Vec:
+        nonlocal reached
+        tried.append(ease)
+        assert (start is None) == (ease == 1)
+        if 0.3 < ease < 0.6 and reached - ease > 0.11:
+            raise SolveError("too far")
+        reached = ease
+        return PETSc.Vec().createWithArray(np.array([1.0 + 10 * (1 - ease)]), comm=MPI.COMM_SELF)
+
+    assert way.follow(found).array == pytest.approx([11.0])
+    assert (tried[0], tried[-1]) == (1.0, 0.0)
+    assert way.solves == len(tried) < 20
+    reached = 1.0
+    with pytest.raises(SolveError, match="too far"):
+        Continuation().follow(lambda ease, start: found(ease if ease > 0.6 else 0.31, start))
+    with pytest.raises(SolveError, match="times those of an elastic layer"):
+        Continuation().follow(lambda ease, start: PETSc.Vec().createWithArray([1e-9 ** (ease - 1)], comm=MPI.COMM_SELF))
+
+
+# ---------------------------------------------------------------- ranks
+def test_two_ranks_end_with_the_same_error():
+    one, two = (mpirun(ranks, "-m", "tests.limit_load_run") for ranks in (1, 2))
+    assert (one.returncode, two.returncode) == (0, 0), one.stderr + two.stderr
+    assert json.loads(two.stdout) == pytest.approx(json.loads(one.stdout), rel=1e-8)
+    assert json.loads(one.stdout)["eased"] == 1.0

@@ -1,0 +1,173 @@
+"""Mohr-Coulomb layers in models: columns against the law at a point, symmetries, three dimensions, ranks, the studies."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, limits
+from geometry import block, sandwich
+from tests.test_columns_in_time import both, check_balance, check_same
+from tests.test_columns_in_time import column as tall_column
+from tests.test_parallel import mpirun
+from thinlayer import Model, Surface, ThinLayer, march
+from thinlayer.pointwise.drive import PointHistory, drive
+
+BODY = LinearElastic.young(100.0, 0.3)
+LMBDA, MU = 60.0, 40.0
+FULL = MohrCoulomb(LMBDA, MU, C=0.1, Omega=30.0)
+LAWS = {
+    "psi = 0": FULL,
+    "edges": MohrCoulomb(30.0, MU, C=0.02, Omega=12.0),  # nu = 0.21 < (1 - sin(Omega))/2: s_33 is not between
+    "psi = 10": MohrCoulomb(LMBDA, MU, C=0.1, Omega=30.0, h=0.02, psi=10.0),
+    "monodirectional": MohrCoulombMonodirectional(LMBDA, MU, C=0.1, Omega=30.0),
+}
+# jumps (w_T, w_N): pressed, sheared until it yields, unloaded, sheared back, opened beyond the apex, pressed again
+PATH = np.array(
+    [[0.0, -0.01], [0.03, -0.012], [0.06, -0.012], [0.045, -0.02], [-0.04, -0.01], [-0.04, 0.02], [0.0, -0.02]]
+)
+PATH_3D = np.array([[0.0, 0.0, -0.01], [0.06, 0.0, -0.012], [0.04, 0.06, -0.012], [-0.04, 0.04, -0.01]])
+EXACT = 1e-9  # relative, as in the columns of other laws
+
+
+def at_a_point(law, jumps) -> PointHistory:
+    names = ("w_T", "w_N") if jumps.shape[1] == 2 else ("w_T1", "w_T2", "w_N")
+    n = (0.0, 1.0, 0.0)[: jumps.shape[1]]
+    return drive(law, [dict(zip(names, map(float, w), strict=True)) for w in jumps], n=n)
+
+
+def xyz(frame: np.ndarray) -> np.ndarray:
+    """Components along x, y(, z) of those in the frame of an S whose normal is y."""
+    return frame if frame.shape[1] == 2 else frame[:, [0, 2, 1]]
+
+
+def column(law, jumps, eps: float, angle: float = 0.0, flip: bool = False) -> tuple:
+    """A block on a layer whose solution is uniform: marches of both models, and what the law does at a point.
+
+    The block's outer faces move as the jumps say and as the block strains under the law's tractions; free is what is
+    inside, and S. The elements are linear: the layer's own sides then have no nodes but those on its faces. At the end
+    of step k the time is k. The block is turned by an angle about the third axis, or mirrored, x to -x.
+    """
+    d = jumps.shape[1]
+    point = at_a_point(law, jumps)
+    mirror = np.diag([-1.0 if flip else 1.0, *np.ones(d - 1)])
+    turn = np.eye(d)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    K = limits.elastic_stiffness(BODY.lmbda, BODY.mu, np.eye(d)[1])
+    slopes = np.linalg.solve(K, xyz(point.tractions).T).T
+    w, slopes = xyz(point.jumps) @ mirror @ turn.T, slopes @ mirror @ turn.T
+
+    def component(i):
+        def u(x, t):
+            height = sum(float(turn[k, 1]) * x[k] for k in range(d))
+            hats = [ufl.max_value(0, 1 - abs(t - (k + 1))) for k in range(len(w))]
+            return sum(
+                hat * (float(a) + height * float(b)) for hat, a, b in zip(hats, w[:, i], slopes[:, i], strict=True)
+            )
+
+        return u
+
+    where = block(1.0, 0.5, 0.25, structured=True, depth=0.5 if d == 3 else None).rotated(angle)
+    support = {axis: component(i) for i, axis in enumerate("xyz"[:d])}
+    sides = ["LEFT", "RIGHT", "TOP"] + ["BACK", "FRONT"] * (d == 3)
+    setup = {"body": BODY, "supports": dict.fromkeys(sides, support), "layer": ThinLayer(law, eps), "element": "P1"}
+    times = [float(k + 1) for k in range(len(w))]
+    limit = march(Model.interface(where, **setup), times)
+    return limit, march(Model.full(where, sublayers=1, **setup), times), point
+
+
+def check_path(limit, full, point: PointHistory) -> None:
+    """Both models agree at every step, and their jumps on S are those at the point."""
+    check_same(limit, full)
+    surface = Surface(limit.model)
+    largest = np.abs(point.jumps).max() * np.sqrt(surface.integral(ufl.as_ufl(1.0)))
+    for k, w in enumerate(point.jumps):
+        difference = surface.frame(surface.jump(limit.at(k + 1.0))) - ufl.as_vector(w.tolist())
+        assert surface.norm(difference) < EXACT * largest, k
+
+
+# ---------------------------------------------------------------- columns
+@pytest.mark.parametrize("eps", [0.3, 1e-4])
+@pytest.mark.parametrize("name", LAWS)
+def test_both_models_follow_the_law_at_a_point(name, eps):
+    """The path crosses both limits of the closed form, reaches edges and apex, and comes back."""
+    limit, full, point = column(LAWS[name], PATH, eps)
+    check_path(limit, full, point)
+    for history in (limit, full):
+        assert np.abs(history.table["imbalance"]).max() < 1e-9
+        assert (history.table["dissipated"] >= -1e-16).all()
+    assert limit.table["dissipated"].sum() == pytest.approx(point.energies[:, 1].sum(), rel=1e-9)
+    assert (point.energies[:, 1] > 0).sum() >= 3
+
+
+@pytest.mark.parametrize("name", ["psi = 0", "psi = 10", "monodirectional"])
+def test_turned_and_mirrored(name):
+    """The same energies for a column at an angle, and for one whose shear is reversed."""
+    upright, _, _ = column(LAWS[name], PATH, 0.02)
+    turned, full, _ = column(LAWS[name], PATH, 0.02, angle=0.7)
+    check_same(turned, full)
+    mirrored, _, _ = column(LAWS[name], PATH, 0.02, flip=True)
+    for other in (turned, mirrored):
+        for quantity in ("supplied", "stored", "dissipated"):
+            assert other.table[quantity] == pytest.approx(upright.table[quantity], rel=1e-8, abs=1e-13)
+    back, forth = Surface(mirrored.model), Surface(upright.model)
+    w = [s.profile(s.jump(h.last))[1] for s, h in ((back, mirrored), (forth, upright))]
+    assert w[0] == pytest.approx(w[1] * [-1.0, 1.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["psi = 0", "edges", "psi = 10", "monodirectional"])
+def test_three_dimensions(name):
+    """Shear whose direction turns in S, where no plane of strain is given."""
+    limit, full, point = column(LAWS[name], PATH_3D, 0.02, angle=0.3)
+    check_path(limit, full, point)
+    check_balance(full)
+    assert point.energies[-1, 1] > 0
+
+
+@pytest.mark.parametrize("eps", [0.3, 1e-4])
+def test_stack(eps):
+    """An elastic sublayer under one that yields when it is pressed, at edges; pressed, released, pressed further."""
+    law = Stack((0.3, LinearElastic(20.0, 90.0)), (0.7, LAWS["edges"]))
+    setup = tall_column("normal", load=lambda t: -4.0 * t * ufl.conditional(ufl.lt(t, 1.5), 1, t - 1.5))
+    limit, full = both(sandwich(1.0, 0.5, 0.5, 0.5, structured=True), ThinLayer(law, eps), setup, [0.5, 1.0, 2.0, 3.0])
+    check_same(limit, full)
+    check_balance(full)
+    dissipated = limit.table["dissipated"]
+    assert (dissipated >= -1e-16).all()
+    assert dissipated[-1] > 0 > dissipated[3] - 1e-12 * dissipated[-1]
+
+
+def test_plane_strain_is_a_slice_of_three_dimensions():
+    flat = at_a_point(FULL, PATH)
+    deep = at_a_point(FULL, np.insert(PATH, 1, 0.0, axis=1))
+    assert deep.tractions[:, [0, 2]] == pytest.approx(flat.tractions, abs=1e-13)
+    assert deep.stress == pytest.approx(flat.stress, abs=1e-13)
+
+
+# ---------------------------------------------------------------- ranks, studies
+def test_ranks():
+    """Layers that yield, meshed and on S, in 2D and 3D, and one opened beyond its apex: the same numbers."""
+    one, two = (mpirun(ranks, "-m", "tests.mohr_coulomb_run") for ranks in (1, 2))
+    assert (one.returncode, two.returncode) == (0, 0), one.stderr + two.stderr
+    numbers = [json.loads(run.stdout) for run in (one, two)]
+    assert numbers[1] == pytest.approx(numbers[0], rel=1e-8)
+    assert len(numbers[0]) == 12
+    assert min(value for name, value in numbers[0].items() if "dissipated" in name) > 0
+
+
+def test_studies(tmp_path):
+    """Quick versions hold their own checks; every table has the elastic fraction."""
+    from thinlayer.cli import main
+
+    for study, options in {
+        "fig3_mohr_coulomb": ["--loads", "R1"],
+        "sweep_mohr_coulomb": ["--eps", "0.0625", "0.03125"],
+    }.items():
+        out = tmp_path / study
+        assert main(["run", study, "--quick", *options, "--out", str(out)]) == 0, study
+        for table in out.glob("table*.csv"):
+            assert "h" in table.read_text().splitlines()[0].split(","), table
+        assert main(["draw", study, "--out", str(out)]) == 0

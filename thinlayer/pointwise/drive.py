@@ -1,0 +1,180 @@
+"""An interface law at one point of S, driven along a path of jumps and tractions, without a mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from forms.contact import ContactLaw
+from forms.kinematics import MANDEL, ROOT2
+from forms.law import Law
+from thinlayer.failure import SolveError
+from thinlayer.loads import ModelError
+from thinlayer.pointwise.kernels import Array
+from thinlayer.pointwise.point import COMPONENTS, Point, PointState
+from thinlayer.table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class PointHistory:
+    """What a law did at a point, a row for each step; components in the frame of S, tangential ones, then the normal one.
+
+    Attributes:
+        n: (d,) unit normal.
+        t: (steps,) time at the end of the step.
+        jumps: (steps, d) at the end of the step.
+        tractions: (steps, d) at t + theta dt, where balance holds.
+        stress: (steps, 3, 3) likewise, in the axes of n; all components, also those that S does not see.
+        memory: (steps, values) internal values at the end of the step, in the law's order (tensors in Mandel's).
+        energies: (steps, 3) per area of S: stored at the end, dissipated in the step, what the time scheme adds to the
+            balance of the step; NaN if the law declares no energy.
+        parts: (steps,) number of parts in which the step was taken.
+    """
+
+    n: Array
+    t: Array
+    jumps: Array
+    tractions: Array
+    stress: Array
+    memory: Array
+    energies: Array
+    parts: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def table(self) -> Table:
+        """Time, jumps (w_T, w_N; in 3D w_T1, w_T2, w_N), tractions (t_T, ...) and energies."""
+        names = COMPONENTS[len(self.n)]
+        columns = ["t", *(f"w_{c}" for c in names), *(f"t_{c}" for c in names), "stored", "dissipated", "remainder"]
+        rows = np.column_stack([self.t, self.jumps, self.tractions, self.energies])
+        return Table(dict(zip(columns, row.tolist(), strict=True)) for row in rows)
+
+
+def drive(
+    law: Law,
+    steps: Sequence[Mapping[str, float]],
+    n: Sequence[float] = (0.0, 1.0),
+    *,
+    dt: float | Sequence[float] = 1.0,
+    theta: float = 1.0,
+) -> PointHistory:
+    """Drive the interface law of a layer, of order 0, from rest along a path.
+
+    Each step says of every component of S either the jump at its end or the traction (at t + theta dt):
+    `[{"w_T": 0.01, "t_N": -1.0}, ...]`, in 3D with T1 and T2 for T, the axes of `Surface.frame`. A step whose tractions are
+    not found is halved, again and again.
+
+    Args:
+        law: any law of a layer, parameters per thickness (`law.per_thickness(eps)` converts real ones); a Stack too.
+        steps: the path.
+        n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
+        dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.
+        theta: 1 (backward Euler) down to 1/2 (midpoint rule).
+
+    Raises:
+        ModelError: a path that leaves a component free or asks for two things; other input out of range.
+        SolveError: tractions that the law does not bear; `history` has the steps before.
+    """
+    normal, axes = _frame(n)
+    path = [_read(step, k, len(normal)) for k, step in enumerate(steps)]
+    lengths = _lengths(dt, len(path))
+    if not path:
+        raise ModelError("a path needs at least one step")
+    if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
+        raise ModelError(f"theta is {theta!r}; allowed: 0.5 to 1")
+    if not isinstance(law, Law) or isinstance(law, ContactLaw) or law.constrained:
+        raise ModelError(
+            f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
+        )
+    if law.rate and (lengths == 0).any():
+        raise ModelError(
+            f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
+        )
+    point = Point(law, normal, axes, float(theta))
+    states, parts = [point.rest()], []
+
+    def history() -> PointHistory:
+        return _history(law, normal, point.material.memory, states, parts)
+
+    for k, (held, goal) in enumerate(path):
+        try:
+            state, taken = point.advance(states[-1], held, goal, lengths[k])
+        except SolveError as error:
+            asked = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
+            raise SolveError(f"step {k + 1} of {len(path)} ({asked}): {error}", history()) from None
+        states.append(state)
+        parts.append(taken)
+    return history()
+
+
+def _frame(n: Sequence[float]) -> tuple[Array, Array]:
+    """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
+    try:
+        normal = np.array(n, float)
+    except (TypeError, ValueError):
+        normal = np.empty(0)
+    if normal.shape not in ((2,), (3,)) or not np.isfinite(normal).all() or not normal.any():
+        raise ModelError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
+    normal = normal / np.linalg.norm(normal)
+    if len(normal) == 2:
+        return normal, np.array([[normal[1], normal[0]], [-normal[0], normal[1]], [0.0, 0.0]])
+    a, b, c = normal
+    s = (1 - b) / (a * a + c * c) if b < 0 and a * a + c * c > 0 else 1 / (1 + b) if b >= 0 else 2.0
+    first, last = [1 - s * a * a, -a, -s * a * c], [-s * a * c, -c, 1 - s * c * c]
+    if b < 0 and a * a + c * c < 1e-24:  # n = -e_2: half a turn about the third axis
+        first, last = [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
+    return normal, np.array([first, last, normal]).T
+
+
+def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
+    """Of a step of the path: which components have a prescribed jump, (d,), and the values, (d,)."""
+    names = COMPONENTS[d]
+    allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
+    if not isinstance(step, Mapping):
+        raise ModelError(f"step {k + 1} is {step!r}; it must be a dictionary with {allowed}")
+    for name, value in step.items():
+        if name not in [f"{kind}_{c}" for kind in "wt" for c in names]:
+            raise ModelError(f"step {k + 1} has {name!r}; allowed in {d}D: {allowed}")
+        if not (isinstance(value, Real) and math.isfinite(value)):
+            raise ModelError(f"step {k + 1}: {name} is {value!r}; it must be a finite number")
+    for c in names:
+        if (f"w_{c}" in step) == (f"t_{c}" in step):
+            given = "both" if f"w_{c}" in step else "neither"
+            raise ModelError(f"step {k + 1} has {given} of w_{c} (jump) and t_{c} (traction); it must have one")
+    held = np.array([f"w_{c}" in step for c in names])
+    return held, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
+
+
+def _lengths(dt: float | Sequence[float], count: int) -> Array:
+    try:
+        lengths = np.array(dt, float)
+    except (TypeError, ValueError):
+        lengths = np.array(np.nan)
+    if lengths.shape not in ((), (count,)) or not np.isfinite(lengths).all() or (lengths < 0).any():
+        raise ModelError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
+    return np.broadcast_to(lengths, count)
+
+
+def _history(law: Law, n: Array, memory: int, states: Sequence[PointState], parts: Sequence[int]) -> PointHistory:
+    """The steps so far; `states` begin with the one at rest."""
+    rows: Any = states[1:]
+    d = len(n)
+
+    def column(name: str, *shape: int) -> Array:
+        return np.array([getattr(row, name) for row in rows], float).reshape(len(rows), *shape)
+
+    mandel, stress = column("stress", 6), np.empty((len(rows), 3, 3))
+    for k, (i, j) in enumerate(MANDEL):
+        stress[:, i, j] = stress[:, j, i] = mandel[:, k] / (1.0 if i == j else ROOT2)
+    energies = column("energies", 3) if law.has_energy else np.full((len(rows), 3), np.nan)
+    return PointHistory(
+        n, column("t"), column("w", d), column("traction", d), stress,
+        column("memory", memory), energies, np.array(parts, int),
+    )  # fmt: skip

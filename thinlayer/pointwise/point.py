@@ -1,0 +1,138 @@
+"""One law at one point of S: its tractions for jumps, and the jumps for tractions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from mpi4py import MPI
+
+from forms.kinematics import MANDEL, ROOT2
+from forms.law import Law
+from thinlayer.failure import SolveError
+from thinlayer.pointwise.kernels import Array
+from thinlayer.pointwise.material import Material
+
+COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}
+ITERATIONS, SHORTENINGS = 60, 25  # of Newton's method, and of each of its steps
+SMALLEST = 2.0**-10  # part of a step
+FARTHEST = 2.0**25  # that tractions are looked for along a singular tangent, in elastic steps
+EXACT, ENOUGH = 1e-12, 1e-9  # of the tractions: what is asked for, what will do where it cannot be reached
+
+
+class PointState(NamedTuple):
+    """The law at the end of a step: jump, traction and its tangent in the frame of S, stress (6,), memory, energies."""
+
+    t: float
+    w: Array
+    traction: Array
+    tangent: Array
+    stress: Array
+    memory: Array
+    energies: Array
+
+
+class Point:
+    """A compiled law at a point."""
+
+    def __init__(self, law: Law, n: Array, axes: Array, theta: float) -> None:
+        self.law, self.n, self.theta = law, n, theta
+        self.material = Material(MPI.COMM_SELF, law)
+        self.n3 = np.append(n, np.zeros(3 - len(n)))
+        # strain of each component of the jump, (6, d): e = E w, and by virtue of power t = E^T stress
+        outer = np.einsum("ia,j->aij", axes, self.n3)
+        pairs = (outer + np.swapaxes(outer, 1, 2)) / 2
+        self.E = np.stack([pairs[:, i, j] * (1.0 if i == j else ROOT2) for i, j in MANDEL])
+        self.stiffness = 0.0  # largest entry of a tangent so far
+
+    def rest(self) -> PointState:
+        """The law before anything happened."""
+        d = len(self.n)
+        none = np.zeros(d)
+        return PointState(0.0, none, none, np.zeros((d, d)), np.zeros(6), np.zeros(self.material.memory), np.zeros(3))
+
+    def _respond(self, old: PointState, w: Array, dt: float) -> PointState | None:
+        """The state after a step to the jump w; None where the law fails."""
+        e, e_old = (self.E @ w)[None], (self.E @ old.w)[None]
+        stress, C, memory, energies, failed = self.material.update(
+            range(6), e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0
+        )
+        if failed:
+            return None
+        tangent = self.E.T @ C[0] @ self.E
+        self.stiffness = max(self.stiffness, np.abs(tangent).max())
+        return PointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
+
+    def advance(self, old: PointState, held: Array, goal: Array, dt: float) -> tuple[PointState, int]:
+        """The state after a step, and the number of parts it was taken in; energies are those of all parts."""
+        start = np.where(held, old.w, old.traction)
+        done, part, parts = 0.0, 1.0, 0
+        state, spent = old, np.zeros(3)
+        while done < 1:
+            aim = goal if done + part >= 1 else start + (done + part) * (goal - start)
+            found = self._solve(state, held, aim, part * dt)
+            if found is None:
+                part /= 2
+                if part < SMALLEST:
+                    raise SolveError(self._stuck(state, held, done))
+                continue
+            state, done, parts = found, done + part, parts + 1
+            spent += state.energies
+            part = min(2 * part, 1 - done)
+        spent[0] = state.energies[0]
+        return state._replace(energies=spent), parts
+
+    def _stuck(self, state: PointState, held: Array, done: float) -> str:
+        reached = ", ".join(
+            f"{kind}_{c} = {value:.6g}"
+            for kind, values in (("w", state.w), ("t", state.traction))
+            for c, value in zip(COMPONENTS[len(self.n)], values, strict=True)
+        )
+        where = f"it stopped after {done:.4g} of the step, at {reached}"
+        if held.all():
+            return f"the law failed; {where}"
+        return (
+            f"no jump was found for the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
+        )
+
+    def _solve(self, old: PointState, held: Array, goal: Array, dt: float) -> PointState | None:
+        """Newton's method for the components whose traction is prescribed; None if it does not converge.
+
+        Where the tangent is singular (at a limit, or where an open layer is to close), it goes along what the tractions
+        lack, farther each time.
+        """
+        free, farther = np.logical_not(held), 1.0
+        self._respond(old, old.w, dt)  # for its stiffness
+        now = self._respond(old, np.where(held, goal, old.w), dt)
+        for _ in range(ITERATIONS):
+            if now is None or farther > FARTHEST:
+                return None
+            left = goal[free] - now.traction[free]
+            lack = np.abs(left).max(initial=0.0)
+            scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
+            rounding = 1e-15 * self.stiffness * np.abs(now.w).max()
+            if lack <= EXACT * scale + rounding:
+                return now
+            slope, found = now.tangent[np.ix_(free, free)], None
+            if np.linalg.cond(slope) < 1e13:
+                farther = 1.0
+                found = self._along(old, now, free, goal, np.linalg.solve(slope, left), dt, lack * (1 - 1e-4))
+            if found is None and lack <= ENOUGH * scale:
+                return now
+            if found is None:
+                found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, lack)
+                farther *= 2
+            now = found
+        return None
+
+    def _along(
+        self, old: PointState, now: PointState, free: Array, goal: Array, direction: Array, dt: float, bound: float
+    ) -> PointState | None:
+        """A state on the way from `now` whose tractions lack no more than the bound; None if there is none."""
+        for shortening in range(SHORTENINGS):
+            w = now.w.copy()
+            w[free] += 0.5**shortening * direction
+            found = self._respond(old, w, dt)
+            if found is not None and np.abs(goal[free] - found.traction[free]).max() <= bound:
+                return found
+        return None
