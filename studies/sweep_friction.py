@@ -57,11 +57,9 @@ class Comparison:
         """Its sweep on squares of size h."""
         joint, setup = pressed(h, self.path)
         setup |= {"element": "Q1", "sublayers": self.cells}
-        layers = (partial(ThinLayer, law) for law in (self.band, self.contact))
-        profile = partial(_noted, record, case)
-        return Sweep(
-            record, joint, setup, next(layers), times=self.times, more=profile, case=case, instead=next(layers)
-        )
+        band, contact = partial(ThinLayer, self.band), partial(ThinLayer, self.contact)
+        noted = partial(_noted, record, case)
+        return Sweep(record, joint, setup, band, times=self.times, more=noted, case=case, instead=contact)
 
 
 AT_ONCE = Comparison(ONCE, None, HOLONOMIC)

@@ -23,7 +23,7 @@ README = (CLONE / "README.md").read_text()
 def test_script(tmp_path, number):
     scripts = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
-    assert len(scripts) == len(tables) + 1 == 3
+    assert len(scripts) == len(tables) + 2 == 4
     (tmp_path / "script.py").write_text(scripts[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -46,8 +46,23 @@ def test_contact_script(tmp_path):
     assert (tmp_path / "contact.png").stat().st_size > 10_000
 
 
+def test_limit_script(tmp_path):
+    """The joint carries what the formula says: C cos(Omega) - t_N sin(Omega)."""
+    script = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[3]
+    (tmp_path / "script.py").write_text(script)
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    found, printed = (
+        [float(x) for x in re.findall(r"-?\d+\.\d+", line)]
+        for line in (done.stdout, next(line for line in README.splitlines() if line.startswith("    carries ")))
+    )
+    assert found == pytest.approx(printed, abs=2e-3)
+    t_N, angle = found[3], math.radians(35)
+    assert found[0] == pytest.approx(0.2 * math.cos(angle) - t_N * math.sin(angle), rel=2e-3)
+
+
 def test_scripts_are_short():
-    first, second, _ = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    first, second, *_ = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     assert len([line for line in first.splitlines() if line.strip()]) <= 20
     law = second[second.index("@dataclass") : second.index("steel =")]
     assert len([line for line in law.splitlines() if line.strip()]) <= 17
