@@ -153,26 +153,16 @@ class MohrCoulomb(Plastic):
 
 
 @dataclass(frozen=True)
-class MohrCoulombReturn(PointLaw):
+class MohrCoulombReturn(PointLaw, MohrCoulomb):
     """`MohrCoulomb` by the return to faces, edges and apex of its yield surface in principal stresses, in 3D.
 
     Parameters and internal values are the same; this is the general answer, compiled from C.
     """
 
-    lmbda: float
-    mu: float
-    C: float
-    Omega: float
-    h: float = 0.0
-    psi: float = 0.0
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
-    symmetric: ClassVar = False
     memory: ClassVar = 6
     energetic: ClassVar = True
     source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
-
-    def check(self) -> None:
-        MohrCoulomb(**self.parameters())
+    otherwise: ClassVar = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
