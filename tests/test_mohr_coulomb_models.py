@@ -10,10 +10,12 @@ import ufl
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, limits
 from geometry import block, sandwich
+from studies.fig3_mohr_coulomb import glue
+from studies.sweep_mohr_coulomb import bar_r1
 from tests.test_columns_in_time import both, check_balance, check_same
 from tests.test_columns_in_time import column as tall_column
 from tests.test_parallel import mpirun
-from thinlayer import Model, Surface, ThinLayer, march
+from thinlayer import Model, Surface, ThinLayer, march, solve
 from thinlayer.pointwise.drive import PointHistory, drive
 
 BODY = LinearElastic.young(100.0, 0.3)
@@ -171,3 +173,17 @@ def test_studies(tmp_path):
         for table in out.glob("table*.csv"):
             assert "h" in table.read_text().splitlines()[0].split(","), table
         assert main(["draw", study, "--out", str(out)]) == 0
+
+
+def test_newton_is_quadratic(capfd):
+    """The bar of Fig. 2 without cohesion, all loads in one step: the residual's exponent doubles at the end."""
+    joint, setup, _ = bar_r1(quick=True)
+    model = Model.interface(joint, layer=ThinLayer(glue(0.0), 1.0), **setup)
+    state = solve(model, options={"snes_monitor": None})
+    norms = [float(line.split()[-1]) for line in capfd.readouterr().out.splitlines() if "SNES Function norm" in line]
+    assert state.report.iterations <= 7
+    assert state.report.eased == 0
+    exponents = np.log10(np.array(norms) / norms[0])
+    exponents = exponents[exponents > -9][-3:]  # before rounding
+    assert exponents[0] < -1
+    assert (exponents[1:] < 1.8 * exponents[:-1]).all()
