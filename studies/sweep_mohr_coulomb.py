@@ -42,7 +42,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     Args:
         record: where to write.
         eps: thicknesses of the layer between blocks that are 0.5 high; the bar's are 32 times as much, in mm.
-        quick: coarser meshes.
+        quick: coarser meshes, and one of the bar's laws.
     """
     h = 1 / 8 if quick else 1 / 16
     joint, setup = sheared_blocks(h)
@@ -63,7 +63,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     for name in ("traction", "jump"):
         ratio = coulomb[f"error_{name}"][-1] / tables[""][f"error_{name}"][-1]
         record.check(f"error of the {name} at the smallest eps, Coulomb's law over the right one", ratio, low=4.0)
-    for case, one in BARS.items():
+    for case, one in list(BARS.items())[: 1 if quick else None]:
         record.say(one)
         thicknesses = [MM * e for e in eps]
         sweep = Sweep(record, bar, bar_setup, partial(ThinLayer, one), where=inside, case=case)
@@ -94,7 +94,9 @@ def draw(record: Record) -> None:
     """Draw the rates from the tables."""
     cases = {"psi = 0": "table.csv", "psi = 10°": "table_dilatant.csv", "tan(Omega) on S": "table_coulomb.csv"}
     draw_rates(record, title="Mohr-Coulomb layer", cases=cases)
-    if record.root:
-        bars = {f"h = {BARS[name].h:g}": record.path(f"table_{name}.csv") for name in ("bar", "bar_less_elastic")}
-        bars["monodirectional, h = 0.01"] = record.path("table_bar_monodirectional.csv")
-        plotting.rates(bars, save=record.path("rates_bar.png"), title="bar of Fig. 2, no cohesion")
+    if not record.root:
+        return
+    names = {"bar": "h = 0.02", "bar_less_elastic": "h = 0.01", "bar_monodirectional": "monodirectional, h = 0.01"}
+    bars = {label: record.path(f"table_{name}.csv") for name, label in names.items()}
+    found = {label: path for label, path in bars.items() if path.exists()}
+    plotting.rates(found, save=record.path("rates_bar.png"), title="bar of Fig. 2, no cohesion")
