@@ -64,7 +64,7 @@ READINGS = {
     "R1": Loads(
         ("TOP", (0.0, -0.0164)), ("LEFT", (0.164, 0.0)), {"RIGHT": {"x": 0.0}}, "yields all along S", 1e4, (0.0, 12.5)
     ),
-    "R4m": Loads(("TOP", (0.0, -0.164)), ("RIGHT", (-0.0164, 0.0)), {}, "yields on the left", 8e4, (11.0, 12.0)),
+    "R4m": Loads(("TOP", (0.0, -0.164)), ("RIGHT", (-0.0164, 0.0)), {}, "yields on the left", 4e4, (11.0, 12.0)),
 }
 
 

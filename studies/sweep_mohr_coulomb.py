@@ -97,4 +97,4 @@ def draw(record: Record) -> None:
     if record.root:
         bars = {f"h = {BARS[name].h:g}": record.path(f"table_{name}.csv") for name in ("bar", "bar_less_elastic")}
         bars["monodirectional, h = 0.01"] = record.path("table_bar_monodirectional.csv")
-        plotting.rates(bars, save=record.path("rates_bar.png"), title="bar of Fig. 2, no cohesion")
+        plotting.rates(bars, save=record.path("rates_bar.png"), title="bar of Fig. 2, no cohesion, eps in mm")
