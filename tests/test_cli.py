@@ -148,7 +148,7 @@ def test_studies_of_any_joint(tmp_path, name):
     [
         (
             ["run", "fig7"],
-            "unknown study 'fig7'; known: butt_joint, creep_and_relaxation, fig6_stratified, fig8_friction, hard_layer",
+            "unknown study 'fig7'; known: butt_joint, creep_and_relaxation, fig3_mohr_coulomb, fig6_stratified, fig8_friction, hard_layer",
         ),
         (["run", "limits", "--eps", "0.1"], "study limits does not use --eps; it uses: --quick"),
         (["run", "fig6_stratified", "--bodies", "kept"], "does not use --bodies"),
