@@ -14,7 +14,7 @@ import cffi
 from dolfinx import jit
 from mpi4py import MPI
 
-_LOADED: dict[Path, Any] = {}  # modules of compiled sources
+_LOADED: dict[tuple[Path, int], Any] = {}  # modules of compiled sources, by path and time of their last change
 EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
 
 
@@ -30,7 +30,8 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
     Raises:
         SourceError: a source that cannot be read or compiled; on all ranks.
     """
-    if comm.allreduce(int(source not in _LOADED)):
+    key = source, _changed(source)
+    if comm.allreduce(int(key not in _LOADED)):
         problem = None
         if comm.rank == 0:
             try:
@@ -39,8 +40,15 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
                 problem = f"{type(error).__name__}: {error}"
         if problem := comm.bcast(problem):
             raise SourceError(f"the C source {str(source)!r} cannot be compiled: {problem}")
-        _LOADED[source] = _load(source)
-    return _LOADED[source]
+        _LOADED[key] = _load(source)
+    return _LOADED[key]
+
+
+def _changed(source: Path) -> int:
+    try:
+        return source.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _module_file(source: Path) -> Path:
