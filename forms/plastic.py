@@ -33,6 +33,13 @@ def require_dilatancy(law: Any) -> None:
     require(0 <= law.psi <= law.Omega, law, "psi", law.psi, f"0 <= psi <= Omega = {law.Omega:g} degrees")
 
 
+def eased_fraction(law: Any, ease: float) -> float:
+    """Elastic fraction between that of the law (ease = 0) and 1 (ease = 1); LawError for other eases."""
+    if not (isinstance(ease, Real) and 0 <= ease <= 1):
+        raise LawError(f"{type(law).__name__}: ease is {ease!r}; allowed: 0 to 1")
+    return float(max(law.h, LEAST_FRACTION) ** (1 - ease) if ease else law.h)
+
+
 @dataclass(frozen=True)
 class Plastic(Law):
     """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear meets its bound.
@@ -67,9 +74,7 @@ class Plastic(Law):
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
-        if not (isinstance(ease, Real) and 0 <= ease <= 1):
-            raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
-        return self.with_parameters({"h": max(self.h, LEAST_FRACTION) ** (1 - ease) if ease else self.h})
+        return self.with_parameters({"h": eased_fraction(self, ease)})
 
     # ---------------------------------------------------------------- of a step, UFL
     def _elastic_strain(self, e: Expr, q: Any) -> Expr:
@@ -179,11 +184,16 @@ class MohrCoulombReturn(PointLaw):
     symmetric: ClassVar = False
     memory: ClassVar = 6
     energetic: ClassVar = True
+    yields: ClassVar = True
     source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
 
     def check(self) -> None:
         require_strength(self)
         require_dilatancy(self)
+
+    def eased(self, ease: float) -> MohrCoulombReturn:
+        """As of the other Mohr-Coulomb laws: `Plastic.eased`."""
+        return self.with_parameters({"h": eased_fraction(self, ease)})
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ def test_studies(tmp_path):
 
     for study, options in {
         "fig3_mohr_coulomb": ["--loads", "R1"],
-        "sweep_mohr_coulomb": ["--eps", "0.0625", "0.03125"],
+        "sweep_mohr_coulomb": ["--eps", "0.015625", "0.0078125"],
     }.items():
         out = tmp_path / study
         assert main(["run", study, "--quick", *options, "--out", str(out)]) == 0, study
