@@ -106,7 +106,9 @@ def _require_substitute(law: Law, other: Any) -> None:
         raise LawError(
             f"{name}.otherwise has the parameters {others}; it must have those of {name}, in their order: {mine}"
         )
-    same = _memory(law) == _memory(other) if isinstance(other, PointLaw) else law.internal == other.internal
+    same = _memory(law) == _memory(other)  # the shapes of a `PointLaw` are its own
+    if not isinstance(other, PointLaw):
+        same = list(law.internal.items()) == list(other.internal.items())
     if not same:
         kept = f"{other.memory} internal values" if isinstance(other, PointLaw) else f"internal values {other.internal}"
         asked = f"those of {name}, {law.internal}: {_memory(law)} numbers"
