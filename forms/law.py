@@ -86,8 +86,8 @@ class Law:
         quadratic: whether the stored energy is a quadratic function of strain and internal variables.
         constrained: whether the strain's trace is held to zero by a pressure that is a field of its own.
         yields: whether stresses are bounded in some direction, so that loads may have a limit.
-        otherwise: a law with the same parameters and internal values for the points where this one does not hold, and for
-            three dimensions.
+        otherwise: a law with the same parameters and internal values, for all points in three dimensions and for those in
+            plane strain where this one does not hold (`holds`). Without one such points fail, and steps are shortened.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
@@ -157,7 +157,7 @@ class Law:
     @property
     def pointwise(self) -> bool:
         """Whether the law acts on arrays of points, step by step; otherwise its stress is a part of a UFL form."""
-        return self.rate or bool(self.internal)
+        return self.rate or bool(self.internal) or type(self).holds is not Law.holds
 
     def stress(self, step: Step) -> Expr:
         """Stress at t + theta dt, (3, 3), symmetric, UFL."""
@@ -180,7 +180,7 @@ class Law:
         return step.dt * self.dissipation(step)
 
     def holds(self, step: Step) -> Expr:
-        """Where the law holds, a UFL condition; `otherwise` answers at the other points."""
+        """Where the law holds, a UFL condition (ufl.lt, ufl.And, ...); `otherwise` answers at the other points."""
         return None
 
     def eased(self, ease: float) -> Law:

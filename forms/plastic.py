@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,14 +23,14 @@ LEAST_FRACTION = 1e-6  # that continuation takes before none at all
 class Plastic(Law):
     """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear meets its bound.
 
-    A fraction h of the layer stays elastic beside the rest, stress = (1 - h) stress_plastic + h C : e, where C is the
-    elasticity of the whole. It makes problems well posed that ideal plasticity leaves without a solution (a layer without
-    cohesion has no strength at its free ends), and belongs to the law: the meshed layer and S have the same.
+    A fraction h of the layer stays elastic beside the rest, stress = (1 - h) stress_plastic + h (lmbda tr(e) I + 2 mu e).
+    It makes problems well posed that ideal plasticity leaves without a solution (a layer without cohesion has no strength
+    at its free ends), and belongs to the law: the meshed layer and S have the same.
 
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
         C: cohesion, stress, also in a layer (C and the angles do not scale with its thickness); >= 0.
-        Omega: friction angle in degrees, 0 <= Omega < 90; > 0 if C = 0.
+        Omega: friction angle in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
         h: elastic fraction, 0 <= h < 1.
 
     Raises:
@@ -49,15 +50,15 @@ class Plastic(Law):
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
-        require(math.isfinite(self.C) and self.C >= 0, self, "C", self.C, ">= 0")
+        require(math.isfinite(self.C) and self.C >= 0, self, "C", self.C, ">= 0, finite")
         require(0 <= self.Omega < 90, self, "Omega", self.Omega, "0 <= Omega < 90 degrees")
         require(self.C > 0 or self.Omega > 0, self, "C", self.C, "> 0 where Omega = 0: nothing would resist shear")
         require(0 <= self.h < 1, self, "h", self.h, "0 <= h < 1")
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
-        if not 0 <= ease <= 1:
-            raise LawError(f"{type(self).__name__}: ease is {ease}; allowed: 0 to 1")
+        if not (isinstance(ease, Real) and 0 <= ease <= 1):
+            raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
         return self.with_parameters({"h": max(self.h, LEAST_FRACTION) ** (1 - ease) if ease else self.h})
 
     # ---------------------------------------------------------------- of a step, UFL
@@ -107,8 +108,8 @@ class MohrCoulomb(Plastic):
     has the form of a jump, which it has not.
 
     This closed form answers where it holds: psi = 0, plane strain, and s_33 between the in-plane principal stresses
-    wherever they are (at yield |p| (1 - 2 nu) <= R, which fails for dilute friction in compression and near the apex in
-    tension). `MohrCoulombReturn` answers elsewhere, point by point.
+    wherever they are (at yield |p| (1 - 2 nu) <= R, which fails in compression for small nu and Omega, with C = 0 for
+    nu < (1 - sin(Omega))/2, and in tension near the apex). `MohrCoulombReturn` answers elsewhere, point by point.
 
     For psi = 0 the flow keeps the mean stress, and beyond C cot(Omega) none leads back to the yield surface. There the
     stress is cut off, C cot(Omega) times the identity, with a volumetric plastic strain: the material has torn, and closes
@@ -122,8 +123,7 @@ class MohrCoulomb(Plastic):
 
     def check(self) -> None:
         super().check()
-        allowed = f"0 <= psi <= Omega = {self.Omega:g} degrees"
-        require(0 <= self.psi <= self.Omega, self, "psi", self.psi, allowed)
+        require(0 <= self.psi <= self.Omega, self, "psi", self.psi, f"0 <= psi <= Omega = {self.Omega:g} degrees")
 
     @property
     def otherwise(self) -> MohrCoulombReturn:  # type: ignore[override]
@@ -156,7 +156,7 @@ class MohrCoulomb(Plastic):
 class MohrCoulombReturn(PointLaw, MohrCoulomb):
     """`MohrCoulomb` by the return to faces, edges and apex of its yield surface in principal stresses, in 3D.
 
-    Parameters and internal values are the same; this is the general answer, compiled from C.
+    Parameters (angles in degrees) and plastic strain are the same; this is the general answer, compiled from C.
     """
 
     memory: ClassVar = 6

@@ -27,8 +27,9 @@ class PointLaw(Law):
 
         int kernel(double *out, const void *, const double *in)
 
-    where `in` has e, e_old, q, n, dt, theta and the parameters one after the other, `out` stress, q_new, tangent and
-    energies; at a point that fails it leaves a NaN in the stress.
+    where `in` has e, e_old, q, n, dt, theta and the parameters one after the other, `out`, zero before the call, stress,
+    q_new, tangent (36, row by row) and energies. At a point that fails it leaves a NaN in stress[0]; what it returns is not
+    looked at. Other functions of the file are static.
 
     Attributes:
         memory: number of internal values.

@@ -30,7 +30,7 @@ LASTING = 60.0  # shear at which friction is taken for the lasting one
 
 PRESSURE = -(LMBDA + 2 * MU) * CLOSING
 HELD_STRESS, HELD_JUMP = "normal stress held", "normal jump held"
-PROPORTIONAL = f"w_T/|w_N| held, {DIRECTION:g} degrees"
+PROPORTIONAL = f"w_T/|w_N| held, {DIRECTION:g}° off the normal"
 UNLOADED = "sheared, opened by a part, sheared"
 PLANES = "slips parallel to S alone"
 PATHS, FLOW = "paths, psi = 0", "laws, normal stress held"
@@ -178,11 +178,11 @@ def draw(record: Record) -> None:
     def line(path: str) -> tuple[Array, Array]:
         return table["shear"][names == path], friction[names == path]
 
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    figure, angles = Figure(figsize=(10, 4.2), layout="constrained"), DILATANT.values()
     for k, (title, shown) in enumerate(PANELS.items()):
         axes = figure.add_subplot(1, 2, k + 1)
         for name in shown:
-            label = "psi = 0" if (title, name) == (FLOW, HELD_STRESS) else name
+            label = "psi = 0" if (title, name) == (FLOW, HELD_STRESS) else f"{name}°" if name in angles else name
             axes.plot(*line(name), color=COLOURS[name], label=label)
         for value, text in references(title).items():
             label = "Davis' limits" if title == FLOW and value == tangent() else "_"  # with "_": not in the legend

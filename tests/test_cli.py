@@ -113,6 +113,9 @@ def test_limits_and_drawing_again(tmp_path):
     assert_drawn(tmp_path / "bonded.png")
     assert (tmp_path / "table.csv").read_bytes() == table
     assert "run the study first" in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
+    other = thinlayer("draw", "sweep_mohr_coulomb", "--out", tmp_path)
+    assert other.returncode == 2
+    assert "is not a whole run of sweep_mohr_coulomb: there is no " in other.stderr
 
 
 @pytest.mark.parametrize(
@@ -148,7 +151,7 @@ def test_studies_of_any_joint(tmp_path, name):
     [
         (
             ["run", "fig7"],
-            "unknown study 'fig7'; known: butt_joint, creep_and_relaxation, fig3_mohr_coulomb, fig6_stratified, fig8_friction, hard_layer",
+            "unknown study 'fig7'; known: butt_joint, creep_and_relaxation, fig3_mohr_coulomb, fig6_stratified, ",
         ),
         (["run", "limits", "--eps", "0.1"], "study limits does not use --eps; it uses: --quick"),
         (["run", "fig6_stratified", "--bodies", "kept"], "does not use --bodies"),
@@ -164,6 +167,9 @@ def test_studies_of_any_joint(tmp_path, name):
             ["run", "sweep_elastic", "--quick", "-thinlayer_ksp_typ", "cg"],
             "not read by the linear solver: -thinlayer_ksp_typ",
         ),
+        (["run", "fig3_mohr_coulomb", "--loads", "R9"], "invalid choice: 'R9'"),
+        (["run", "sweep_mohr_coulomb", "--loads", "R1"], "study sweep_mohr_coulomb does not use --loads"),
+        (["run", "sweep_mohr_coulomb", "--h", "0.1"], "unrecognized argument '--h'"),
         (["list", "--all"], "unrecognized arguments: --all"),
         (["lst"], "invalid choice"),
     ],

@@ -11,7 +11,7 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from tests.limit_load_run import FULL, SLIDING, dragged, sheared
 from tests.test_parallel import mpirun
 from thinlayer import Adaptive, SolveError, Surface, march, solve
@@ -55,6 +55,14 @@ def test_a_body_force_counts():
     error = limit(sheared("S", tractions={"TOP": lambda x, t: (t, 0.0)}, body_force=(0.0, -2.0)))
     assert error.resultant == pytest.approx((error.t, -0.5), abs=1e-12)
     assert error.t < 0.1 + 0.5 * TAN < error.failed_at
+
+
+def test_the_general_return_has_the_same_limit_and_eases():
+    law = MohrCoulombReturn(**FULL.parameters())
+    error, other = limit(sheared("S", law)), limit(sheared("S", FULL))
+    assert (error.t, error.failed_at) == (other.t, other.failed_at)
+    assert law.can_ease
+    assert [law.eased(ease).h for ease in (0, 0.5, 1)] == [FULL.eased(ease).h for ease in (0, 0.5, 1)] != [FULL.h] * 3
 
 
 def test_adaptive_steps_and_stacks():

@@ -577,6 +577,9 @@ def test_an_open_layer_closes_under_pressure():
     ("change", "message"),
     [
         ({"steps": []}, "at least one step"),
+        ({"steps": None}, "steps is None; it must be a sequence of dictionaries"),
+        ({"steps": {"w_T": 0.0, "w_N": 0.0}}, "steps is {'w_T': 0.0, 'w_N': 0.0}; it must be a sequence"),
+        ({"law": [{"w_T": 0.0}], "steps": LAW}, "the law of a point is "),
         ({"steps": [(0.0, 1.0)]}, r"step 1 is \(0.0, 1.0\); it must be a dictionary with w_T or t_T, w_N or t_N"),
         ({"steps": [{"w_T": 0.0}]}, r"step 1 has neither of w_N \(jump\) and t_N \(traction\)"),
         ({"steps": [{"w_T": 0.0, "w_N": 0.0, "t_N": 1.0}]}, "step 1 has both of w_N"),
@@ -685,8 +688,8 @@ def test_elastic_and_full_sublayers():
         (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, h=-0.1), "h is -0.1"),
         (lambda: MohrCoulomb(LMBDA, 0.0, 0.1, 30.0), "mu is 0.0; allowed: > 0"),
         (lambda: MohrCoulomb(-30.0, MU, 0.1, 30.0), "lmbda is -30.0"),
-        (lambda: MohrCoulombReturn(LMBDA, MU, 0.1, 30.0, psi=31.0), "psi is 31.0"),
-        (lambda: MohrCoulombReturn(LMBDA, MU, -0.1, 30.0), "C is -0.1"),
+        (lambda: MohrCoulombReturn(LMBDA, MU, 0.1, 30.0, psi=31.0), "MohrCoulombReturn: psi is 31.0"),
+        (lambda: MohrCoulombReturn(LMBDA, MU, -0.1, 30.0), "MohrCoulombReturn: C is -0.1"),
         (lambda: MohrCoulomb(LMBDA, MU, "0.1", 30.0), "C is '0.1'; allowed: a number"),
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, -0.1, 30.0), "MohrCoulombMonodirectional: C is -0.1"),
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 95.0), "Omega is 95.0"),
@@ -694,6 +697,7 @@ def test_elastic_and_full_sublayers():
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 30.0, unilateral="no"), "unilateral is 'no'"),
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 30.0, psi=1.0), "no parameter 'psi'"),
         (lambda: LAW.eased(1.5), "ease is 1.5; allowed: 0 to 1"),
+        (lambda: LAW.eased("a bit"), "ease is 'a bit'; allowed: 0 to 1"),
         (lambda: LAW.plane_stress(), "plane stress is not defined for MohrCoulomb"),
     ],
 )  # fmt: skip

@@ -922,7 +922,7 @@ def spoiled_kernel(body: str, memory: object = 0):
         ("    q_new[3] = 1.0\n    return True\n", 0, "IndexError"),
         ("    stress[0] = nonsense\n    return True\n", 0, "NameError"),
         ("    stress[0] = 1.0\n", 0, "returns None"),
-        ("    return True\n", "6", "memory, a number"),
+        ("    return True\n", "6", "memory is '6'; allowed: a whole number"),
     ],
 )
 def test_mistakes_in_kernels_are_found_before_they_are_compiled(body, memory, message):

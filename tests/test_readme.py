@@ -73,6 +73,7 @@ def test_laws_of_the_documentation_work():
     names: dict = {}
     for block in re.findall(r"```python\n(.*?)```", (CLONE / "forms" / "README.md").read_text(), re.DOTALL):
         exec(block, names)
+    assert names["history"].tractions[-1] == pytest.approx([0.3 * math.cos(math.pi / 6) + 0.5, -1.0], rel=1e-3)
     body, pull = LinearElastic.young(100.0, 0.3), {"TOP": lambda x, t: (t, 0.0)}
     supports = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
     joint = sandwich(1.0, 0.5, 0.5, 0.5)

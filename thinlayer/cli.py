@@ -49,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     draw.add_argument("--out", type=Path, metavar="DIR", help="folder of the run (default: out/STUDY)")
     run = commands.add_parser(
         "run",
+        allow_abbrev=False,  # --h would print the help
         help="run a study",
         usage="%(prog)s STUDY [options] [PETSc options]",
         description="Run a study. A study takes only the options it uses. PETSc options start with -thinlayer_, "
@@ -90,6 +91,8 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
         importlib.import_module(f"studies.{study.name}").draw(Record(study.name, out, {}))
     except KeyError as error:
         parser.error(f"table.csv in {out} is not one of {study.name}: it has no column {error}")
+    except FileNotFoundError as error:
+        parser.error(f"{out} is not a whole run of {study.name}: there is no {error.filename}")
     print(f"drawn again in {out}")
     return OK
 

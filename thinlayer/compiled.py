@@ -14,21 +14,41 @@ import cffi
 from dolfinx import jit
 from mpi4py import MPI
 
-_LOADED: dict[Path, Any] = {}  # modules of compiled sources
+_LOADED: dict[tuple[Path, int], Any] = {}  # modules of compiled sources, by path and time of their last change
 EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
+
+
+class SourceError(RuntimeError):
+    """A C source that cannot be read or compiled; the compiler's own messages go to standard error."""
 
 
 def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
     """The module compiled from a C source, with `ffi` and `lib`: the functions that return int or double, not static ones.
 
     Collective. With the default communicator every process that lacks the module compiles it.
+
+    Raises:
+        SourceError: a source that cannot be read or compiled; on all ranks.
     """
-    if comm.allreduce(int(source not in _LOADED)):
+    key = source, _changed(source)
+    if comm.allreduce(int(key not in _LOADED)):
+        problem = None
         if comm.rank == 0:
-            _build(source)
-        comm.barrier()
-        _LOADED[source] = _load(source)
-    return _LOADED[source]
+            try:
+                _build(source)
+            except Exception as error:
+                problem = f"{type(error).__name__}: {error}"
+        if problem := comm.bcast(problem):
+            raise SourceError(f"the C source {str(source)!r} cannot be compiled: {problem}")
+        _LOADED[key] = _load(source)
+    return _LOADED[key]
+
+
+def _changed(source: Path) -> int:
+    try:
+        return source.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _module_file(source: Path) -> Path:

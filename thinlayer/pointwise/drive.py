@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -82,6 +82,14 @@ def drive(
         ModelError: a path that leaves a component free or asks for two things; other input out of range.
         SolveError: tractions that the law does not bear; `history` has the steps before.
     """
+    if not isinstance(law, Law) or isinstance(law, ContactLaw) or law.constrained:
+        raise ModelError(
+            f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
+        )
+    if isinstance(steps, (str, Mapping)) or not isinstance(steps, Iterable):
+        example = "[{'w_T': 0.01, 't_N': -1.0}, ...]"
+        raise ModelError(f"steps is {steps!r}; it must be a sequence of dictionaries, one for each step: {example}")
+    steps = list(steps)
     normal, axes = _frame(n)
     path = [_read(step, k, len(normal)) for k, step in enumerate(steps)]
     lengths = _lengths(dt, len(path))
@@ -89,10 +97,6 @@ def drive(
         raise ModelError("a path needs at least one step")
     if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
         raise ModelError(f"theta is {theta!r}; allowed: 0.5 to 1")
-    if not isinstance(law, Law) or isinstance(law, ContactLaw) or law.constrained:
-        raise ModelError(
-            f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
-        )
     if law.rate and (lengths == 0).any():
         raise ModelError(
             f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"

@@ -24,17 +24,20 @@ import numpy.typing as npt
 import ufl
 from dolfinx import jit
 from mpi4py import MPI
+from ufl.conditional import Condition
 
+from forms.contact import ContactLaw
 from forms.kinematics import Expr, from_mandel, mandel
 from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
 from forms.traction import TractionLaw
-from thinlayer.compiled import library
+from thinlayer.compiled import SourceError, library
 
 Array = npt.NDArray[np.float64]
 ARGUMENTS = 7  # of the C functions that FFCx writes; fewer in older releases, which ignore the rest
 FIXED_IN, FIXED_OUT = 6 + 6 + 3 + 2, 6 + 36 + 3
+C_KERNEL = "int{}(double *out, const void *, const double *in)"
 SIZES = {(): 1, (3,): 3, (3, 3): 6}  # of an internal variable
 
 
@@ -71,20 +74,52 @@ def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
     numbers = np.concatenate([np.empty(0), *values])
     kind: Any = type(law)
     if isinstance(law, PointLaw) and law.source is not None:
-        address, keep = _compiled_from_c(comm, law.source)
-        return Kernel(address, law.memory, numbers, fraction, keep=keep)
+        address, keep = _compiled_from_c(comm, law)
+        return Kernel(address, _memory(law), numbers, fraction, keep=keep)
     if isinstance(law, PointLaw):
         _rehearse(law, numbers)
         address, keep = _compiled_by_numba(kind, len(numbers))
         return Kernel(address, law.memory, numbers, fraction, keep=keep)
+    substitute = law.otherwise
+    if substitute is not None:
+        _require_substitute(law, substitute)
     address, keep = _compiled_by_ffcx(comm, law)
-    if law.otherwise is None:
+    if substitute is None:
         return Kernel(address, _memory(law), numbers, fraction, keep=keep)
-    other = _kernel(comm, law.otherwise, fraction)
+    other = _kernel(comm, substitute, fraction)
     return Kernel(address, _memory(law), numbers, fraction, other.address, (keep, other.keep))
 
 
+def _require_substitute(law: Law, other: Any) -> None:
+    """Raise LawError unless a law can answer for another one: from the same numbers, in the same places."""
+    name, kind = type(law).__name__, type(other).__name__
+    if not isinstance(other, Law) or isinstance(other, (Stack, ContactLaw, TractionLaw)):
+        raise LawError(
+            f"{name}.otherwise is {other!r}; it must be a law, a property that returns Other(**self.parameters())"
+        )
+    if other.otherwise is not None:
+        raise LawError(
+            f"{name}.otherwise is a {kind}, which has a law otherwise too; it must be one that holds everywhere"
+        )
+    mine, others = law.parameters(), other.parameters()
+    if list(mine) != list(others) or not all(np.array_equal(mine[key], others[key]) for key in mine):
+        raise LawError(
+            f"{name}.otherwise has the parameters {others}; it must have those of {name}, in their order: {mine}"
+        )
+    same = _memory(law) == _memory(other)  # the shapes of a `PointLaw` are its own
+    if not isinstance(other, PointLaw):
+        same = list(law.internal.items()) == list(other.internal.items())
+    if not same:
+        kept = f"{other.memory} internal values" if isinstance(other, PointLaw) else f"internal values {other.internal}"
+        asked = f"those of {name}, {law.internal}: {_memory(law)} numbers"
+        raise LawError(f"{name}.otherwise keeps {kept}; it must keep {asked}")
+
+
 def _memory(law: Law) -> int:
+    if isinstance(law, PointLaw):
+        if not isinstance(law.memory, int) or law.memory < 0:
+            raise LawError(f"{type(law).__name__}: memory is {law.memory!r}; allowed: a whole number >= 0")
+        return law.memory
     for name, shape in law.internal.items():
         if shape not in SIZES:
             allowed = ", ".join(map(str, SIZES))
@@ -143,13 +178,19 @@ def point_expression(law: Law) -> Expr:
         rows += _packed(shaped(law, f"advance[{name!r}]", new[name], shape), shape)
     rows += [tangent[i, j] for i in range(6) for j in range(6)]
     with explained(law, "holds"):
-        rows[0] += _nan_unless(symbolic.holds(step))
+        rows[0] += _nan_unless(symbolic, step)
     with explained(law, "energy or dissipation"):
         return ufl.as_vector([*rows, *_energies(symbolic, step, new)])
 
 
-def _nan_unless(condition: Expr) -> Expr:
-    return 0.0 if condition is None else ufl.sqrt(ufl.conditional(condition, 0.0, -1.0))
+def _nan_unless(law: Law, step: Step) -> Expr:
+    if type(law).holds is Law.holds:
+        return 0.0
+    condition = law.holds(step)
+    if not isinstance(condition, Condition):
+        allowed = "a UFL condition: ufl.lt(a, b), ufl.And(c, d), ..."
+        raise LawError(f"{type(law).__name__}.holds gives {repr(condition)[:80]}; it must give {allowed}")
+    return ufl.sqrt(ufl.conditional(condition, 0.0, -1.0))
 
 
 def _energies(law: Law, step: Step, new: dict[str, Expr]) -> list[Expr]:
@@ -171,19 +212,29 @@ def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
 
 
 # ---------------------------------------------------------------- laws written for one point
-def _compiled_from_c(comm: MPI.Intracomm, source: Path) -> tuple[int, Any]:
-    module = library(source, comm)
-    return int(module.ffi.cast("intptr_t", module.ffi.addressof(module.lib, "kernel"))), module
+def _compiled_from_c(comm: MPI.Intracomm, law: PointLaw) -> tuple[int, Any]:
+    name, source = type(law).__name__, law.source
+    if not isinstance(source, (str, Path)):
+        raise LawError(f"{name}.source is {source!r}; it must be the name of a C file")
+    try:
+        module = library(Path(source), comm)
+    except SourceError as error:
+        raise LawError(f"{name}: {error}") from error
+    function, ffi = getattr(module.lib, "kernel", None), module.ffi
+    if function is None or ffi.typeof(function) is not ffi.typeof(C_KERNEL.format("(*)")):
+        raise LawError(f"{name}: {str(source)!r} has no function {C_KERNEL.format(' kernel')}")
+    return int(ffi.cast("intptr_t", ffi.addressof(module.lib, "kernel"))), module
 
 
 def _rehearse(law: PointLaw, parameters: Array) -> None:
     """Call the kernel once, uncompiled, at rest: mistakes have clear messages there, and indices are checked."""
     name = type(law).__name__
     kernel = getattr(law, "kernel", None)
-    if kernel is None or not isinstance(law.memory, int) or law.memory < 0:
-        raise LawError(f"{name} needs a static method kernel(...) and memory, a number >= 0 of internal values")
-    outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(law.memory), np.zeros(3)
-    rest = np.zeros(6), np.zeros(6), np.zeros(law.memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
+    if kernel is None:
+        raise LawError(f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.PointLaw")
+    memory = _memory(law)
+    outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
+    rest = np.zeros(6), np.zeros(6), np.zeros(memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
     try:
         with np.errstate(all="ignore"):
             done = type(law).kernel(*rest, parameters.copy(), *outputs)

@@ -173,7 +173,9 @@ class _March:
         try:
             self._accept([self.solver.step(rest, self.start)])
         except SolveError as error:
-            raise SolveError(f"the sudden load at t = {self.start:g}: {error}", self.history) from error
+            advice = "let the loads grow from less, as functions (x, t) or piecewise" if self.solver.yields else None
+            reason = error.reason if advice else str(error)
+            raise SolveError(f"the sudden load at t = {self.start:g}: {reason}", self.history, advice=advice) from error
 
     def _reach(self, target: float) -> None:
         """Step to a time, in shorter steps where need be."""
