@@ -662,6 +662,25 @@ def test_elastic_and_monodirectional_sublayers():
     assert abs(mean[0] - limits.stratified(law.fractions, stiffnesses)[0, 0]) > 0.05 * mean[0]
 
 
+@pytest.mark.parametrize("name", ["closed form and return", "monodirectional", "unilateral"])
+def test_sublayers_that_all_yield(name):
+    """Equal ones are the law itself, whatever the split; of others, under pressure, the order does not matter."""
+    law, random = LAWS[name], np.random.default_rng(9)
+    w = np.cumsum(0.01 * random.normal(size=(40, 3)), axis=0) * [1.0, 0.3, 0.0] - [0.0, 0.005, 0.0]
+    path = [{"w_T": x, "w_N": y} for x, y, _ in w]
+    alone, stack = drive(law, path), drive(Stack((0.2, law), (0.5, law), (0.3, law)), path)
+    size = np.abs(alone.tractions).max()
+    assert (alone.energies[:, 1] > 0).any()
+    assert stack.tractions == pytest.approx(alone.tractions, abs=1e-9 * size)
+    assert stack.energies == pytest.approx(alone.energies, abs=1e-8 * np.abs(alone.energies).max())
+    mixed = Stack((0.2, law), (0.5, LinearElastic(30.0, 50.0)), (0.3, law.with_parameters({"C": 0.3})))
+    reverse = Stack(*mixed.sublayers[::-1])
+    pressed = [step | {"w_N": -0.002 - abs(step["w_N"])} for step in path]
+    one, other = drive(mixed, pressed), drive(reverse, pressed)
+    assert other.tractions == pytest.approx(one.tractions, abs=1e-7 * size)
+    assert one.energies[:, 1].min() > -1e-12
+
+
 def test_elastic_and_full_sublayers():
     """Against a Newton method of its own: the sublayers' jumps, with the closed formula for the plastic one."""
     a, above = 0.6, LinearElastic(100.0, 15.0)
