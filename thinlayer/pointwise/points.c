@@ -19,7 +19,7 @@ typedef struct {
     double t[3], g[3], step[3];
 } sublayer;
 
-static const double root2 = 1.4142135623730951;
+static const double root2 = 1.4142135623730951, FARTHEST = 1e3;
 
 static void call(function *law, sublayer *a)
 {
@@ -112,7 +112,7 @@ static int linearised(sublayer *layers, int count, const double *n, double *A, i
         const sublayer *a = &layers[i];
         double K[3][3], largest = 0;
         for (int k = 0; k < 3; k++) traction(&a->across[0][k], 3, n, K[k]);
-        for (int k = 0; k < 9; k++) largest = fmax(largest, fabs(K[0][k]));
+        for (int k = 0; k < 9; k++) largest = fmax(largest, fabs(K[k / 3][k % 3]));
         largest = largest > 0 ? largest : 1;
         softest = fmin(softest, largest);
         for (int j = 0; j < 3; j++) {
@@ -131,24 +131,36 @@ static int linearised(sublayer *layers, int count, const double *n, double *A, i
     return 1;
 }
 
+/* 1, or 2 if several sublayers yield; 0: none found. */
 static int step_of(sublayer *layers, int count, const double *n, double *A, int columns)
 {
-    return linearised(layers, count, n, A, columns, 0) || linearised(layers, count, n, A, columns, 1e-8);
+    if (linearised(layers, count, n, A, columns, 0)) return 1;
+    return linearised(layers, count, n, A, columns, 1e-8) ? 2 : 0;
+}
+
+static void without_mean(sublayer *layers, int count)
+{
+    double mean[3] = {0};
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < 3; j++) mean[j] += layers[i].fraction * layers[i].g[j];
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < 3; j++) layers[i].g[j] -= mean[j];
 }
 
 /* Newton for the sublayers' shares g_i of the jump: equal tractions, sum a_i g_i = 0. Fills stress and tangent.
  * A step is halved while the work of the tractions along it, which grows with its length if the laws are monotone, is more
  * than half of that at its beginning. Converged: shares to 1e-9 and tractions to 1e-8, or nothing but rounding is left of
- * either: along null vectors of several K_i shares stay where they are. */
+ * either: along null vectors of several K_i shares stay where they are. Steps end at FARTHEST times the strains. */
 static int in_series(sublayer *layers, int count, const double *e, const double *n, double *A, double *s, double C[6][6])
 {
     const int size = 3 * count + 3, stride = size + 7;
-    double mean[3] = {0}, slope = 0, length = 0;
+    double slope = 0, length = 0, strains = 0;
     int converged = 0, iteration = 0;
     for (int i = 0; i < count; i++)
-        for (int j = 0; j < 3; j++) mean[j] += layers[i].fraction * layers[i].g[j];
+        for (int k = 0; k < 6; k++) strains = fmax(strains, fmax(fabs(e[k]), fabs(layers[i].in[6 + k])));
     for (int i = 0; i < count; i++)
-        for (int j = 0; j < 3; j++) layers[i].g[j] -= mean[j];
+        for (int j = 0; j < 3; j++) strains = fmax(strains, fabs(layers[i].g[j]));
+    without_mean(layers, count);
     for (; iteration < 300; iteration++) {
         if (!tractions(layers, count, e, n)) return 0;
         if (converged) break;
@@ -163,7 +175,8 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
                 continue;
             }
         }
-        if (!step_of(layers, count, n, A, 1)) return 0;
+        const int kind = step_of(layers, count, n, A, 1);
+        if (!kind) return 0;
         double whole = 0, largest = 0, force = 0, lack = 0, stiffest = 0;
         for (int k = 0; k < 6; k++) whole = fmax(whole, fabs(e[k]));
         for (int i = 0; i < count; i++)
@@ -175,16 +188,20 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
             }
         converged = lack <= 1e-14 * force + 1e-16 * stiffest * whole;
         if (converged) break;
+        for (int i = 0; i < count; i++)
+            for (int j = 0; j < 3; j++) largest = fmax(largest, fabs(layers[i].step[j] = A[(3 * i + j) * stride + size]));
         slope = 0, length = 1;
+        if (iteration == 0 && kind == 1) strains = fmax(strains, largest);
+        const double shorter = fmin(1, FARTHEST * strains / largest);
         for (int i = 0; i < count; i++)
             for (int j = 0; j < 3; j++) {
                 sublayer *a = &layers[i];
-                a->step[j] = A[(3 * i + j) * stride + size];
-                a->g[j] += a->step[j];
+                a->step[j] *= shorter, a->g[j] += a->step[j];
                 slope += a->fraction * a->t[j] * a->step[j];
                 whole = fmax(whole, fabs(a->g[j]));
-                largest = fmax(largest, fabs(a->step[j]));
             }
+        if (whole > 10 * FARTHEST * strains) return 0;
+        without_mean(layers, count);
         converged = largest <= 1e-15 * whole || (largest <= 1e-9 * whole && lack <= 1e-8 * force);
     }
     if (!converged || !step_of(layers, count, n, A, 7)) return 0;
