@@ -681,6 +681,45 @@ def test_sublayers_that_all_yield(name):
     assert one.energies[:, 1].min() > -1e-12
 
 
+PAIRS = {
+    "full, unilateral": (
+        MohrCoulomb(113.0, 75.0, 0.1, 10.0),
+        MohrCoulombMonodirectional(52.0, 34.0, 0.1, 30.0, unilateral=True),
+    ),
+    "full, full": (MohrCoulomb(86.0, 58.0, 0.0, 30.0), MohrCoulomb(120.0, 80.0, 0.1, 45.0)),
+    "bilateral, bilateral": (
+        MohrCoulombMonodirectional(90.0, 60.0, 0.2, 45.0),
+        MohrCoulombMonodirectional(60.0, 40.0, 0.1, 30.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_shares_of_sublayers_that_yield(name):
+    """Whatever happens, tractions are equal and the shares add up to nothing; they do not run away."""
+    laws, fractions, points, random = PAIRS[name], np.array([0.3, 0.7]), 200, np.random.default_rng(1)
+    law, n = Stack(*zip(fractions, laws, strict=True)), normals(points)
+    q, e, failed = at_rest(law, points), np.zeros((points, 6)), 0
+    for _ in range(8):
+        new = e + jump_strain(0.003 * random.normal(size=(points, 3)) - 0.002 * E2, n)
+        answer = respond(law, new, e, q, n)
+        done = ~np.isnan(answer.stress[:, 0])
+        failed += answer.failed
+        shares, old = (memory[:, :6].reshape(points, 2, 3) for memory in (answer.q, q))
+        assert np.abs(shares[done]).max() < 1.0
+        assert np.einsum("i,kij->kj", fractions, shares[done]) == pytest.approx(0, abs=1e-14)
+        first, tractions = 6, []
+        for i, one in enumerate(laws):
+            memory = q[:, first : first + material(one).memory]
+            first += memory.shape[1]
+            ends = new + jump_strain(shares[:, i], n), e + jump_strain(old[:, i], n)
+            tractions.append(traction(respond(one, *ends, memory, n).stress, n)[done])
+        tractions = np.array(tractions)
+        assert np.abs(tractions - tractions[0]).max() < 1e-7 * np.abs(tractions).max()
+        q, e = np.where(done[:, None], answer.q, q), np.where(done[:, None], new, e)
+    assert failed < 0.1 * 8 * points
+
+
 def test_elastic_and_full_sublayers():
     """Against a Newton method of its own: the sublayers' jumps, with the closed formula for the plastic one."""
     a, above = 0.6, LinearElastic(100.0, 15.0)
