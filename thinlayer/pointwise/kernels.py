@@ -29,6 +29,7 @@ from forms.kinematics import Expr, from_mandel, mandel
 from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
+from forms.symmetry import require_symmetric_stress
 from forms.traction import TractionLaw
 from thinlayer.compiled import library
 
@@ -80,6 +81,7 @@ def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
     address, keep = _compiled_by_ffcx(comm, law)
     if law.otherwise is None:
         return Kernel(address, _memory(law), numbers, fraction, keep=keep)
+    _require_alike(law, law.otherwise)
     other = _kernel(comm, law.otherwise, fraction)
     return Kernel(address, _memory(law), numbers, fraction, other.address, (keep, other.keep))
 
@@ -94,6 +96,18 @@ def _memory(law: Law) -> int:
     return sum(SIZES[shape] for shape in law.internal.values())
 
 
+def _require_alike(law: Law, other: Law) -> None:
+    """Raise LawError unless the law that answers elsewhere reads the same numbers."""
+    shapes = [[(name, np.shape(value)) for name, value in one.parameters().items()] for one in (law, other)]
+    memories = [one.memory if isinstance(one, PointLaw) else _memory(one) for one in (law, other)]
+    if shapes[0] != shapes[1] or memories[0] != memories[1] or law.has_energy != other.has_energy:
+        raise LawError(
+            f"{type(law).__name__}.otherwise is a {type(other).__name__}; it must have the same parameters in "
+            f"the same order ({', '.join(law.parameters())}), {memories[0]} internal values as well, and an energy if the "
+            "law has one"
+        )
+
+
 # ---------------------------------------------------------------- laws written in UFL
 _COMPILED: dict[Any, tuple[int, Any]] = {}
 
@@ -103,6 +117,7 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
     choices = [(f.name, getattr(law, f.name)) for f in fields(law) if f.name not in parameters]
     key = (type(law), repr(choices), tuple(np.shape(value) for value in parameters.values()))
     if comm.allreduce(int(key not in _COMPILED)):
+        require_symmetric_stress(law)
         expression, module, _ = jit.ffcx_jit(comm, (point_expression(law), np.zeros((1, 1))))
         address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
         _COMPILED[key] = address, (expression, module)
