@@ -79,7 +79,7 @@ class Law:
     Attributes:
         powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
         linear: whether the stress is linear in the strain (affine in the strain at the end of a step).
-        symmetric: whether the tangent is symmetric (there is an energy).
+        symmetric: whether the tangent is symmetric (there is an energy); checked where the solver relies on it.
         rate: whether the stress depends on the strain rate. Such a law lets no strain jump in time: it has no
             instantaneous response, the others answer a sudden load at once.
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.

@@ -94,6 +94,26 @@ static int to_apex(const material *k, double *s, double T[3][3])
     return 1;
 }
 
+/* The edge where the two lower stresses are equal (minor), or the two higher ones: their mean x and the other stress y flow
+ * along the sum of two planes. Planes that are next to parallel, as near 90 degrees, do not matter so. */
+static int to_edge(const material *k, double *s, double T[3][3], int minor, double tolerance)
+{
+    const int a = minor ? 1 : 0, b = a + 1, c = minor ? 0 : 2;
+    const double n_x = minor ? -(1 - k->friction) : 1 + k->friction, n_y = minor ? 1 + k->friction : -(1 - k->friction);
+    const double m_x = minor ? -(1 - k->dilatancy) : 1 + k->dilatancy, m_y = minor ? 1 + k->dilatancy : -(1 - k->dilatancy);
+    const double volume = 2 * k->lmbda * k->dilatancy;
+    const double d_x = k->mu * m_x + volume, d_y = 2 * k->mu * m_y + volume, slope = n_x * d_x + n_y * d_y;
+    const double x = (s[a] + s[b]) / 2, flow = (n_x * x + n_y * s[c] - k->strength) / slope;
+    const double on_x = x - flow * d_x, on_y = s[c] - flow * d_y;
+    const double apart = s[a] - s[b] - 2 * k->mu * fabs(m_x) * flow; /* > 0: one of the planes would have to flow back */
+    if (!(apart <= tolerance) || !((minor ? on_y - on_x : on_x - on_y) >= -tolerance)) return 0;
+    s[a] = s[b] = on_x, s[c] = on_y;
+    T[a][a] = T[a][b] = T[b][a] = T[b][b] = (1 - d_x * n_x / slope) / 2;
+    T[a][c] = T[b][c] = -d_x * n_y / slope, T[c][a] = T[c][b] = -d_y * n_x / slope / 2;
+    T[c][c] = 1 - d_y * n_y / slope;
+    return 1;
+}
+
 /* Return principal stresses s to the yield surface, T their slopes by the trial ones; whether anything flows. */
 static int yield(const material *k, double *s, double T[3][3])
 {
@@ -115,24 +135,8 @@ static int yield(const material *k, double *s, double T[3][3])
         }
         return 1;
     }
-    const int lower = found[1] < found[2]; /* the middle stress meets the lowest one, or the highest */
-    for (int attempt = 0; attempt < 2; attempt++) {
-        const int minor = lower != attempt; /* planes 13 and 12, or 13 and 23 */
-        double n2[3], d2[3];
-        plane(k, minor ? 0 : 1, minor ? 1 : 2, n2, d2);
-        const double f2 = dot3(n2, trial) - k->strength;
-        const double a12 = dot3(n1, d2), a21 = dot3(n2, d1), a22 = dot3(n2, d2), det = a11 * a22 - a12 * a21;
-        const double g1 = (a22 * f1 - a12 * f2) / det, g2 = (a11 * f2 - a21 * f1) / det;
-        for (int a = 0; a < 3; a++) found[a] = trial[a] - g1 * d1[a] - g2 * d2[a];
-        if (!ordered(found, tolerance) || g1 * a11 < -tolerance || g2 * a22 < -tolerance) continue;
-        for (int a = 0; a < 3; a++) {
-            s[a] = found[a];
-            for (int b = 0; b < 3; b++)
-                T[a][b] -= (d1[a] * (a22 * n1[b] - a12 * n2[b]) + d2[a] * (a11 * n2[b] - a21 * n1[b])) / det;
-        }
-        return 1;
-    }
-    return to_apex(k, s, T);
+    const int minor = found[1] < found[2]; /* the middle stress meets the lowest one, or the highest */
+    return to_edge(k, s, T, minor, tolerance) || to_edge(k, s, T, !minor, tolerance) || to_apex(k, s, T);
 }
 
 /* Tangent of a stress that is coaxial with the trial strain, from its slopes T in principal stresses. */

@@ -267,6 +267,25 @@ def test_associated_return_is_the_closest_stress():
     assert (np.einsum("ki,kmi->km", away, others[None] - returned[:, None]) > 1e-6).any()
 
 
+@pytest.mark.parametrize("lmbda", [-18.9, 60.0, 2e4])
+def test_friction_next_to_ninety_degrees(lmbda):
+    """Planes of an edge that are next to parallel: yield is kept, and no admissible stress is closer (psi = Omega)."""
+    law = MohrCoulombReturn(lmbda, MU, C, 89.9, psi=89.9)
+    e = strains(np.random.default_rng(6), 300, 0.004)
+    e[::2, [0, 1]] = e[::2, [1, 0]] = (e[::2, :1] + e[::2, 1:2]) / 2
+    e[::2, 3:] = 0
+    e[:100, :3] -= 0.01
+    answer = respond(law, e, 0 * e, at_rest(law, 300), normals(300))
+    trial, returned = elastic(e, lmbda), answer.stress
+    size = np.abs(trial).max(axis=1)
+    assert (excess(returned, C, 89.9) <= 1e-12 * size).all()
+    assert {1, 2, 3} & set(kinds(returned, answer.q)) >= {2, 3}
+    away = compliance(trial - returned, lmbda)
+    others = returned[excess(returned, C, 89.9) <= 0]
+    work = np.einsum("ki,kmi->km", away, others[None] - returned[:, None])
+    assert (work <= 1e-11 * np.abs(away).max(axis=1)[:, None] * size.max()).all()
+
+
 def test_torn_material_closes_only_when_the_volume_is_pressed_out():
     """psi = 0: at the cut-off the volume is plastic; unloading is elastic from there, compression comes late."""
     apex, bulk = C / np.tan(np.radians(OMEGA)), LMBDA + 2 * MU / 3
@@ -644,6 +663,64 @@ def test_elastic_and_monodirectional_sublayers():
     assert found.tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)
     mean = [np.sum(law.fractions * np.array([k[0, 0] for k in stiffnesses]))]  # the arithmetic mean is another law
     assert abs(mean[0] - limits.stratified(law.fractions, stiffnesses)[0, 0]) > 0.05 * mean[0]
+
+
+@pytest.mark.parametrize("name", ["closed form and return", "monodirectional", "unilateral"])
+def test_sublayers_that_all_yield(name):
+    """Equal ones are the law itself, whatever the split; of others, under pressure, the order does not matter."""
+    law, random = LAWS[name], np.random.default_rng(9)
+    w = np.cumsum(0.01 * random.normal(size=(40, 3)), axis=0) * [1.0, 0.3, 0.0] - [0.0, 0.005, 0.0]
+    path = [{"w_T": x, "w_N": y} for x, y, _ in w]
+    alone, stack = drive(law, path), drive(Stack((0.2, law), (0.5, law), (0.3, law)), path)
+    size = np.abs(alone.tractions).max()
+    assert (alone.energies[:, 1] > 0).any()
+    assert stack.tractions == pytest.approx(alone.tractions, abs=1e-9 * size)
+    assert stack.energies == pytest.approx(alone.energies, abs=1e-8 * np.abs(alone.energies).max())
+    mixed = Stack((0.2, law), (0.5, LinearElastic(30.0, 50.0)), (0.3, law.with_parameters({"C": 0.3})))
+    reverse = Stack(*mixed.sublayers[::-1])
+    pressed = [step | {"w_N": -0.002 - abs(step["w_N"])} for step in path]
+    one, other = drive(mixed, pressed), drive(reverse, pressed)
+    assert other.tractions == pytest.approx(one.tractions, abs=1e-7 * size)
+    assert one.energies[:, 1].min() > -1e-12
+
+
+PAIRS = {
+    "full, unilateral": (
+        MohrCoulomb(113.0, 75.0, 0.1, 10.0),
+        MohrCoulombMonodirectional(52.0, 34.0, 0.1, 30.0, unilateral=True),
+    ),
+    "full, full": (MohrCoulomb(86.0, 58.0, 0.0, 30.0), MohrCoulomb(120.0, 80.0, 0.1, 45.0)),
+    "bilateral, bilateral": (
+        MohrCoulombMonodirectional(90.0, 60.0, 0.2, 45.0),
+        MohrCoulombMonodirectional(60.0, 40.0, 0.1, 30.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_shares_of_sublayers_that_yield(name):
+    """Whatever happens, tractions are equal and the shares add up to nothing; they do not run away."""
+    laws, fractions, points, random = PAIRS[name], np.array([0.3, 0.7]), 200, np.random.default_rng(1)
+    law, n = Stack(*zip(fractions, laws, strict=True)), normals(points)
+    q, e, failed = at_rest(law, points), np.zeros((points, 6)), 0
+    for _ in range(8):
+        new = e + jump_strain(0.003 * random.normal(size=(points, 3)) - 0.002 * E2, n)
+        answer = respond(law, new, e, q, n)
+        done = ~np.isnan(answer.stress[:, 0])
+        failed += answer.failed
+        shares, old = (memory[:, :6].reshape(points, 2, 3) for memory in (answer.q, q))
+        assert np.abs(shares[done]).max() < 1.0
+        assert np.einsum("i,kij->kj", fractions, shares[done]) == pytest.approx(0, abs=1e-14)
+        first, tractions = 6, []
+        for i, one in enumerate(laws):
+            memory = q[:, first : first + material(one).memory]
+            first += memory.shape[1]
+            ends = new + jump_strain(shares[:, i], n), e + jump_strain(old[:, i], n)
+            tractions.append(traction(respond(one, *ends, memory, n).stress, n)[done])
+        tractions = np.array(tractions)
+        assert np.abs(tractions - tractions[0]).max() < 1e-7 * np.abs(tractions).max()
+        q, e = np.where(done[:, None], answer.q, q), np.where(done[:, None], new, e)
+    assert failed < 0.1 * 8 * points
 
 
 def test_elastic_and_full_sublayers():

@@ -10,9 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.elastic import LinearElastic
+from forms.law import LawError
+from forms.symmetry import NOT_SYMMETRIC, require_symmetric_stress, require_symmetric_tangent
 from forms.work import energy, work
 from thinlayer.contact.springs import ContactSprings
 from thinlayer.loads import ModelError
@@ -27,6 +30,7 @@ SAME, SUBSET, DIFFERENT = (
     PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
 )
 
+ASYMMETRY = 1e-8  # of a tangent, over its size
 ROUNDING = 1e-8  # times 1e-6, the largest residual: stiffness times displacement is rounded to 1e-14
 
 
@@ -64,6 +68,9 @@ class Equations:
         V = model.V
         self.u, self.mid = fem.Function(V), fem.Function(V)
         forms = [p for p in model.points if not p.law.pointwise]
+        for p in forms:
+            require_symmetric_stress(p.law)
+            require_symmetric_tangent(p.law)
         linear = [p for p in forms if p.law.linear]
         self._curved = [p for p in forms if not p.law.linear]
         trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
@@ -240,8 +247,13 @@ class Equations:
         return self.interval.old.memory[-1]
 
     def tangent(self) -> PETSc.Mat:
-        """Tangent at the last residual's unknowns, supports not yet taken in. The same matrix is filled each time."""
+        """Tangent at the last residual's unknowns, supports not yet taken in. The same matrix is filled each time.
+
+        Raises:
+            LawError: a law that says it is symmetric, and is not.
+        """
         theta = self.interval.theta
+        self._check_symmetry()
         parts = [p.stiffness(r.tangent) for p, r in zip(self.points, self._responses, strict=True)]
         if self.contact:
             parts.append(self.contact.stiffness(self.u.x.petsc_vec, self._slip))
@@ -269,6 +281,16 @@ class Equations:
             A.copy(self._matrix, SAME)
             A.destroy()
         return self._matrix
+
+    def _check_symmetry(self) -> None:
+        """Raise LawError if half of a tangent would be lost in a solver for symmetric matrices."""
+        if not self.points or not self.model.symmetric:
+            return
+        found = np.array([r.skew for r in self._responses])
+        self.comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
+        for p, skew in zip(self.points, found, strict=True):
+            if skew > ASYMMETRY:
+                raise LawError(NOT_SYMMETRIC.format(type(p.points.law).__name__, skew))
 
     def _saddle(self, A: PETSc.Mat) -> PETSc.Mat:
         assert self.constraint is not None

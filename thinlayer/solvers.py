@@ -326,8 +326,10 @@ class Solver:
         equations.residual(x, r)
         r.scale(-1.0)
         equations.ease(1.0)
-        equations.residual(x, d)
-        equations.ease(ease)
+        try:
+            equations.residual(x, d)
+        finally:
+            equations.ease(ease)
         self._prepare(move, r)
         self._solve_linear(r, d)
 

@@ -31,6 +31,7 @@ from forms.kinematics import Expr, from_mandel, mandel
 from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
+from forms.symmetry import require_symmetric_stress
 from forms.traction import TractionLaw
 from thinlayer.compiled import SourceError, library
 
@@ -113,6 +114,8 @@ def _require_substitute(law: Law, other: Any) -> None:
         kept = f"{other.memory} internal values" if isinstance(other, PointLaw) else f"internal values {other.internal}"
         asked = f"those of {name}, {law.internal}: {_memory(law)} numbers"
         raise LawError(f"{name}.otherwise keeps {kept}; it must keep {asked}")
+    if law.has_energy != other.has_energy:
+        raise LawError(f"one of {name} and {kind}, its law otherwise, declares an energy; both must, or none")
 
 
 def _memory(law: Law) -> int:
@@ -138,6 +141,7 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
     choices = [(f.name, getattr(law, f.name)) for f in fields(law) if f.name not in parameters]
     key = (type(law), repr(choices), tuple(np.shape(value) for value in parameters.values()))
     if comm.allreduce(int(key not in _COMPILED)):
+        require_symmetric_stress(law)
         expression, module, _ = jit.ffcx_jit(comm, (point_expression(law), np.zeros((1, 1))))
         address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
         _COMPILED[key] = address, (expression, module)

@@ -19,7 +19,7 @@ typedef struct {
     double t[3], g[3], step[3];
 } sublayer;
 
-static const double root2 = 1.4142135623730951;
+static const double root2 = 1.4142135623730951, FARTHEST = 1e3;
 
 static void call(function *law, sublayer *a)
 {
@@ -54,14 +54,15 @@ static void traction(const double *s, int stride, const double *n, double *t)
     t[2] = s[2 * stride] * n[2] + s4 * n[0] + s5 * n[1];
 }
 
-/* Solve A x = b in place for `columns` right-hand sides, rows of A and b `stride` apart; returns whether A is regular. */
+/* Solve A x = b in place for `columns` right-hand sides, rows of A and b `stride` apart; returns whether A, whose entries are
+ * about 1, is regular. */
 static int solve(double *A, int size, int stride, int columns)
 {
     for (int k = 0; k < size; k++) {
         int pivot = k;
         for (int i = k + 1; i < size; i++)
             if (fabs(A[i * stride + k]) > fabs(A[pivot * stride + k])) pivot = i;
-        if (!(fabs(A[pivot * stride + k]) > 0)) return 0;
+        if (!(fabs(A[pivot * stride + k]) > 1e-12)) return 0;
         if (pivot != k)
             for (int j = k; j < size + columns; j++) {
                 const double x = A[k * stride + j];
@@ -100,39 +101,66 @@ static int tractions(sublayer *layers, int count, const double *e, const double 
 }
 
 /* Steps of the shares and the common traction t: K_i dg_i - t = -t_i, sum a_i dg_i = 0; with `columns` 7, their slopes
- * along the components of strain as well. A singular K_i (a sublayer that yields) is allowed, two are not. */
-static int linearised(sublayer *layers, int count, const double *n, double *A, int columns)
+ * along the components of strain as well. A singular K_i (a sublayer that yields) is allowed. Of several nothing tells the
+ * shares: `added` to each K_i, a part of its largest entry, does. Rows are scaled by that entry, t by the smallest of them. */
+static int linearised(sublayer *layers, int count, const double *n, double *A, int columns, double added)
 {
     const int size = 3 * count + 3, stride = size + 7;
+    double softest = INFINITY;
     memset(A, 0, size * stride * sizeof(double));
     for (int i = 0; i < count; i++) {
         const sublayer *a = &layers[i];
-        double K[3][3];
+        double K[3][3], largest = 0;
         for (int k = 0; k < 3; k++) traction(&a->across[0][k], 3, n, K[k]);
+        for (int k = 0; k < 9; k++) largest = fmax(largest, fabs(K[k / 3][k % 3]));
+        largest = largest > 0 ? largest : 1;
+        softest = fmin(softest, largest);
         for (int j = 0; j < 3; j++) {
             double *row = A + (3 * i + j) * stride;
-            for (int k = 0; k < 3; k++) row[3 * i + k] = K[j][k];
-            row[3 * count + j] = -1;
+            for (int k = 0; k < 3; k++) row[3 * i + k] = K[j][k] / largest + (j == k ? added : 0);
+            row[3 * count + j] = -1 / largest;
             A[(3 * count + j) * stride + 3 * i + j] = a->fraction;
-            row[size] = -a->t[j];
-            for (int k = 0; k < 6; k++) row[size + 1 + k] = -a->across[k][j];
+            row[size] = -a->t[j] / largest;
+            for (int k = 0; k < 6; k++) row[size + 1 + k] = -a->across[k][j] / largest;
         }
     }
-    return solve(A, size, stride, columns);
+    for (int k = 0; k < 3 * count; k++)
+        for (int j = 0; j < 3; j++) A[k * stride + 3 * count + j] *= softest;
+    if (!solve(A, size, stride, columns)) return 0;
+    for (int j = 0; j < 3; j++) A[(3 * count + j) * stride + size] *= softest;
+    return 1;
 }
 
-/* Newton for the sublayers' shares g_i of the jump: equal tractions, sum a_i g_i = 0. Fills stress and tangent.
- * A step is halved while the work of the tractions along it, which grows with its length if the laws are monotone, is more
- * than half of that at its beginning. Converged: shares to 1e-9 and tractions to 1e-8, or nothing but rounding is left. */
-static int in_series(sublayer *layers, int count, const double *e, const double *n, double *A, double *s, double C[6][6])
+/* 1, or 2 if several sublayers yield; 0: none found. */
+static int step_of(sublayer *layers, int count, const double *n, double *A, int columns)
 {
-    const int size = 3 * count + 3, stride = size + 7;
-    double mean[3] = {0}, slope = 0, length = 0;
-    int converged = 0, iteration = 0;
+    if (linearised(layers, count, n, A, columns, 0)) return 1;
+    return linearised(layers, count, n, A, columns, 1e-8) ? 2 : 0;
+}
+
+static void without_mean(sublayer *layers, int count)
+{
+    double mean[3] = {0};
     for (int i = 0; i < count; i++)
         for (int j = 0; j < 3; j++) mean[j] += layers[i].fraction * layers[i].g[j];
     for (int i = 0; i < count; i++)
         for (int j = 0; j < 3; j++) layers[i].g[j] -= mean[j];
+}
+
+/* Newton for the sublayers' shares g_i of the jump: equal tractions, sum a_i g_i = 0. Fills stress and tangent.
+ * A step is halved while the work of the tractions along it, which grows with its length if the laws are monotone, is more
+ * than half of that at its beginning. Converged: shares to 1e-9 and tractions to 1e-8, or nothing but rounding is left of
+ * either: along null vectors of several K_i shares stay where they are. Steps end at FARTHEST times the strains. */
+static int in_series(sublayer *layers, int count, const double *e, const double *n, double *A, double *s, double C[6][6])
+{
+    const int size = 3 * count + 3, stride = size + 7;
+    double slope = 0, length = 0, strains = 0;
+    int converged = 0, iteration = 0;
+    for (int i = 0; i < count; i++)
+        for (int k = 0; k < 6; k++) strains = fmax(strains, fmax(fabs(e[k]), fabs(layers[i].in[6 + k])));
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < 3; j++) strains = fmax(strains, fabs(layers[i].g[j]));
+    without_mean(layers, count);
     for (; iteration < 300; iteration++) {
         if (!tractions(layers, count, e, n)) return 0;
         if (converged) break;
@@ -147,24 +175,36 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
                 continue;
             }
         }
-        if (!linearised(layers, count, n, A, 1)) return 0;
-        double whole = 0, largest = 0, force = 0, lack = 0;
+        const int kind = step_of(layers, count, n, A, 1);
+        if (!kind) return 0;
+        double whole = 0, largest = 0, force = 0, lack = 0, stiffest = 0;
         for (int k = 0; k < 6; k++) whole = fmax(whole, fabs(e[k]));
+        for (int i = 0; i < count; i++)
+            for (int j = 0; j < 3; j++) {
+                const sublayer *a = &layers[i];
+                force = fmax(force, fabs(a->t[j])), whole = fmax(whole, fabs(a->g[j]));
+                lack = fmax(lack, fabs(a->t[j] - A[(3 * count + j) * stride + size]));
+                for (int k = 0; k < 6; k++) stiffest = fmax(stiffest, fabs(a->across[k][j]));
+            }
+        converged = lack <= 1e-14 * force + 1e-16 * stiffest * whole;
+        if (converged) break;
+        for (int i = 0; i < count; i++)
+            for (int j = 0; j < 3; j++) largest = fmax(largest, fabs(layers[i].step[j] = A[(3 * i + j) * stride + size]));
         slope = 0, length = 1;
+        if (iteration == 0 && kind == 1) strains = fmax(strains, largest);
+        const double shorter = fmin(1, FARTHEST * strains / largest);
         for (int i = 0; i < count; i++)
             for (int j = 0; j < 3; j++) {
                 sublayer *a = &layers[i];
-                a->step[j] = A[(3 * i + j) * stride + size];
-                a->g[j] += a->step[j];
+                a->step[j] *= shorter, a->g[j] += a->step[j];
                 slope += a->fraction * a->t[j] * a->step[j];
                 whole = fmax(whole, fabs(a->g[j]));
-                largest = fmax(largest, fabs(a->step[j]));
-                force = fmax(force, fabs(a->t[j]));
-                lack = fmax(lack, fabs(a->t[j] - A[(3 * count + j) * stride + size]));
             }
+        if (whole > 10 * FARTHEST * strains) return 0;
+        without_mean(layers, count);
         converged = largest <= 1e-15 * whole || (largest <= 1e-9 * whole && lack <= 1e-8 * force);
     }
-    if (!converged || !linearised(layers, count, n, A, 7)) return 0;
+    if (!converged || !step_of(layers, count, n, A, 7)) return 0;
     memset(s, 0, 6 * sizeof(double));
     memset(C, 0, 36 * sizeof(double));
     for (int k = 0; k < 6; k++)

@@ -84,6 +84,14 @@ class Response:
     energies: Array
     failed: int
 
+    @property
+    def skew(self) -> float:
+        """Largest difference between the tangent at a point of this rank and its transpose, over its size."""
+        C = self.tangent
+        apart, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
+        regular = np.isfinite(apart) & (size > 0)
+        return float((apart[regular] / size[regular]).max(initial=0.0))
+
 
 class LawPoints:
     """Points where one compiled law acts. Collective.
