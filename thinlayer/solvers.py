@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from numbers import Real
 from typing import Any
 
@@ -14,19 +14,16 @@ from petsc4py import PETSc
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
 from thinlayer.continuation import Continuation
 from thinlayer.equations import Equations, Interval
+from thinlayer.equilibrium import Equilibrium
 from thinlayer.failure import SolveError
-from thinlayer.linear_solvers import linear_solvers, mark, tell_multigrid
+from thinlayer.linear_solvers import linear_solvers
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
-from thinlayer.newton import LARGEST_RESIDUAL, NEWTON, YIELDING, newton, reason_name
+from thinlayer.newton import NEWTON, YIELDING
 from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set, require_all_read, require_known_values
 from thinlayer.state import Report, State
 
-REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov methods
-WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
-FARTHEST = 1e4  # displacements of a first step over the old ones
-OVERSHOOT = 10.0  # residual of a first step over the forces
 
 
 def solve(
@@ -121,20 +118,21 @@ class Solver:
         self._choices = [{}] if self.method in METHODS else linear_solvers(model)
         if len(self._choices) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
             self._choices = self._choices[:1]
-        if self.method not in METHODS:
-            self._own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         self.equations = Equations(model)
-        self._contact = self._contact_solver(like) if self.method in METHODS else None
-        self._ksp: PETSc.KSP | None = None
-        self._factored: tuple[float, float] | None = None
-        self._reused = False  # whether the last step took the factor of an earlier one
-        self._vectors = [self.equations.vector() for _ in range(4)]
+        self._finder = self._contact_solver(like) if self.method in METHODS else self._equilibrium()
+        self._settled = False  # whether a contact solver has read its options, which it does once
 
     def __enter__(self) -> Solver:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _equilibrium(self) -> Equilibrium:
+        own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
+        advice = f"a smaller step or load, {self._advice}"
+        curved = self.method == "newton"
+        return Equilibrium(self.equations, curved=curved, own_test=own_test, yields=self.yields, advice=advice)
 
     def _contact_solver(self, like: State | None) -> ContactSolver:
         equations = self.equations
@@ -143,17 +141,8 @@ class Solver:
 
     def close(self) -> None:
         """Free matrices and factors."""
-        if self._contact:
-            self._contact.close()
-        self._drop_factor()
-        for vector in self._vectors:
-            vector.destroy()
+        self._finder.close()
         self.equations.destroy()
-
-    def _drop_factor(self) -> None:
-        if self._ksp is not None:
-            self._ksp.destroy()
-        self._ksp = self._factored = None
 
     def rest(self, t: float) -> State:
         """The model before anything happened."""
@@ -212,33 +201,42 @@ class Solver:
             found = way.follow(solve)
         finally:
             self.equations.ease(0.0)
-        x = self._vectors[0]
-        found.copy(x)
+        assert isinstance(self._finder, Equilibrium)
+        found.copy(self._finder.x)
         found.destroy()
-        return x, spent, residual, way.solves
+        return self._finder.x, spent, residual, way.solves
 
     def _solve(self, old: State, search: str | None, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
         """Unknowns at the end of the step, with one of the linear solvers; iterations, residual."""
+        if isinstance(self._finder, ContactSolver):
+            found = self._with_options(self._finder.advance, old, self.equations.loads, self.equations.prescribed)
+            self._settled = True
+            return found
         while True:
-            ours = {**self._choices[0], **self._newton_options(search)}
             try:
-                with defaults({**ours, **self._given}):
-                    try:
-                        found = self._advance(old, begin)
-                    except PETSc.Error as error:
-                        require_known_values(error, ours.keys() - self._given.keys())
-                        raise
-                    if not self._reused:
-                        require_all_read(self.method, ours.keys() - self._given.keys())
-                    self._reused |= self._contact is not None  # its solvers read their options once
-                    return found
+                return self._with_options(self._finder.advance, old, begin, search=search)
             except SolveError:
-                reused, self._reused = self._reused, False
-                self._drop_factor()
-                if self._contact or (not reused and len(self._choices) == 1):
+                reused = self._finder.reused
+                self._finder.drop_factor()
+                if not reused and len(self._choices) == 1:
                     raise
                 if not reused:
                     self._choices.pop(0)
+
+    def _with_options(
+        self, advance: Callable[..., tuple[PETSc.Vec, int, float]], *given: Any, search: str | None = None
+    ) -> tuple[PETSc.Vec, int, float]:
+        """What a solver finds with our PETSc options and the user's, all of which it must read."""
+        ours = {**self._choices[0], **self._newton_options(search)}
+        with defaults({**ours, **self._given}):
+            try:
+                found = advance(*given)
+            except PETSc.Error as error:
+                require_known_values(error, ours.keys() - self._given.keys())
+                raise
+            if not (self._settled or (isinstance(self._finder, Equilibrium) and self._finder.reused)):
+                require_all_read(self.method, ours.keys() - self._given.keys())
+            return found
 
     @property
     def yields(self) -> bool:
@@ -274,134 +272,3 @@ class Solver:
         if theta < 1 and old.p is not None:
             p.x.array[:] = (p.x.array - (1 - theta) * old.p.x.array) / theta
         return p
-
-    # ---------------------------------------------------------------- one step
-    def _advance(self, old: State, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
-        """Unknowns at the end of the step: a linear step from the old ones, then Newton if need be.
-
-        With `begin` Newton starts from there.
-        """
-        if self._contact:
-            return self._contact.advance(old, self.equations.loads, self.equations.prescribed)
-        equations = self.equations
-        x, r, d, move = self._vectors
-        if begin is not None:
-            begin.copy(x)
-            equations.residual(x, r)
-            return self._newton(x, r)
-        n, held = equations.n_displacements, equations.held
-        for vector in self._vectors:
-            vector.set(0.0)
-        x.array[:n] = old.u.x.array[:n]
-        if old.p is not None:
-            x.array[n:] = old.p.x.array[: equations.n_pressures]
-        move.array[held] = equations.prescribed - x.array_r[held]
-        if self.method == "linear":
-            x.axpy(1.0, move)
-        equations.residual(x, r)
-        if equations.failed:
-            raise SolveError(f"the layer's law failed at {equations.failed} points at the start of the step")
-        forces = equations.scale
-        r.scale(-1.0)
-        if self.method == "linear":
-            r.array[held] = 0.0
-            self._prepare()
-        else:
-            self._prepare(move, r)
-        iterations = self._solve_linear(r, d)
-        if self.yields and x.norm() > 0 and not d.norm() <= FARTHEST * x.norm():  # where all yields nothing resists
-            self._elastic_step(x, r, d, move)
-        if self.method == "newton":
-            d.array[held] = move.array_r[held]
-        x.axpy(1.0, d)
-        equations.residual(x, r)
-        if self.method == "newton":
-            self._retreat(x, r, d, move, forces)
-            return self._newton(x, r)
-        return x, iterations, self._refine(x, r, d)
-
-    def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
-        """The first step with the stiffness of an elastic layer."""
-        equations, ease = self.equations, self.equations.eased
-        equations.residual(x, r)
-        r.scale(-1.0)
-        equations.ease(1.0)
-        try:
-            equations.residual(x, d)
-        finally:
-            equations.ease(ease)
-        self._prepare(move, r)
-        self._solve_linear(r, d)
-
-    def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
-        """Shorten a first step that a law which stiffens with its rate has made far too long; supports stay moved."""
-        d.axpy(-1.0, move)
-        for _ in range(40):
-            if not forces or self._free_norm(r) <= OVERSHOOT * forces:
-                return
-            x.axpy(-0.75, d)
-            d.scale(0.25)
-            self.equations.residual(x, r)
-
-    def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
-        """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
-        equations = self.equations
-        key = (float(f"{equations.interval.dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
-        self._reused = move is None and self._factored == key
-        if self._reused:
-            return
-        A = equations.tangent()
-        A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
-        mark(A, self.model, saddle=self.equations.constraint is not None)
-        self._drop_factor()
-        self._ksp = ksp = PETSc.KSP().create(self.model.comm)
-        ksp.setOptionsPrefix(PREFIX)
-        ksp.setOperators(A)
-        ksp.setFromOptions()
-        tell_multigrid(ksp, A, self.model)
-        self._factored = key
-
-    def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        assert self._ksp is not None
-        self._ksp.solve(b, x)
-        return int(self._ksp.getIterationNumber())
-
-    def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> float:
-        """Steps of iterative refinement after a linear solve; the relative residual, checked."""
-        equations, ksp = self.equations, self._ksp
-        assert ksp is not None
-        reason = ksp.getConvergedReason()
-        direct = ksp.getType() == "preonly"
-        residual = self._relative(r)
-        while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
-            r.scale(-1.0)
-            ksp.solve(r, d)
-            x.axpy(1.0, d)
-            equations.residual(x, r)
-            refined = self._relative(r)
-            if refined >= residual / 2:
-                if refined > residual:
-                    x.axpy(-1.0, d)
-                break
-            residual = refined
-        if not residual < LARGEST_RESIDUAL:
-            few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
-            raise SolveError(
-                f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
-                "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
-                f"says{few}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
-            )
-        return residual
-
-    def _relative(self, r: PETSc.Vec) -> float:
-        """Residual where nothing is held, over the forces."""
-        return self._free_norm(r) / max(self.equations.scale, 1e-300)
-
-    def _free_norm(self, r: PETSc.Vec) -> float:
-        r.array[self.equations.held] = 0.0
-        return float(r.norm())
-
-    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
-        advice = f"a smaller step or load, {self._advice}"
-        steps, residual = newton(self.equations, x, r, own_test=self._own_test, hopeless=self.yields, advice=advice)
-        return x, steps + 1, residual
