@@ -12,6 +12,7 @@ from numbers import Real
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 
 from forms.kinematics import Expr
@@ -69,7 +70,7 @@ class _NoRate(Step):
         raise LawError("a law that asks for step.rate must declare rate = True")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # laws without an == of their own are equal to themselves alone
 class Law:
     """Base of the laws: a frozen dataclass whose fields are its parameters.
 
@@ -88,6 +89,10 @@ class Law:
         yields: whether stresses are bounded in some direction, so that loads may have a limit.
         otherwise: a law with the same parameters and internal values, for all points in three dimensions and for those in
             plane strain where this one does not hold (`holds`). Without one such points fail, and steps are shortened.
+        functions: parameters that may be given as functions; see `at`.
+        phases: whether an internal variable "phase" in [-1, 1] says how much of the layer is in phase 1, or -1.
+        switches: whether phases are pure, one for each column of the layer, held in a solve and switched after it.
+        flat: whether the tangent of a law with an energy may vanish along some strains.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
@@ -99,6 +104,10 @@ class Law:
     constrained: ClassVar[bool] = False
     yields: ClassVar[bool] = False
     otherwise: ClassVar[Law | None] = None
+    functions: ClassVar[tuple[str, ...]] = ()
+    phases: ClassVar[bool] = False
+    switches: ClassVar[bool] = False
+    flat: ClassVar[bool] = False
 
     def __new__(cls, *_: Any, **named: Any) -> Self:
         cls._require_dataclass()
@@ -116,9 +125,15 @@ class Law:
         self.check_declarations()
 
     def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
-        if (value is None and may_be_none) or name not in self.parameters():
+        if (value is None and may_be_none) or (callable(value) and name in self.functions):
             return
-        if value is None or np.asarray(value).dtype.kind not in "iuf" or (scalar and np.ndim(value)):
+        if name not in self.parameters():
+            return
+        try:
+            array = np.asarray(value)
+        except ValueError:  # ragged
+            array = np.asarray("")
+        if value is None or array.dtype.kind not in "iuf" or (scalar and array.ndim):
             raise LawError(
                 f"{type(self).__name__}: {name} is {value!r}; allowed: {'a number' if scalar else 'numbers'}"
             )
@@ -143,6 +158,28 @@ class Law:
 
     def check(self) -> None:
         """Raise LawError if a parameter is out of its range."""
+
+    def check_dimension(self, d: int) -> None:
+        """Raise LawError if the law cannot serve in a model of dimension d."""
+
+    @property
+    def softens(self) -> bool:
+        """Whether stresses fall as strains grow, so that a meshed layer would localise and steps in time may snap."""
+        return False
+
+    @property
+    def plateau(self) -> bool:
+        """Whether strains across the layer may grow at constant stress, so that they need not be uniform through it."""
+        return False
+
+    @property
+    def varies(self) -> bool:
+        """Whether parameters vary along the layer or in time."""
+        return False
+
+    def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
+        """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,)."""
+        return {}
 
     @property
     def in_series(self) -> bool:

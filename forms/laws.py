@@ -4,9 +4,11 @@ from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tres
 from forms.elastic import Anisotropic, LinearElastic
 from forms.incompressible import Incompressible
 from forms.law import Law, LawError, Step
+from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
 from forms.point import PointLaw
 from forms.series import Stack
+from forms.temperature import Tabulated
 from forms.traction import JumpStep, TractionLaw
 from forms.viscous import KelvinVoigt, Maxwell, Norton
 
@@ -25,10 +27,13 @@ __all__ = [
     "MohrCoulomb",
     "MohrCoulombMonodirectional",
     "MohrCoulombReturn",
+    "NonMonotone",
+    "NonMonotoneUnrelaxed",
     "Norton",
     "PointLaw",
     "Stack",
     "Step",
+    "Tabulated",
     "TractionLaw",
     "Tresca",
 ]

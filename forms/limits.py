@@ -11,6 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from forms.limits_bar import Bar as Bar
+from forms.limits_non_monotone import lamination as lamination
+from forms.limits_non_monotone import non_monotone as non_monotone
+from forms.limits_non_monotone import non_monotone_branch as non_monotone_branch
+from forms.limits_non_monotone import non_monotone_drive as non_monotone_drive
+from forms.limits_non_monotone import non_monotone_energy as non_monotone_energy
+
 Array = npt.NDArray[np.float64]
 
 

@@ -46,9 +46,8 @@ class Stack(Law):
         total = sum(self.fractions)
         require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
         for law in self.laws:
-            require(
-                isinstance(law, Law) and law.in_series, self, "a sublayer", law, "laws that give a stress for a strain"
-            )
+            allowed = "laws that give a stress for a strain, at each point"
+            require(isinstance(law, Law) and law.in_series, self, "a sublayer", law, allowed)
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -97,6 +96,26 @@ class Stack(Law):
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])
+
+    @property
+    def softens(self) -> bool:
+        return any(law.softens for law in self.laws)
+
+    @property
+    def phases(self) -> bool:  # type: ignore[override]
+        return any(law.phases for law in self.laws)
+
+    @property
+    def flat(self) -> bool:  # type: ignore[override]
+        return any(law.flat for law in self.laws)
+
+    @property
+    def varies(self) -> bool:
+        return any(law.varies for law in self.laws)
+
+    def check_dimension(self, d: int) -> None:
+        for law in self.laws:
+            law.check_dimension(d)
 
     def plane_stress(self) -> Stack:
         return self.with_laws([law.plane_stress() for law in self.laws])

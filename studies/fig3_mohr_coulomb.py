@@ -77,9 +77,9 @@ def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
     Args:
         record: where to write.
         loads: "R1", "R4m" or "both".
-        quick: coarser mesh.
+        quick: coarser meshes.
     """
-    fine, coarse = (4.0, 2.0, 0.05), (6.0, 3.0, 0.1)
+    fine, coarse, coarsest = (4.0, 2.0, 0.05), (6.0, 3.0, 0.1), (8.0, 4.0, 0.4)
     readings = READINGS if loads == "both" else {loads: READINGS[loads]}
     record.parameters = {"eps_mm": EPS, "layer_per_mm": str(glue(0.0)), "h": H, "h_mm": coarse if quick else fine}
     table = Table()
@@ -101,7 +101,8 @@ def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
     record.write("table.csv", table)
     draw(record)
     if "R1" in readings:
-        refine(record, Bar(record, "R1", READINGS["R1"], coarse), STEPS[: 3 if quick else None])
+        bar = Bar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
+        refine(record, bar, STEPS[: 3 if quick else None])
 
 
 def glue(h: float) -> MohrCoulomb:

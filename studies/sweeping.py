@@ -65,7 +65,7 @@ class Sweep:
         self,
         eps: Sequence[float],
         order: tuple[float, float | None] | None,
-        pictured: float,
+        pictured: float | None,
         *,
         title: str = "",
         unit: str = "",
@@ -76,7 +76,7 @@ class Sweep:
             eps: thicknesses, lengths.
             order: range that the last observed orders of traction and jump must lie in; None for an open end, or for no
                 such check.
-            pictured: the thickness to draw the deformed structures of.
+            pictured: the thickness to draw the deformed structures of; None for no picture.
             title, unit: of that picture.
         """
 

@@ -1,11 +1,15 @@
-"""Marches with memory of every kind, for runs that are killed and resumed: OUT [--resume] [--kill ROW [--writing]]."""
+"""Marches with memory of every kind, for runs that are killed and resumed.
+
+OUT [--first N] [--resume] [--kill ROW [--writing]]
+"""
 
 from __future__ import annotations
 
 import argparse
 import os
 import signal
-from itertools import count
+from collections.abc import Sequence
+from itertools import count, islice
 from pathlib import Path
 
 import ufl
@@ -39,13 +43,14 @@ def marches():
     yield "pressure", Model.full(plane, layer=ThinLayer(Incompressible(40.0), 0.1), **flat), TIMES, 1.0
 
 
-def main():
+def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
+    parser.add_argument("--first", type=int, metavar="N", help="the first N marches alone")
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--kill", type=int, default=0)
     parser.add_argument("--writing", action="store_true")
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(words)
     comm, rows = MPI.COMM_WORLD, count(1)
     victim = comm.rank == (0 if chosen.writing else comm.size - 1)
 
@@ -57,7 +62,7 @@ def main():
             Path.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
         return state.energies()["bodies"]
 
-    for name, model, times, theta in marches():
+    for name, model, times, theta in islice(marches(), chosen.first):
         out = chosen.out / name
         keep = "all" if name == "series" else "last"
         march(model, times, theta=theta, observe={"energy": energy}, out=out, resume=chosen.resume, keep=keep)

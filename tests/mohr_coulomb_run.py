@@ -21,13 +21,13 @@ def measured(name: str, history: History, surface: Surface) -> dict[str, float]:
     }
 
 
-def main() -> None:
+def numbers() -> dict[str, float]:
     joint, setup = sheared_blocks(1 / 8)
     layer = ThinLayer(MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02), 1 / 16)
     limit = Model.interface(joint, layer=layer, **setup)
     surface, times = Surface(limit), [0.5, 1.0, 1.5]
-    numbers = measured("S", march(limit, times), surface)
-    numbers |= measured("band", march(Model.full(joint, layer=layer, **setup), times), surface)
+    found = measured("S", march(limit, times), surface)
+    found |= measured("band", march(Model.full(joint, layer=layer, **setup), times), surface)
 
     cube = block(1.0, 0.5, 0.25, structured=True, depth=0.5)
     dilatant = ThinLayer(MohrCoulomb(60.0, 40.0, C=0.1, Omega=30.0, h=0.02, psi=10.0), 1.0)
@@ -35,14 +35,14 @@ def main() -> None:
     along, across = (lambda x, t: 0.06 * t), (lambda x, t: 0.03 * t * x[2])
     push = {"x": along, "y": lambda x, t: -0.01 + 0 * t, "z": across}
     model = Model.interface(cube, layer=dilatant, supports={"TOP": push}, **body)
-    numbers |= measured("3D", march(model, times[:2]), Surface(model))
+    found |= measured("3D", march(model, times[:2]), Surface(model))
     pull = {"x": 0.0, "y": lambda x, t: 0.04 * t * x[0], "z": 0.0}
     torn = ThinLayer(MohrCoulomb(60.0, 40.0, C=0.1, Omega=30.0, h=0.02), 1.0)
     model = Model.interface(cube, layer=torn, supports={"TOP": pull}, **body)
-    numbers |= measured("3D, torn", march(model, times[:2]), Surface(model))
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(numbers))
+    return found | measured("3D, torn", march(model, times[:2]), Surface(model))
 
 
 if __name__ == "__main__":
-    main()
+    found = numbers()
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(found))

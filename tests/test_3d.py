@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 import ufl
@@ -198,15 +200,24 @@ def test_fourier_box(cell):
     assert np.log2(np.array(errors[0]) / errors[1]).min() > 2.9
 
 
+box_problem = cache(fourier_box)
+
+
+@cache
+def box(build, eps: float, order: int = 0, bodies: str = "kept"):
+    """State of a model of the box; several tests ask for the same."""
+    joint, setup = box_problem(6, "hexahedron")
+    layer = ThinLayer(LinearElastic(*reference.LAYER), eps, order=order)
+    choice = {"bodies": bodies} if build == Model.full else {}
+    return solve(build(joint, layer=layer, **choice, **setup))
+
+
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
 def test_sweep_of_the_fourier_box(bodies):
     """Errors of the interface law as the transfer matrices have them, to 1 %, and of first order in eps."""
-    joint, setup = fourier_box(6, "hexahedron")
-    eps, rows = (1 / 8, 1 / 16, 1 / 32), []
+    eps, rows = (1 / 16, 1 / 32), []
     for e in eps:
-        layer = ThinLayer(LinearElastic(*reference.LAYER), e)
-        limit = solve(Model.interface(joint, layer=layer, **setup))
-        row = compare(solve(Model.full(joint, layer=layer, bodies=bodies, **setup)), limit)
+        row = compare(box(Model.full, e, bodies=bodies), box(Model.interface, e))
         assert (row["error_traction"], row["error_jump"]) == pytest.approx(reference.sweep_errors(e, bodies), rel=1e-2)
         rows.append(row)
     for name in ("error_traction", "error_jump"):
@@ -214,12 +225,8 @@ def test_sweep_of_the_fourier_box(bodies):
 
 
 def test_order_1_on_the_fourier_box():
-    joint, setup = fourier_box(6, "hexahedron")
-    eps, errors = (1 / 8, 1 / 16), []
-    for e in eps:
-        layer = ThinLayer(LinearElastic(*reference.LAYER), e, order=1)
-        limit = solve(Model.interface(joint, layer=layer, **setup))
-        errors.append(compare(solve(Model.full(joint, layer=layer, **setup)), limit)["error_traction"])
+    eps = (1 / 8, 1 / 16)
+    errors = [compare(box(Model.full, e), box(Model.interface, e, order=1))["error_traction"] for e in eps]
     assert errors == pytest.approx([5.43e-3, 1.486e-3], rel=5e-2)  # the plane problem's, by transfer matrices
     assert observed_orders(eps, errors)[-1] == pytest.approx(1.87, abs=0.1)
 

@@ -59,12 +59,8 @@ def test_compiled_once(law, other, modules):
     first = set(modules)
     assert len(first) > 5
     for change in (
-        dict(law=law, eps=0.05, times=[0.1]),
-        dict(law=law, eps=0.1, times=[0.1, 0.2, 0.5]),
-        dict(law=law, eps=0.1, times=[0.1, 0.2], theta=0.5),
-        dict(law=other, eps=0.02, times=[0.1]),
-        dict(law=law, eps=0.1, times=[0.1], factor=2.0),
-        dict(law=law, eps=0.1, times=[0.1], h=1 / 8),
+        dict(law=law, eps=0.05, times=[0.1, 0.2, 0.5], h=1 / 8),
+        dict(law=other, eps=0.1, times=[0.1, 0.2], theta=0.5, factor=2.0),
     ):
         run(**change)
         assert set(modules) == first, change

@@ -7,6 +7,7 @@ matrices (`test_against_transfer_matrices`), at the smallest thickness too.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -33,19 +34,28 @@ NORTON_STACK = Stack((0.5, FOURIER_LAYER), (0.5, THINNING))
 SUBLAYERS = (0.3, LinearElastic.young(60.0, 0.1)), (0.7, LinearElastic.young(20.0, 0.42))
 
 
+problem = cache(fourier)
+
+
+@cache
+def marched(build, law, e, times, theta=1.0, cell="quadrilateral", bodies="kept"):
+    """History of a model; several tests ask for the same."""
+    joint, setup = problem(H, cell=cell)
+    choice = {"bodies": bodies} if build == Model.full else {}
+    return march(build(joint, layer=ThinLayer(law, e), **choice, **setup), times, theta=theta)
+
+
 def errors(law_at, times, *, limits=(None,), eps=EPS, cell="quadrilateral", theta=1.0, bodies="kept"):
     """Relative errors of traction and jump at the last time, (thicknesses, 2), beside each of the laws for S.
 
     None stands for the layer's own law; `law_at` is that law, or a function of the thickness.
     """
-    joint, setup = fourier(H, cell=cell)
-    found = []
+    found, choices = [], (tuple(times), theta, cell)
     for e in eps:
         law = law_at(e) if callable(law_at) else law_at
-        full = march(Model.full(joint, layer=ThinLayer(law, e), bodies=bodies, **setup), times, theta=theta)
+        full = marched(Model.full, law, e, *choices, bodies)
         for limit in limits:
-            interface = Model.interface(joint, layer=ThinLayer(limit or law, e), **setup)
-            row = compare(full, march(interface, times, theta=theta))
+            row = compare(full, marched(Model.interface, limit or law, e, *choices))
             found.append((row["error_traction"], row["error_jump"]))
     return np.array(found).reshape(len(eps), len(limits), 2).swapaxes(0, 1)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -23,7 +24,7 @@ README = (CLONE / "README.md").read_text()
 def test_script(tmp_path, number):
     scripts = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
-    assert len(scripts) == len(tables) + 2 == 4
+    assert len(scripts) == len(tables) + 3 == 5
     (tmp_path / "script.py").write_text(scripts[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -35,26 +36,43 @@ def test_script(tmp_path, number):
     assert {path.name for path in tmp_path.glob("*.png")} == ({"lap.png", "rates.png"} if number == 0 else set())
 
 
-def test_contact_script(tmp_path):
-    script = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[2]
-    (tmp_path / "script.py").write_text(script)
-    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
-    assert done.returncode == 0, done.stderr
-    for line in done.stdout.splitlines()[:-1]:
+@pytest.fixture
+def printed_by(tmp_path, monkeypatch, capsys):
+    """Runs README's script of a number, in a folder of its own; what it prints."""
+
+    def run(number):
+        monkeypatch.chdir(tmp_path)
+        Path("script.py").write_text(re.findall(r"```python\n(.*?)```", README, re.DOTALL)[number])
+        runpy.run_path("script.py", run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_contact_script(printed_by):
+    out = printed_by(2)
+    for line in out.splitlines()[:-1]:
         assert line.strip() in README
-    assert re.search(r"normal force 1938\.9, equilibrium \S*e-1\d", done.stdout)
-    assert (tmp_path / "contact.png").stat().st_size > 10_000
+    assert re.search(r"normal force 1938\.9, equilibrium \S*e-1\d", out)
+    assert Path("contact.png").stat().st_size > 10_000
 
 
-def test_limit_script(tmp_path):
+def test_snap_script(printed_by):
+    """All at once; 2 MPa and 0.5 MPa at which the foam falls and comes back, over the largest and the least pressure."""
+    out = printed_by(4)
+    for line in out.splitlines():
+        assert line.strip() in README
+    up, down = ([float(x) for x in re.findall(r"\d+\.\d+", line)] for line in out.splitlines())
+    assert 2 / 1.2 < up[0] < 2 < 2 / 0.8
+    assert 0.5 / 1.2 < down[0] < 0.5 / 0.8
+    assert (up[0] - down[0]) * 200 * 5 * 1.5 / 20 == pytest.approx(up[1] + down[1], rel=5e-3)  # area of the loop
+
+
+def test_limit_script(printed_by):
     """The joint carries what the formula says: C cos(Omega) - t_N sin(Omega)."""
-    script = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[3]
-    (tmp_path / "script.py").write_text(script)
-    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
-    assert done.returncode == 0, done.stderr
     found, printed = (
         [float(x) for x in re.findall(r"-?\d+\.\d+", line)]
-        for line in (done.stdout, next(line for line in README.splitlines() if line.startswith("    carries ")))
+        for line in (printed_by(3), next(line for line in README.splitlines() if line.startswith("    carries ")))
     )
     assert found == pytest.approx(printed, abs=2e-3)
     t_N, angle = found[3], math.radians(35)

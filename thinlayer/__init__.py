@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from thinlayer.loads import ModelError, piecewise
     from thinlayer.model import Model
     from thinlayer.options import OptionError
+    from thinlayer.phases import PhaseReport
     from thinlayer.pointwise.drive import PointHistory, drive
     from thinlayer.solvers import solve
     from thinlayer.state import State
     from thinlayer.surface import Surface
     from thinlayer.table import Table
+    from thinlayer.time.arc_length import ArcLength
     from thinlayer.time.history import History
     from thinlayer.time.marching import march
     from thinlayer.time.plan import Adaptive
@@ -26,12 +28,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "Adaptive",
+    "ArcLength",
     "ContactReport",
     "History",
     "LimitLoad",
     "Model",
     "ModelError",
     "OptionError",
+    "PhaseReport",
     "PointHistory",
     "SolveError",
     "State",
@@ -57,9 +61,11 @@ _HOME = {
     "ModelError": "loads",
     "piecewise": "loads",
     "Adaptive": "time.plan",
+    "ArcLength": "time.arc_length",
     "march": "time.marching",
     "Model": "model",
     "OptionError": "options",
+    "PhaseReport": "phases",
     "PointHistory": "pointwise.drive",
     "drive": "pointwise.drive",
     "LimitLoad": "failure",

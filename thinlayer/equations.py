@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +21,7 @@ from forms.work import energy, work
 from thinlayer.contact.springs import ContactSprings
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
+from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.constraint import Constraint
 from thinlayer.pointwise.points import LawPoints, Response
 from thinlayer.state import Audit, State
@@ -140,6 +142,11 @@ class Equations:
         return tuple(memory)
 
     @property
+    def flat(self) -> bool:
+        """Whether tangents of laws with an energy may vanish along some strains."""
+        return any(p.points.law.flat for p in self.points)
+
+    @property
     def can_ease(self) -> bool:
         """Whether laws at points can be replaced by easier ones."""
         return any(p.points.law.can_ease for p in self.points)
@@ -149,6 +156,7 @@ class Equations:
         self.eased = ease
         for p in self.points:
             p.ease(ease)
+            p.at_time(self.interval.t)
 
     # ---------------------------------------------------------------- a step
     def begin(self, interval: Interval) -> None:
@@ -167,9 +175,13 @@ class Equations:
                 b.destroy()
         self.prescribed = self._prescribed_at(interval.t)
         farthest = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
-        self._rounding = ROUNDING * self._stiffness * farthest
+        moved = float(self.old.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
+        self._rounding = ROUNDING * self._stiffness * max(farthest, moved)
         self.least_residual = np.finfo(float).eps * self._stiffness * farthest
         self._e_old = [p.strain(self.old) for p in self.points]
+        self._begins = [*interval.old.memory]
+        for p in self.points:
+            p.at_time(interval.t)
 
     def rounding_at(self, x: PETSc.Vec) -> float:
         """What rounding leaves of the forces at unknowns x, about."""
@@ -182,10 +194,12 @@ class Equations:
         return max(float(self.loads.norm()), self._rounding)
 
     def check_times(self, times: list[float]) -> None:
-        """Raise ModelError if loads or supports are not finite at one of these times."""
+        """Raise ModelError if loads or supports, LawError if a law's parameters, are out of range at one of these times."""
         for t in times:
             self.loads_at(t).destroy()
             self._prescribed_at(t)
+            for p in self.points:
+                p.at_time(t)
 
     def loads_at(self, t: float) -> PETSc.Vec:
         """Nodal forces of the loads at a time."""
@@ -226,7 +240,7 @@ class Equations:
             b.destroy()
         self._responses = [
             p.respond(p.strain(now), e_old, q, self.interval.dt, theta)
-            for p, e_old, q in zip(self.points, self._e_old, self.interval.old.memory, strict=False)
+            for p, e_old, q in zip(self.points, self._e_old, self._begins, strict=False)
         ]
         self.failed = self.comm.allreduce(sum(r.failed for r in self._responses)) if self.points else 0
         for p, r in zip(self.points, self._responses, strict=True):
@@ -240,6 +254,48 @@ class Equations:
             self.contact.add_forces(now, self._slip, forces)
         forces.axpy(-1.0, self.loads)
         out.array[: self.n_displacements] = np.nan if self.failed else forces.array_r
+        self._lack = self._lacking(out) if self.flat else 0.0
+
+    def _lacking(self, residual: PETSc.Vec) -> float:
+        """A residual where nothing is held, over the forces."""
+        free = residual.array_r.copy()
+        free[self.held] = 0.0
+        return math.sqrt(self.comm.allreduce(float(free @ free))) / max(self.scale, 1e-300)
+
+    # ---------------------------------------------------------------- phases that are held in a solve
+    @property
+    def excess(self) -> float:
+        """Of the columns whose phases are held, by how much another phase is lower in energy, over C; <= 0: by nothing.
+
+        At the last residual's unknowns. Collective.
+        """
+        switching = self._switching
+        return max((s.excess(r.memory) for s, r, _ in switching), default=-np.inf)
+
+    def switch(self) -> bool:
+        """Let columns change to the phase of lowest energy at the last residual's unknowns; whether any does."""
+        changed = False
+        for switching, response, k in self._switching:
+            new = switching.switched(response.memory, self._begins[k])
+            if new is not None:
+                self._begins[k], changed = new, True
+        return changed
+
+    @property
+    def _switching(self) -> list[tuple[Switching, Response, int]]:
+        both = zip(self.points, self._responses, strict=True)
+        return [(p.switching, r, k) for k, (p, r) in enumerate(both) if p.switching]
+
+    @property
+    def switches(self) -> bool:
+        """Whether there are such phases."""
+        return any(p.switching for p in self.points)
+
+    @property
+    def steady(self) -> bool:
+        """Whether the tangent of linear laws is the same for steps of all lengths."""
+        laws = [p.points.law for p in self.points]
+        return all(law.switches for law in laws)
 
     @property
     def _slip(self) -> npt.NDArray[np.float64]:
@@ -254,7 +310,7 @@ class Equations:
         """
         theta = self.interval.theta
         self._check_symmetry()
-        parts = [p.stiffness(r.tangent) for p, r in zip(self.points, self._responses, strict=True)]
+        parts = [p.stiffness(r.tangent, self._lack) for p, r in zip(self.points, self._responses, strict=True)]
         if self.contact:
             parts.append(self.contact.stiffness(self.u.x.petsc_vec, self._slip))
         if self._curved:

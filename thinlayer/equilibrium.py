@@ -116,7 +116,8 @@ class Equilibrium:
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
         equations = self.equations
-        key = (float(f"{equations.interval.dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
+        dt = 0.0 if equations.steady else equations.interval.dt
+        key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
         self.reused = move is None and self._factored == key
         if self.reused:
             return

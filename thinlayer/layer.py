@@ -53,6 +53,13 @@ class ThinLayer:
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
         if self.order == 1 and (isinstance(self.law, (TractionLaw, ContactLaw)) or self.law.constrained):
             raise LawError(f"order=1 of {type(self.law).__name__}: there is no next-order law of it; use order=0")
+        if self.order == 1 and self.law.switches:
+            raise LawError(f"order=1 of {type(self.law).__name__}: its phases are those of jumps alone; use order=0")
+        if self.order == 1 and self.law.plateau:
+            raise LawError(
+                f"order=1 of {self.law!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
+                "layer, and the next term depends on where the sheets lie; use order=0"
+            )
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
         if self.order == 1 and self.profile is not None:

@@ -35,12 +35,17 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
     gradients (GMRES without symmetry) and algebraic multigrid that knows the rigid motions; very stiff layers slow it down
     so much that factorising is faster. Incompressible layers make a saddle point: direct.
     """
-    direct = {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
+    direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
     saddle = any(p.law.constrained for p in model.layer_points)
     if saddle or unknowns < MULTIGRID_FROM[model.joint.dim]:
         return [direct]
     return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
+
+
+def direct_solver(model: Model) -> dict[str, OptionValue]:
+    """PETSc options of a factorisation: Cholesky, which is LDL^T unless the matrix is marked as definite, or LU."""
+    return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
 def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
@@ -50,7 +55,7 @@ def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
 
 
 def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
-    """Tell PETSc whether a tangent is symmetric and positive definite."""
+    """Tell PETSc whether a tangent is symmetric and positive definite, which that of a saddle point of energy is not."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
 

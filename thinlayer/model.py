@@ -32,6 +32,7 @@ from thinlayer.forces import BodyForce, Forces
 from thinlayer.joint_fields import director, relative_thickness
 from thinlayer.layer import ThinLayer, constants, in_plane
 from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports
+from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.rigid import require_support
 
 end_all_ranks_on_errors()
@@ -161,12 +162,18 @@ class Model:
             return
         if not isinstance(layer, ThinLayer):
             raise ModelError(f"layer is {layer!r}; give layer=ThinLayer(law, eps)")
+        layer.law.check_dimension(joint.dim)
         if isinstance(layer.law, ContactLaw):
             self._check_contact()
         if layer.order == 1:
             self._check_order_1(bodies)
         if self.kind == "full" and isinstance(layer.law, (TractionLaw, ContactLaw)):
             raise ModelError(f"{type(layer.law).__name__} is a law of jump and traction: it has no meshed layer")
+        if self.kind == "full" and layer.law.softens:
+            raise ModelError(
+                f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
+                "of cells; take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
+            )
         if layer.law.constrained and element not in ("P2", "Q2"):
             raise ModelError(f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}")
 
@@ -284,6 +291,11 @@ class Model:
     def points(self) -> list[forms.Points]:
         """All points where a law acts."""
         return self.bodies + self.layer_points
+
+    @cached_property
+    def quadratures(self) -> list[Quadrature]:
+        """The points of compiled laws, in the order of `State.memory`. Collective."""
+        return [Quadrature(self.domain, p, self.degree_at(p)) for p in self.points if p.law.pointwise]
 
     @property
     def contact(self) -> ContactLaw | None:

@@ -22,6 +22,11 @@ NEWTON: dict[str, OptionValue] = {
 LARGEST_RESIDUAL = 1e-6
 TOLERANCE = 1e-10  # residual over the forces of the bodies' stresses, or the loads
 YIELDING: dict[str, OptionValue] = {"snes_max_it": 50}
+FLAT: dict[str, OptionValue] = {  # a search for the least energy: residuals may have to grow on the way
+    "snes_linesearch_type": "cp",
+    "snes_linesearch_max_it": 40,
+    "snes_max_it": 300,
+}
 STALLED = 16  # steps without a residual that is a tenth smaller: a law that yields has no equilibrium, or hides it
 FARTHEST = 1e6  # displacements over those of the first step: likewise
 Reason = PETSc.SNES.ConvergedReason

@@ -19,7 +19,7 @@ from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import linear_solvers
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
-from thinlayer.newton import NEWTON, YIELDING
+from thinlayer.newton import FLAT, NEWTON, YIELDING
 from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set, require_all_read, require_known_values
 from thinlayer.state import Report, State
 
@@ -57,6 +57,7 @@ def solve(
         raise ModelError(f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)")
     if not isinstance(t, Real) or not math.isfinite(t):
         raise ModelError(f"t is {t!r}; it must be a finite number")
+    require_hardening(model, "solve")
     with Solver(model, options=options, method=method, like=like) as solver:
         try:
             return solver.step(solver.rest(t), t)
@@ -65,6 +66,15 @@ def solve(
                 raise
             advice = "loads on a layer that yields may have a limit: let them grow in time, and march in small steps"
             raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
+
+
+def require_hardening(model: Model, what: str) -> None:
+    """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
+    if model.kind == "interface" and model.layer is not None and model.layer.law.softens:
+        raise ModelError(
+            f"{what}: the stress of {model.layer.law!r} falls as jumps grow, and an equilibrium may be one of several; "
+            "follow them from rest with march(model, ArcLength(...))"
+        )
 
 
 def _require_model(model: Any) -> None:
@@ -149,15 +159,19 @@ class Solver:
         report = Report("rest", 0, 0.0, 0.0)
         return State(self.model, fem.Function(self.model.V), t, report, memory=self.equations.rest())
 
-    def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True) -> State:
+    def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, *, held: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
 
         With t = old.t it is the response to a sudden load. Errors as in `solve`. Where Newton's method fails with a law
-        that yields, it is tried with another line search and then through laws that are easier, if `thorough`.
+        that yields, it is tried with another line search and then through laws that are easier, if `thorough`. Phases that
+        columns of the layer change are changed, and the equilibrium is found again, until none does; not if `held`.
         """
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
         x, iterations, residual, eased = self._find(old, thorough)
+        while not held and self.equations.switch():
+            x, more, residual, again = self._find(old, thorough)
+            iterations, eased = iterations + more, eased + again
         memory, audit = self.equations.audit(x)
         report = Report(self.method, iterations, residual, time.perf_counter() - start, eased)
         return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
@@ -255,7 +269,7 @@ class Solver:
             return {}
         if self.model.contact:
             search = "basic"
-        options = NEWTON | YIELDING if self.yields else NEWTON
+        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.flat else NEWTON
         return options | ({"snes_linesearch_type": search} if search else {})
 
     @property

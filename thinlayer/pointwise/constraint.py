@@ -8,7 +8,7 @@ from dolfinx import fem
 
 from forms.work import Points
 from geometry.domain import Domain
-from thinlayer.pointwise.points import Region
+from thinlayer.pointwise.quadrature import Region
 
 
 class Constraint:

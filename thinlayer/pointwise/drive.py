@@ -86,11 +86,14 @@ def drive(
         raise ModelError(
             f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
         )
+    if law.varies:
+        raise ModelError(f"{type(law).__name__} at a point needs a temperature that is a number, not a field")
     if isinstance(steps, (str, Mapping)) or not isinstance(steps, Iterable):
         example = "[{'w_T': 0.01, 't_N': -1.0}, ...]"
         raise ModelError(f"steps is {steps!r}; it must be a sequence of dictionaries, one for each step: {example}")
     steps = list(steps)
     normal, axes = _frame(n)
+    law.check_dimension(len(normal))
     path = [_read(step, k, len(normal)) for k, step in enumerate(steps)]
     lengths = _lengths(dt, len(path))
     if not path:
@@ -132,8 +135,8 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     a, b, c = normal
     s = (1 - b) / (a * a + c * c) if b < 0 and a * a + c * c > 0 else 1 / (1 + b) if b >= 0 else 2.0
     first, last = [1 - s * a * a, -a, -s * a * c], [-s * a * c, -c, 1 - s * c * c]
-    if b < 0 and a * a + c * c < 1e-24:  # n = -e_2: half a turn about the third axis
-        first, last = [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
+    if b < -1 + 1e-12:  # n = -e_2: half a turn about the third axis
+        first, last = [-1.0, -a, 0.0], [0.0, c, 1.0]  # normal to n as far as rounding goes
     return normal, np.array([first, last, normal]).T
 
 

@@ -132,6 +132,18 @@ def _memory(law: Law) -> int:
     return sum(SIZES[shape] for shape in law.internal.values())
 
 
+def memory_slots(law: Law, name: str) -> list[tuple[float, Law, int]]:
+    """Of each sublayer with a scalar internal variable of this name: fraction, law, place among internal values."""
+    layers = law.sublayers if isinstance(law, Stack) else ((1.0, law),)
+    start, found = 3 * len(layers) if len(layers) > 1 else 0, []
+    for fraction, one in layers:
+        if one.internal.get(name) == ():
+            before = list(one.internal)[: list(one.internal).index(name)]
+            found.append((fraction, one, start + sum(SIZES[one.internal[n]] for n in before)))
+        start += _memory(one)
+    return found
+
+
 # ---------------------------------------------------------------- laws written in UFL
 _COMPILED: dict[Any, tuple[int, Any]] = {}
 

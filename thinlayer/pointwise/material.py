@@ -23,11 +23,11 @@ class Material:
 
     Attributes:
         memory: number of internal values at a point.
-        parameters: real parameters of the sublayers, one after the other.
+        parameters: real parameters of the sublayers, one after the other; (points, n) where they vary along the layer.
     """
 
     def __init__(self, comm: MPI.Intracomm, law: Law) -> None:
-        self.law, self._kernels = law, kernels(comm, law)
+        self.law, self._current, self._kernels = law, law, kernels(comm, law)
         self._library = library(SOURCE, comm)
         self._addresses = np.array([k.address for k in self._kernels], np.intp)
         self._others = np.array([k.otherwise for k in self._kernels], np.intp)
@@ -41,13 +41,36 @@ class Material:
     def take(self, law: Law) -> None:
         """Answer from now on with the parameters of another law of the same kind; nothing is compiled.
 
+        Where they vary, from the next `take_at` on.
+
         Raises:
             ValueError: a law of another kind, or parameters of another shape.
         """
         counts = [len(numbers) for numbers in _numbers(law)]
         if _kinds(law) != _kinds(self.law) or counts != self._counts.tolist():
             raise ValueError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
-        self.parameters = np.concatenate(_numbers(law))
+        self._current = law
+        if not law.varies:
+            self.parameters = np.concatenate(_numbers(law))
+
+    @property
+    def varies(self) -> bool:
+        """Whether parameters vary along the layer or in time."""
+        return self.law.varies
+
+    def take_at(self, x: Array, t: float) -> None:
+        """Answer from now on with the parameters at places x (d, points), in the joint before inflating, and a time.
+
+        Raises:
+            LawError: parameters out of range at one of them.
+        """
+        columns = []
+        for law in _sublayers(self._current):
+            varying = law.at(x, t)
+            for name, value in law.parameters().items():
+                fixed = np.broadcast_to(np.ravel(np.asarray(value, float)), (x.shape[1], np.size(value)))
+                columns.append(varying[name][:, None] if name in varying else fixed)
+        self.parameters = np.ascontiguousarray(np.hstack(columns))
 
     def update(
         self, slots: Sequence[int], e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float
@@ -65,7 +88,9 @@ class Material:
             ValueError: arrays of the wrong shape.
         """
         components = np.array(list(slots), np.int32)
-        points, m = len(e), len(components)
+        points, m, varying = len(e), len(components), self.parameters.ndim == 2
+        if varying and len(self.parameters) != points:
+            raise ValueError(f"parameters are those of {len(self.parameters)} points; there are {points}")
         shapes = {"e": (e, m), "e_old": (e_old, m), "q": (q, self.memory), "n": (n, 3)}
         for name, (array, width) in shapes.items():
             if array.shape != (points, width):
@@ -74,9 +99,11 @@ class Material:
         q_new = np.empty((points, self.memory))
         in_plane = m < 6  # laws that another one answers for are closed forms of plane strain
         addresses = self._addresses if in_plane else np.where(self._others, self._others, self._addresses)
-        law = self._given(addresses, self._others, self._memories, self._counts, self._fractions, self.parameters)
+        law = self._given(
+            addresses, self._others, self._memories, self._counts, self._fractions, self.parameters.ravel()
+        )
         failed = self._library.lib.run(
-            len(self._kernels), *law,
+            len(self._kernels), *law, varying,
             m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta,
             *self._given(s, C, q_new, energies),
         )  # fmt: skip

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
 from thinlayer.failure import SolveError
+from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 
@@ -38,6 +39,7 @@ class Point:
     def __init__(self, law: Law, n: Array, axes: Array, theta: float) -> None:
         self.law, self.n, self.theta = law, n, theta
         self.material = Material(MPI.COMM_SELF, law)
+        self.switching = Switching(law) if law.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
         # strain of each component of the jump, (6, d): e = E w, and by virtue of power t = E^T stress
         outer = np.einsum("ia,j->aij", axes, self.n3)
@@ -70,7 +72,7 @@ class Point:
         state, spent = old, np.zeros(3)
         while done < 1:
             aim = goal if done + part >= 1 else start + (done + part) * (goal - start)
-            found = self._solve(state, held, aim, part * dt)
+            found = self._settled(state, held, aim, part * dt)
             if found is None:
                 part /= 2
                 if part < SMALLEST:
@@ -81,6 +83,17 @@ class Point:
             part = min(2 * part, 1 - done)
         spent[0] = state.energies[0]
         return state._replace(energies=spent), parts
+
+    def _settled(self, old: PointState, held: Array, aim: Array, dt: float) -> PointState | None:
+        """The state after a part of a step, in phases that no other one beats; None if it is not found."""
+        while True:
+            found = self._solve(old, held, aim, dt)
+            if found is None or self.switching is None:
+                return found
+            memory = self.switching.switched(found.memory[None], old.memory[None])
+            if memory is None:
+                return found
+            old = old._replace(memory=memory[0])
 
     def _stuck(self, state: PointState, held: Array, done: float) -> str:
         reached = ", ".join(

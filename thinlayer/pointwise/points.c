@@ -224,9 +224,10 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
 /* Run a law over points; returns the number of points where it failed (where the stress is NaN), or -1 without memory.
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
- * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each. */
+ * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each; parameters: of all points,
+ * or, with `varying`, (points, n), of each. */
 int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *n_parameters,
-        const double *fractions, const double *parameters, int m, const int32_t *slots, int points, int width,
+        const double *fractions, const double *parameters, int varying, int m, const int32_t *slots, int points, int width,
         const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, double *stress,
         double *C, double *q_new, double *energy)
 {
@@ -245,10 +246,9 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
         a->fraction = fractions[i];
         a->in = next, a->out = a->in + 17 + a->memory + a->n_parameters;
         next = a->out + 45 + a->memory;
-        memcpy(a->in + 17 + a->memory, parameters, a->n_parameters * sizeof(double));
-        parameters += a->n_parameters;
     }
     double *system = next;
+    const double *numbers_of = parameters;
     for (int k = 0; k < points; k++, e += m, e_old += m, q += width, q_new += width, n += 3) {
         double now[6] = {0}, s[6], D[6][6];
         const double *old = q + (count > 1 ? 3 * count : 0);
@@ -266,7 +266,10 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             old += a->memory;
             memcpy(tail, n, 3 * sizeof(double));
             tail[3] = dt, tail[4] = theta;
+            if (varying || k == 0) memcpy(tail + 5, numbers_of, a->n_parameters * sizeof(double));
+            numbers_of += a->n_parameters;
         }
+        if (!varying) numbers_of = parameters;
         if (count > 1) {
             if (!in_series(layers, count, now, n, system, s, D)) s[0] = NAN;
         } else {

@@ -1,69 +1,26 @@
-"""Quadrature points of a layer where a compiled law acts, in a meshed layer and on S alike."""
+"""A compiled law at the quadrature points of a layer: strains, stresses and their nodal forces."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import basix.ufl
 import dolfinx.fem.petsc
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.kinematics import MANDEL, ROOT2, Expr, lift
+from forms.kinematics import MANDEL, ROOT2
+from forms.law import LawError
 from forms.work import Points
 from geometry.domain import Domain
-from geometry.joint import S
-from thinlayer.compat import create_submesh
+from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.quadrature import Quadrature
 
-
-class Region:
-    """The part of the mesh where a measure integrates, as a mesh of its own.
-
-    Attributes:
-        domain: the domain.
-        measure: dx(values), ds(values) or dS(value) of S.
-        mesh: the cells of the meshed layer, or the facets of S.
-        dim: dimension of its cells.
-        parent: local number in the domain's mesh of each cell of `mesh`.
-        maps: entity maps for fem.form.
-    """
-
-    def __init__(self, domain: Domain, measure: ufl.Measure) -> None:
-        self.domain, self.measure = domain, measure
-        in_volume = measure.integral_type() == "cell"
-        if in_volume:
-            wanted = np.atleast_1d(measure.subdomain_id())
-            entities = domain.cell_tags.indices[np.isin(domain.cell_tags.values, wanted)]
-        else:
-            entities = domain.facets(S)
-        self.dim = domain.joint.dim - (not in_volume)
-        self.mesh, self.maps, self.parent = create_submesh(domain.mesh, self.dim, np.sort(entities))
-
-    @property
-    def original(self) -> npt.NDArray[np.int64]:
-        """For each cell of `mesh` its number in the joint: of the cell, or of the facet in the joint's table."""
-        domain = self.domain
-        if self.dim == domain.joint.dim:
-            return np.asarray(domain.original_cells[self.parent], np.int64)
-        topology = domain.mesh.topology
-        topology.create_connectivity(0, topology.dim)
-        vertices = [topology.connectivity(self.dim, 0).links(facet) for facet in self.parent]
-        if not vertices:
-            return np.empty(0, np.int64)
-        nodes = dolfinx.mesh.entities_to_geometry(domain.mesh, 0, np.concatenate(vertices).astype(np.int32)).ravel()
-        original = np.asarray(domain.mesh.geometry.input_global_indices)[nodes].reshape(len(vertices), -1)
-        return domain.joint.table.index(original)
-
-    def side(self, f: Expr) -> Expr:
-        """A function on `mesh` as the measure's integrands need it."""
-        return f("+") if self.measure.integral_type() == "interior_facet" else f
+LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # parts of the tangent at rest that are added to one that may vanish
 
 
 @dataclass(frozen=True)
@@ -93,43 +50,26 @@ class Response:
         return float((apart[regular] / size[regular]).max(initial=0.0))
 
 
-class LawPoints:
+class LawPoints(Quadrature):
     """Points where one compiled law acts. Collective.
 
     Attributes:
-        points: the law, its strain, weight and measure.
         material: the compiled law.
-        count: number of points of this rank.
-        cells: (cells of the region that this rank owns, points per cell) their points.
-        x: (points, d) their places.
-        n: (points, 3) director.
-        weights: (points,) quadrature weights.
+        switching: of a law whose phases are held in a solve and switched after it; else None.
     """
 
     def __init__(self, domain: Domain, V: fem.FunctionSpace, points: Points, degree: int) -> None:
-        self.domain, self.points = domain, points
-        metadata = dict(points.measure.metadata())
-        self.degree = metadata.setdefault("quadrature_degree", degree)
-        self.region = Region(domain, points.measure)
-        self._measure = points.measure.reconstruct(metadata=metadata)
+        super().__init__(domain, points, degree)
         self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < domain.joint.dim]
         self._strain_matrix(V)
-        self._geometry()
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self.material = Material(domain.comm, points.law)
-
-    def _space(self, shape: tuple[int, ...]) -> fem.FunctionSpace:
-        cell = self.region.mesh.basix_cell()
-        return fem.functionspace(
-            self.region.mesh, basix.ufl.quadrature_element(cell, value_shape=shape, degree=self.degree)
-        )
+        self.switching = Switching(points.law, self.columns) if points.law.switches else None
+        self._at_rest = self._tangent_at_rest() if points.law.flat else None
 
     def _strain_matrix(self, V: fem.FunctionSpace) -> None:
         """B: displacements -> strains at the points (m rows each); assembled once, as strains are linear."""
         W = self._space((len(self.slots),))
-        self.count = W.dofmap.index_map.size_local
-        mesh = self.region.mesh
-        self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
         du, q = ufl.TrialFunction(V), self.region.side(ufl.TestFunction(W))
         e = self.points.strain(du)
         rows = [e[i, j] * (1.0 if i == j else ROOT2) for i, j in (MANDEL[k] for k in self.slots)]
@@ -137,17 +77,6 @@ class LawPoints:
         self.B = dolfinx.fem.petsc.assemble_matrix(form)
         self.B.assemble()
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
-
-    def _geometry(self) -> None:
-        """Places, director and weights of the points."""
-        d = self.domain.joint.dim
-        q = self.region.side(ufl.TestFunction(self._space((5 + d,))))
-        n, x = lift(self.points.n), self.region.side(ufl.SpatialCoordinate(self.domain.mesh))
-        rows = ufl.as_vector([n[0], n[1], n[2], 1, self.points.weight, *(x[i] for i in range(d))])
-        form = fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
-        values = fem.assemble_vector(form).array.reshape(-1, 5 + d)[: self.count]
-        self._integrals, self.weights = values[:, 3].copy(), values[:, 4].copy()
-        self.n, self.x = (values[:, part] / values[:, 3:4] for part in (slice(0, 3), slice(5, None)))
 
     def _vector(self, values: Array) -> PETSc.Vec:
         """A vector over the rows of B."""
@@ -170,6 +99,36 @@ class LawPoints:
         """Let the law answer from now on with an ease, see `Law.eased`; 0: the law itself."""
         self.material.take(self.points.law.eased(ease) if ease else self.points.law)
 
+    def at_time(self, t: float) -> None:
+        """Let the law answer from now on with its parameters at a time. Collective.
+
+        Raises:
+            LawError: parameters out of range, on all ranks.
+        """
+        if not self.material.varies:
+            return
+        places, problem = self.joint_x, None
+        try:
+            self.material.take_at(places, t)
+        except LawError as error:
+            problem = str(error)
+        if problem := next(filter(None, self.domain.comm.allgather(problem)), None):
+            raise LawError(problem)
+
+    def _tangent_at_rest(self) -> Array:
+        """Tangents (points, m, m) before anything happened; collective where parameters vary."""
+        none = np.zeros((self.count, len(self.slots)))
+        self.at_time(0.0)
+        return self.respond(none, none, self.rest(), 0.0, 1.0).tangent
+
+    def _regular(self, tangent: Array, lack: float) -> Array:
+        """The tangents, with a small part of that at rest added where they have changed."""
+        if self._at_rest is None:
+            return tangent
+        part = min(max(lack, LEAST_STIFFNESS), MOST_STIFFNESS)
+        change, size = (np.abs(a).max(axis=(1, 2), initial=0.0) for a in (tangent - self._at_rest, self._at_rest))
+        return tangent + part * self._at_rest * (change > 1e-9 * size)[:, None, None]
+
     def rest(self) -> Array:
         """Internal values before anything happened."""
         return np.zeros((self.count, self.material.memory))
@@ -181,14 +140,19 @@ class LawPoints:
         weighted.destroy()
         return self._forces
 
-    def stiffness(self, tangent: npt.NDArray[Any]) -> PETSc.Mat:
-        """Matrix of int e(v) : tangent : e(du). Collective."""
+    def stiffness(self, tangent: Array, lack: float = 0.0) -> PETSc.Mat:
+        """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.
+
+        A tangent that may vanish (`Law.flat`) gets a small part of that at rest, the more the larger the residual over the
+        forces, `lack` (Levenberg and Marquardt): cells through the meshed layer that share a strain in any way they like
+        would leave the matrix singular. What is found is the law's own equilibrium.
+        """
         m, rows = len(self.slots), self.count * len(self.slots)
         first = self.B.getOwnershipRange()[0]
         indptr = np.arange(0, rows * m + 1, m, dtype=PETSc.IntType)
         blocks = np.arange(rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
         indices = (first + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
-        values = (tangent * self.weights[:, None, None]).ravel()
+        values = (self._regular(tangent, lack) * self.weights[:, None, None]).ravel()
         size = (self.B.getSizes()[0], self.B.getSizes()[0])
         D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.domain.comm)
         A = D.ptap(self.B)

@@ -16,11 +16,13 @@ from dolfinx import fem
 
 from forms.law import Law
 from forms.series import Stack
+from forms.temperature import Tabulated
 from thinlayer.equations import Equations
 from thinlayer.exchange import carry
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
-from thinlayer.pointwise.points import LawPoints, Region
+from thinlayer.pointwise.points import LawPoints
+from thinlayer.pointwise.quadrature import Region
 from thinlayer.state import Audit, Report, State, cell_values
 from thinlayer.table import Table, replaced
 from thinlayer.time.history import History
@@ -65,6 +67,8 @@ def described(law: Law) -> Any:
 def _numbers(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(k): _numbers(v) for k, v in value.items()}
+    if isinstance(value, Tabulated):
+        return _numbers(value.values)
     if callable(value):
         return "function"
     array = np.asarray(value)
@@ -78,10 +82,12 @@ class Pace:
     Attributes:
         step: longest that the next step may be; None if nothing limits it.
         largest: norm of the largest displacements so far.
+        weight: of displacements in the arc length of a path; 0 before its first step.
     """
 
     step: float | None
     largest: float = 0.0
+    weight: float = 0.0
 
 
 class Checkpoint:
@@ -90,10 +96,15 @@ class Checkpoint:
     Values are kept by the original number of the cell, or of the facet of S, that they belong to, in an order that the
     distribution has no part in. Files are replaced as a whole, states before the table that names them: a killed run
     leaves what it had. Collective, as all methods are.
+
+    Args:
+        folder: where the files are.
+        equations: of the model.
+        needed: number of states, the last ones, that a march resumes from.
     """
 
-    def __init__(self, folder: Path, equations: Equations) -> None:
-        self.folder, self.model, self.comm = folder, equations.model, equations.comm
+    def __init__(self, folder: Path, equations: Equations, needed: int = 1) -> None:
+        self.folder, self.model, self.comm, self.needed = folder, equations.model, equations.comm, needed
         self.path = folder / "march.json"
         mesh = self.model.domain.mesh
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
@@ -118,11 +129,16 @@ class Checkpoint:
         return list((self.folder / "states").glob("[0-9]" * 6 + ".npz"))
 
     # ---------------------------------------------------------------- writing
-    def write(self, mark: str, history: History, pace: Pace, first: int) -> None:
-        """Add the states of the rows from `first` on, and replace the table; states that the history does not keep go."""
+    def write(self, mark: str, history: History, pace: Pace, first: int, before: State | None = None) -> None:
+        """Add the states of the rows from `first` on, and replace the table; states that the history does not keep go.
+
+        But for the one `before` the last, if it is given.
+        """
+        last = len(history) - 1
+        states = history.states if before is None else {last - 1: before, **history.states}
         for row in range(first, len(history)):
-            if row in history.states:
-                self._write_state(row, history.states[row])
+            if row in states:
+                self._write_state(row, states[row])
         if self.comm.rank:
             return
         rows = [list(row.values()) for row in history.table.rows]
@@ -130,7 +146,7 @@ class Checkpoint:
         with replaced(self.path) as file:
             file.write(json.dumps(content).encode())
         for stale in self._files():
-            if int(stale.stem) not in history.states:
+            if int(stale.stem) not in states:
                 stale.unlink()
 
     def _write_state(self, row: int, state: State) -> None:
@@ -160,8 +176,9 @@ class Checkpoint:
             return None
         table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
         last = len(table) - 1
-        rows = self.comm.bcast(sorted({last, *(row for row in range(last) if self._file(row).exists())}))
-        states = {row: self._read_state(row, table) for row in (rows if keep == "all" else [last])}
+        needed = [row for row in range(last + 1 - self.needed, last + 1) if row >= 0]
+        rows = self.comm.bcast(sorted({*needed, *(row for row in range(last) if self._file(row).exists())}))
+        states = {row: self._read_state(row, table) for row in (rows if keep == "all" else needed)}
         return History(self.model, table, states), Pace(**content["pace"])
 
     def _content(self, mark: str) -> tuple[dict[str, Any] | None, str | None, bool]:
@@ -179,7 +196,8 @@ class Checkpoint:
         except (OSError, ValueError, LookupError, TypeError) as error:
             return None, f"{self.path} cannot be read ({error}); remove it to start anew", False
         if there != here:
-            other = [f"{k}: {there.get(k)} there, {here.get(k)} here" for k in here if here[k] != there.get(k)]
+            names = [k for k in {**here, **there} if here.get(k) != there.get(k)]
+            other = [f"{k}: {there.get(k)} there, {here.get(k)} here" for k in names]
             what = f"{self.path} is of another march ({'; '.join(other)}); give another folder, or remove it"
             return None, what, True
         return content, None, False

@@ -18,6 +18,21 @@ from thinlayer.table import Table
 SAME_TIME = 1e-9  # relative to the span of a march
 
 
+@dataclass(frozen=True)
+class Snap:
+    """A jump of a layer and its bodies to another equilibrium at the same loads.
+
+    Attributes:
+        t: when.
+        row: of the state after it; the row before it has the state just before.
+        lost: energy lost.
+    """
+
+    t: float
+    row: int
+    lost: float
+
+
 @dataclass
 class History:
     """The accepted steps of a march.
@@ -49,8 +64,16 @@ class History:
         """Times of all accepted states."""
         return self.table["t"]
 
+    @property
+    def snaps(self) -> list[Snap]:
+        """The snaps of a layer whose columns switch phase, in their order: rows after the first with dt = 0."""
+        if not self.table.rows:
+            return []
+        t, dt, lost = (self.table[name] for name in ("t", "dt", "dissipated"))
+        return [Snap(float(t[k]), int(k), float(lost[k])) for k in np.flatnonzero(dt == 0) if k > 0]
+
     def at(self, t: float) -> State:
-        """The state at a time; raises ModelError if no step ended there or its state was not kept."""
+        """The state at a time, the last of several; raises ModelError if no step ended there or its state was not kept."""
         if not isinstance(t, Real) or not math.isfinite(t):
             raise ModelError(f"t is {t!r}; it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))

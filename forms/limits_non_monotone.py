@@ -1,0 +1,172 @@
+"""Section 6.1 of the paper as closed formulas in numpy: the non-monotone interface law, relaxed and with pure phases.
+
+The layer has three phases z = -1, 0, 1 of one stiffness, with the energies e:C:e/2 - z alpha chi:e + c |z| per volume,
+Eq. (39); C = lim eps c and the moduli are per thickness, alpha is not: the limit needs alpha ~ eps^0, not the "power
+eta < 1" of Eq. (41). The models never use these formulas, tests and studies compare with them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+ROUNDING = 1e-12  # relative, of bounds that parameters may meet exactly
+
+
+def lamination(lmbda: float, mu: float, chi: Array) -> float:
+    """G = max over unit vectors k of (chi k).A(k)^-1 (chi k), A(k) = mu I + (lmbda + mu) k (x) k: 1/stiffness.
+
+    alpha^2 G is what phases 0 and 1 gain by mixing in sheets across the best k. With s = k.chi k the gain is
+    (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu). For given s, |chi k|^2 is largest between the extreme principal values
+    c_1 >= c_d of chi, where it is (c_1 + c_d) s - c_1 c_d; the maximum is then at s = (1 - nu)(c_1 + c_d), not outside
+    [c_d, c_1], nu = lmbda/(2 (lmbda + mu)). For chi = n (x) n and nu > 0 this is not k = n. Not in the paper.
+
+    Args:
+        lmbda, mu: Lame moduli, mu > 0 and lmbda > -2 mu/3.
+        chi: symmetric, not zero; (2, 2) in plane strain (k in the plane) or (3, 3).
+
+    Raises:
+        ValueError: a modulus or chi out of range.
+    """
+    _require_moduli(lmbda, mu)
+    c = np.linalg.eigvalsh(_orientation(chi))
+    sum_c, stiffness = c[0] + c[-1], lmbda + 2 * mu
+    s = min(max(stiffness / (2 * (lmbda + mu)) * sum_c, c[0]), c[-1])
+    return float((sum_c * s - c[0] * c[-1] - s**2) / mu + s**2 / stiffness)
+
+
+def non_monotone(
+    lmbda: float, mu: float, alpha: float, C: float, chi: Array, w: Array, n: Array, mixing: float = 1.0
+) -> tuple[Array, Array]:
+    """Traction (..., d) of jumps w (..., d) and signed phase fraction (...): t = K_L w - phase alpha chi n.
+
+    |phase| = 1/2 + (|x| - C)/g, not outside [0, 1], with the sign of x = alpha (chi n).w and g = mixing alpha^2 G
+    (`lamination`). mixing = 1 is the relaxed form of Eqs. (42)-(43), whose stress is that of the least energy; below
+    it the stress falls while the phases mix. Equation (43) prints alpha chi_12 [u_i] for alpha chi_ij [u_i] n_j and leaves
+    out phase -1.
+
+    Args:
+        lmbda, mu: Lame moduli, stress per thickness.
+        alpha: transformation stress, > 0.
+        C: energy per area of the transformed layer, >= g/2 (below, phases 1 and -1 would mix).
+        chi: symmetric (d, d) in the layer's axes: the second is n, the first in 2D (n_2, -n_1).
+        w, n: jump, and the unit normal (d,).
+        mixing: share of the gain, 0 < mixing <= 1.
+
+    Raises:
+        ValueError: a parameter out of range.
+    """
+    if not 0 < mixing <= 1:
+        raise ValueError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
+    g = mixing * alpha**2 * lamination(lmbda, mu, chi)
+    if not g / 2 * (1 - ROUNDING) <= C:
+        raise ValueError(f"C = {C:g}; allowed: >= {g / 2:g}, half the gain of mixing")
+    phase = fraction(non_monotone_drive(alpha, C, chi, w, n), C, g)
+    return _traction(lmbda, mu, alpha, chi, w, n, phase), phase
+
+
+def non_monotone_branch(
+    lmbda: float, mu: float, alpha: float, C: float, chi: Array, w: Array, n: Array, phase: int
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Traction (..., d) of a layer all in one phase z = -1, 0 or 1, and whether the phase holds at this jump.
+
+    t = K_L w - z alpha chi n, Eqs. (41)-(42), which print lmbda + mu for the normal stiffness lmbda + 2 mu and [u_1] for
+    [u_2]. With x = alpha (chi n).w, phase 0 holds for |x| <= C, phases z = -1, 1 for z x >= C.
+    """
+    require_pure(phase)
+    x = non_monotone_drive(alpha, C, chi, w, n)
+    holds = phase * x >= C if phase else np.abs(x) <= C
+    return _traction(lmbda, mu, alpha, chi, w, n, np.full(x.shape, float(phase))), np.asarray(holds)
+
+
+def non_monotone_energy(
+    lmbda: float,
+    mu: float,
+    alpha: float,
+    C: float,
+    chi: Array,
+    w: Array,
+    n: Array,
+    phase: Array | float,
+    mixing: float = 1.0,
+) -> Array:
+    """Energy per area (...) at a signed phase fraction: w.K_L w/2 - phase x + C |phase| - |phase| (1 - |phase|) g/2.
+
+    x, g as in `non_monotone`. Pure phases have the energy of Eq. (44), whatever the mixing, 0 <= mixing <= 1.
+    """
+    mixed_share(mixing)
+    g = mixing * alpha**2 * lamination(lmbda, mu, chi)
+    x = non_monotone_drive(alpha, C, chi, w, n)
+    elastic = np.sum(np.asarray(w, float) * _traction(lmbda, mu, alpha, chi, w, n, 0 * x), axis=-1) / 2
+    return np.asarray(elastic + phase_energy(x, C, g, np.asarray(phase, float)))
+
+
+def non_monotone_drive(alpha: float, C: float, chi: Array, w: Array, n: Array) -> Array:
+    """alpha chi_ij w_i n_j (...), energy per area: what phase 1 gains over phase 0, before its cost C."""
+    chi, w, n = _orientation(chi), np.asarray(w, float), np.asarray(n, float)
+    if n.shape != chi.shape[:1] or w.shape[-1:] != n.shape or not abs(n @ n - 1) < 1e-9:
+        raise ValueError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
+    if not (0 < alpha < math.inf and 0 < C < math.inf):
+        raise ValueError(f"alpha = {alpha:g}, C = {C:g}; allowed: > 0")
+    return np.asarray(alpha * w @ _transformation(chi, n))
+
+
+def _traction(lmbda: float, mu: float, alpha: float, chi: Array, w: Array, n: Array, phase: Array) -> Array:
+    _require_moduli(lmbda, mu)
+    w, n = np.asarray(w, float), np.asarray(n, float)
+    elastic = mu * w + (lmbda + mu) * (w @ n)[..., None] * n
+    return np.asarray(elastic - alpha * phase[..., None] * _transformation(np.asarray(chi, float), n))
+
+
+def _transformation(chi: Array, n: Array) -> Array:
+    """Chi n in global axes, chi in the layer's."""
+    if len(n) == 2:
+        return np.array([[n[1], n[0]], [-n[0], n[1]]]) @ chi[:, 1]
+    if n[1] < -1 + 1e-12:  # no smallest rotation: a half turn about the third axis
+        return np.array([-1, -1, 1]) * chi[:, 1]
+    axis = np.array([0.0, 1.0, 0.0])
+    middle = (axis + n) / np.linalg.norm(axis + n)
+    about_axis = 2 * axis * chi[1, 1] - chi[:, 1]  # the smallest rotation from e_2 to n is two half turns
+    return np.asarray(2 * middle * (middle @ about_axis) - about_axis)
+
+
+def _require_moduli(lmbda: float, mu: float) -> None:
+    if not (0 < mu < math.inf and -2 / 3 * mu < lmbda < math.inf):
+        raise ValueError(f"lmbda = {lmbda:g}, mu = {mu:g}; allowed: mu > 0, lmbda > -2 mu/3")
+
+
+def _orientation(chi: Array) -> Array:
+    chi = np.asarray(chi, float)
+    if chi.shape not in ((2, 2), (3, 3)) or not np.isfinite(chi).all() or not chi.any():
+        raise ValueError(f"chi is {chi.tolist()}; allowed: (2, 2) or (3, 3), finite, not zero")
+    if not np.allclose(chi, chi.T, rtol=1e-10, atol=0):
+        raise ValueError(f"chi is {chi.tolist()}; allowed: symmetric")
+    return chi
+
+
+def require_pure(phase: int) -> None:
+    """Raise ValueError unless a phase is one of the three."""
+    if phase not in (-1, 0, 1):
+        raise ValueError(f"phase is {phase!r}; allowed: -1, 0, 1")
+
+
+def fraction(x: Array, C: float, g: float) -> Array:
+    """Signed phase fraction of least energy; without gain, g = 0, phases do not mix."""
+    excess = np.abs(x) - C
+    return np.asarray(np.sign(x) * (np.clip(0.5 + excess / g, 0, 1) if g else excess > 0))
+
+
+def phase_energy(x: Array, C: float, g: float, phase: Array) -> Array:
+    """What a signed phase fraction adds to the elastic energy at a drive x."""
+    share = np.abs(phase)
+    return np.asarray(C * share - x * phase - share * (1 - share) * g / 2)
+
+
+def mixed_share(mixing: float) -> float:
+    """The share itself; raises ValueError unless it is in [0, 1]."""
+    if not 0 <= mixing <= 1:
+        raise ValueError(f"mixing = {mixing:g}; allowed: 0 <= mixing <= 1")
+    return mixing

@@ -1,0 +1,294 @@
+"""Non-monotone layers: an elastic material with three phases, mixed or pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from numbers import Real
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from forms.elastic import lame, require_moduli
+from forms.kinematics import Expr, layer_frame, lift
+from forms.law import Law, LawError, Step, require
+from forms.temperature import Field, OfTemperature, evaluated, temperatures
+from forms.viscous import isotropic_energy
+
+Array = npt.NDArray[np.float64]
+TIE = 1e-11  # relative to C: phases whose energies differ by less are the same to rounding
+
+
+def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
+    """G = max over unit vectors k of (chi k).A(k)^-1 (chi k), A(k) = mu I + (lmbda + mu) k (x) k; 1/stress.
+
+    alpha^2 G/2 theta (1 - theta) is what laminates of two phases that differ by the stress alpha chi spare, in the best
+    direction k, against a uniform strain. With s = k.chi k and k in the plane of the extreme principal values c of chi,
+    (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu) is largest at s = (1 - nu)(c_min + c_max), or at the nearer of the two.
+
+    Args:
+        lmbda, mu: moduli.
+        chi: (d, d) symmetric; k is in the plane for d = 2.
+    """
+    c = np.linalg.eigvalsh(chi)
+    low, high = float(c[0]), float(c[-1])
+    s = min(max((lmbda + 2 * mu) / (2 * (lmbda + mu)) * (low + high), low), high)
+    size2 = (low + high) * s - low * high  # |chi k|^2
+    return (size2 - s * s) / mu + s * s / (lmbda + 2 * mu)
+
+
+@dataclass(frozen=True, eq=False)
+class Phases(Law):
+    """Base of the non-monotone laws: phases z = -1, 0, 1 of equal moduli, and what tells one from the other.
+
+    A phase has the energy e:C:e/2 - z alpha chi:e + C |z| per volume, stress C:e - z alpha chi; Eq. (39).
+
+    Attributes:
+        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        alpha: transformation stress, also in a layer (it does not scale with eps), > 0; or a function of T, in numpy.
+        C: energy of transformation, energy per volume (in a layer: per area, C = real value * eps: the real one is C/eps;
+            section 6.1 prints one power of eps for alpha and C), > 0; or a function of T.
+        chi: orientation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D: its second axis is n
+            (`forms.kinematics.layer_frame`). chi_22 acts across S, chi_12 along it.
+        T: temperature, where alpha or C depend on it: a number, or a numpy function (x, t) of places (d, n), in the joint
+            before inflating, and the time.
+
+    Raises:
+        LawError: a parameter out of range, a function without a temperature.
+    """
+
+    lmbda: float
+    mu: float
+    alpha: float | OfTemperature
+    C: float | OfTemperature
+    chi: npt.NDArray[np.float64]
+    T: float | Field | None = None
+    powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1, "C": -1}
+    functions: ClassVar = ("alpha", "C", "T")
+    phases: ClassVar = True
+    __eq__ = object.__eq__  # `Law.__eq__` knows no parameters, and arrays have no equality: a law equals itself alone
+    __hash__ = object.__hash__
+
+    def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
+        if name != "chi":  # which may have rows of several lengths: `_check_material`
+            super()._check_number(name, value, may_be_none, scalar)
+
+    def check(self) -> None:
+        self._check_material()
+        self._check_temperature()
+
+    def _check_material(self) -> None:
+        require_moduli(self, self.lmbda, self.mu)
+        shapes = "(2, 2) in plane strain, (3, 3) in 3D"
+        try:
+            chi = np.array(self.chi)
+        except ValueError:  # rows of several lengths
+            chi = np.empty(0, object)
+        require(chi.dtype.kind in "iuf", self, "chi", repr(self.chi), f"numbers, {shapes}")
+        chi = chi.astype(float)
+        require(chi.shape in ((2, 2), (3, 3)), self, "shape of chi", chi.shape, shapes)
+        require(bool(np.isfinite(chi).all()), self, "chi", "not finite", "finite numbers")
+        rounding = 1e-12 * float(np.abs(chi).max())
+        require(bool((np.abs(chi - chi.T) <= rounding).all()), self, "chi", chi.tolist(), "a symmetric tensor")
+        require(bool(chi.any()), self, "chi", "zero", "a tensor that is not zero")
+        object.__setattr__(self, "chi", (chi + chi.T) / 2)
+
+    def _check_temperature(self) -> None:
+        for name in ("alpha", "C"):
+            if callable(getattr(self, name)) and self.T is None:
+                raise LawError(
+                    f"{type(self).__name__}: {name} is a function of T; give T, a number or a function (x, t)"
+                )
+        if not (self.T is None or callable(self.T)):
+            require(isinstance(self.T, Real) and math.isfinite(self.T), self, "T", repr(self.T), "a number, a function")
+        if not self.varies:
+            numbers = self.parameters()
+            self._check_phases(numbers["alpha"], numbers["C"], "")
+
+    def check_dimension(self, d: int) -> None:
+        require(len(self.chi) == d, self, "shape of chi", self.chi.shape, f"({d}, {d}) in a model of dimension {d}")
+
+    def _check_phases(self, alpha: Any, C: Any, where: str) -> None:
+        """Raise LawError unless these values, (n,) or numbers, are in range."""
+        for name, values in {"alpha": alpha, "C": C}.items():
+            values = np.asarray(values, float)
+            least = float(np.min(values, initial=math.inf))
+            require(least > 0 and bool(np.isfinite(values).all()), self, name + where, f"{least:g}", "> 0")
+
+    @property
+    def varies(self) -> bool:
+        return callable(self.T)
+
+    def parameters(self) -> dict[str, Any]:
+        values = super().parameters()
+        if self.varies:
+            return values | dict.fromkeys(("alpha", "C", "T"), math.nan)
+        if self.T is None:
+            return values | {"T": 0.0}
+        if not isinstance(self.T, Real):
+            return values
+        functions, T = [name for name in ("alpha", "C") if callable(values[name])], np.array([self.T], float)
+        return values | {name: float(evaluated(self, name, values[name], T)[0]) for name in functions}
+
+    def at(self, x: Array, t: float) -> dict[str, Array]:
+        if not self.varies:
+            return {}
+        T = temperatures(self, self.T, x, t)  # type: ignore[arg-type]
+        values = {name: evaluated(self, name, getattr(self, name), T) for name in ("alpha", "C")}
+        self._check_phases(values["alpha"], values["C"], f" at t = {t:g} somewhere in the layer")
+        return values | {"T": T}
+
+    def mapped(self, change: Callable[[Any, float], Any]) -> Phases:
+        law = super().mapped(change)
+        if not self.varies:
+            return law.with_parameters({"T": None})
+        return law.with_parameters(
+            {name: self._mapped_function(name, change) for name in ("alpha", "C")} | {"T": self.T}
+        )
+
+    def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | OfTemperature:
+        given, power = getattr(self, name), self.powers.get(name, 0)
+        return (lambda T: change(np.asarray(given(T), float), power)) if callable(given) else change(given, power)
+
+    # ---------------------------------------------------------------- of a step, UFL
+    def _drive(self, e: Expr, n: Expr) -> Expr:
+        """alpha chi:e, what drives phase 1, energy per volume."""
+        return ufl.inner(self._transformation_stress(n), e)
+
+    def _transformation_stress(self, n: Expr) -> Expr:
+        """alpha chi in the axes of the joint, (3, 3)."""
+        turn = layer_frame(n)
+        return self.alpha * turn * lift(ufl.as_tensor(self.chi)) * turn.T
+
+    def remainder(self, step: Step) -> Expr:
+        """What a step adds to its energy balance; with the energy that a change of temperature or phase sets free."""
+        new = self.advance(step)
+        return ufl.inner(self.stress(step), step.e - step.e_old) - (new["stored"] - step.q["stored"])
+
+
+@dataclass(frozen=True, eq=False)
+class NonMonotone(Phases):
+    """The relaxed non-monotone law: phases mix in fine laminates, and the energy is least.
+
+    With the phase fraction theta = clip(1/2 + (|m| - C)/g, 0, 1), m = alpha chi:e, of phase sign(m),
+
+        stress = lmbda tr(e) I + 2 mu e - sign(m) theta alpha chi,   g = alpha^2 G
+
+    where G (`lamination_gain`) belongs to the best direction of laminates, which is n for chi = sym(a (x) n) with a
+    tangent to S, and for chi = n (x) n if lmbda = 0, but not if lmbda > 0. As a layer's law, E = sym([u] (x) n):
+    t = K_L [u] - sign theta alpha chi n, m = alpha chi:E; it replaces Eqs. (41)-(43), which print lmbda + mu for
+    lmbda + 2 mu, [u_1] for [u_2], and one branch. The stress is continuous. For mixing = 1 t is monotone in [u], no snap:
+    the energy is convex along every sym(a (x) k), which is less than along all strains (chi = I, say).
+
+    Where the phases mix the tangent may vanish along some strains (chi = n (x) n, lmbda = 0): the bodies hold.
+
+    Attributes:
+        mixing: part of the gain that mixtures have, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls as the
+            phases change, the more steeply the smaller it is: on S only, see `thinlayer.ArcLength`.
+        G: the gain, 1/stress, computed.
+
+    Raises:
+        LawError: as `Phases`; C < g/2, where phases 1 and -1 would mix.
+    """
+
+    mixing: float = 1.0
+    G: float = field(init=False, repr=False, default=0.0)
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "C": -1, "G": -1}
+    internal: ClassVar = {"phase": (), "stored": ()}
+    flat: ClassVar = True
+
+    def check(self) -> None:
+        require(0 < self.mixing <= 1, self, "mixing", self.mixing, "0 < mixing <= 1")
+        self._check_material()
+        object.__setattr__(self, "G", lamination_gain(self.lmbda, self.mu, self.chi))
+        self._check_temperature()
+
+    def _check_phases(self, alpha: Any, C: Any, where: str) -> None:
+        super()._check_phases(alpha, C, where)
+        values, least = map(np.ravel, np.broadcast_arrays(C, self.mixing * self.G * np.square(alpha) / 2))
+        for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
+            allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
+            require(False, self, f"C{where}", f"{values[k]:g}", allowed)
+
+    @property
+    def softens(self) -> bool:
+        return bool(self.mixing < 1)
+
+    @property
+    def plateau(self) -> bool:
+        across, normal = np.asarray(self.chi)[:, 1], np.asarray(self.chi)[1, 1]
+        gain = (across @ across - normal**2) / self.mu + normal**2 / (self.lmbda + 2 * self.mu)
+        return bool(gain > self.mixing * self.G * (1 - 1e-9))
+
+    @property
+    def _gain(self) -> Expr:
+        """g, energy per volume."""
+        return self.mixing * self.G * self.alpha * self.alpha  # type: ignore[operator]
+
+    def _fraction(self, m: Expr) -> Expr:
+        """Fraction of the phase that the drive m favours."""
+        return ufl.min_value(ufl.max_value((abs(m) - self.C) / self._gain + 0.5, 0.0), 1.0)
+
+    def _phase(self, m: Expr) -> Expr:
+        return ufl.conditional(ufl.lt(m, 0), -1.0, 1.0) * self._fraction(m)
+
+    def stress(self, step: Step) -> Expr:
+        phase = self._phase(self._drive(step.mid, step.n))
+        return lame(self.lmbda, self.mu, step.mid) - phase * self._transformation_stress(step.n)
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        m = self._drive(step.e, step.n)
+        return {"phase": self._phase(m), "stored": self.energy(step)}
+
+    def energy(self, step: Step) -> Expr:
+        m = self._drive(step.e, step.n)
+        theta, g = self._fraction(m), self._gain
+        mixed = theta * (abs(m) - self.C) + theta * (1 - theta) * g / 2
+        return isotropic_energy(self.lmbda, self.mu, step.e) - mixed
+
+
+@dataclass(frozen=True, eq=False)
+class NonMonotoneUnrelaxed(Phases):
+    """The non-monotone law with pure phases: stress = lmbda tr(e) I + 2 mu e - z alpha chi, z = -1, 0 or 1.
+
+    The phase is an internal variable, one for each facet of S, or for the column of cells that stands on it in the meshed
+    layer: elements through the thickness that switch one by one would unload each other, which is another structure. It is
+    held while the energy of another phase is not lower, Eq. (39): z = 0 for |m| <= C, z = 1 for m >= C, z = -1 for
+    m <= -C, with the mean m over the column of alpha chi:e. As a layer's law t = K_L [u] - z alpha chi n.
+
+    Equilibria are local minima of the energy. The one that is selected: from the last one on, columns whose phase has an
+    energy that is not the lowest change it, all at once, bodies and layer find their equilibrium with the phases held, and
+    so on until no phase changes (alternate minimisation: the energy falls each time). `march` stops where the first column
+    switches, so that the result does not depend on its steps.
+    """
+
+    linear: ClassVar = True
+    internal: ClassVar = {"phase": (), "stored": (), "drive": (), "bound": ()}
+    switches: ClassVar = True
+
+    @property
+    def in_series(self) -> bool:
+        return False
+
+    def stress(self, step: Step) -> Expr:
+        return lame(self.lmbda, self.mu, step.mid) - step.q["phase"] * self._transformation_stress(step.n)
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        drive = self._drive(step.e, step.n)
+        return {"phase": step.q["phase"], "stored": self.energy(step), "drive": drive, "bound": ufl.as_ufl(self.C)}
+
+    def energy(self, step: Step) -> Expr:
+        z = step.q["phase"]
+        return isotropic_energy(self.lmbda, self.mu, step.e) - z * self._drive(step.e, step.n) + abs(z) * self.C
+
+    def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
+        """By how much the energy of another phase is lower, over C; (n,), <= 0 where none is."""
+        return np.where(phase == 0, abs(drive) / bound - 1, 1 - phase * drive / bound)
+
+    def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
+        """The phases (n,) after columns with an excess have changed theirs to the one of lowest energy."""
+        lowest = np.where(drive > bound, 1.0, np.where(drive < -bound, -1.0, 0.0))
+        return np.where(self.excess(phase, drive, bound) > TIE, lowest, phase)

@@ -1,0 +1,89 @@
+"""Parameters that depend on a temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.law import LawError
+
+OfTemperature = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
+Field = Callable[[Any, float], Any]  # places (d, n), time -> (n,) temperatures, numpy
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """A parameter known at some temperatures, linear in between: a function T -> value for numbers or arrays.
+
+    Attributes:
+        values: (T, value) pairs, two or more, with T increasing.
+
+    Raises:
+        LawError: pairs out of order or not finite; when called, a temperature outside the table.
+    """
+
+    values: tuple[tuple[float, float], ...]
+
+    def __init__(self, values: Iterable[tuple[float, float]]) -> None:
+        try:
+            rows = np.array([(float(T), float(value)) for T, value in values])
+        except (TypeError, ValueError) as error:
+            raise LawError(f"Tabulated needs pairs (T, value), not {values!r}: {error}") from error
+        if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
+            raise LawError(f"Tabulated needs two or more finite pairs (T, value) with T increasing, not {values!r}")
+        object.__setattr__(self, "values", tuple(map(tuple, rows.tolist())))
+
+    def __call__(self, T: Any) -> npt.NDArray[np.float64]:
+        """Values (n,) at temperatures (n,)."""
+        T, rows = np.asarray(T, float), np.array(self.values)
+        outside = np.logical_not((rows[0, 0] <= T) & (rows[-1, 0] >= T))
+        if outside.any():
+            first = float(np.atleast_1d(T)[np.atleast_1d(outside)][0])
+            raise LawError(f"T is {first:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
+        return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
+
+
+def evaluated(law: object, name: str, given: float | OfTemperature, T: npt.NDArray[np.float64]) -> Any:
+    """A law's parameter (a number or a function of the temperature) at temperatures T (n,), (n,).
+
+    Raises:
+        LawError: a function that fails, or gives something else than n finite numbers.
+    """
+    if not callable(given):
+        return np.full(len(T), float(given))
+    try:
+        values = np.broadcast_to(np.asarray(given(T), float), T.shape)
+    except LawError as error:
+        raise LawError(f"{type(law).__name__}: {name}(T): {error}") from None
+    except Exception as error:
+        raise LawError(
+            f"{type(law).__name__}: {name}(T) fails for T of shape {T.shape}: {type(error).__name__}: {error}; "
+            "it must be a numpy function of temperatures, or Tabulated([(T, value), ...])"
+        ) from error
+    if not np.isfinite(values).all():
+        raise LawError(f"{type(law).__name__}: {name}(T) is not finite at T = {T[~np.isfinite(values)][0]:g}")
+    return values
+
+
+def temperatures(law: object, T: Field, x: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
+    """A temperature field at places x (d, n) and a time, (n,).
+
+    Raises:
+        LawError: a field that fails, or gives something else than n finite numbers.
+    """
+    try:
+        values = np.array(np.broadcast_to(np.asarray(T(x, t), float), (x.shape[1],)))
+    except Exception as error:
+        raise LawError(
+            f"{type(law).__name__}: T(x, t) fails for x of shape {x.shape}: {type(error).__name__}: {error}; "
+            "it must be a numpy function of places (d, n) and a time that gives n temperatures"
+        ) from error
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        where = ", ".join(f"{c:g}" for c in x[:, bad[0]])
+        raise LawError(f"{type(law).__name__}: T is {values[bad[0]]} at x = ({where}), t = {t:g}")
+    return values

@@ -1,0 +1,206 @@
+"""Figure 4: the bar of section 6.2 on a layer of two phases; its least energy, its snaps, and its limit as eps -> 0.
+
+The bar is a strip on a rigid base: nu = 0, sides on rollers, chi = n (x) n; its end moves by delta. The relaxed law gives
+the least energy of all mixtures, Eqs. (45)-(47), corrected. Pure phases, one for each column of cells, have several
+equilibria at the same delta: they keep the last one until it no longer holds, and snap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, limits
+from forms.non_monotone import Phases
+from geometry import block
+from studies.fig4_drawing import draw_energies, draw_limit, draw_response
+from studies.measured import MeanJump, SupportForce
+from thinlayer import History, Model, Surface, Table, ThinLayer, march, piecewise
+from thinlayer.progress import track
+from thinlayer.record import Record
+from thinlayer.time.journal import Observe
+
+Array = npt.NDArray[np.float64]
+BAR = limits.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
+EPS = (BAR.eps, 0.05, 0.01, 0.0)  # of the length; 0: the interface law
+END = 2.0  # of delta, on the way up; then back
+NAMES = ("delta_0", "delta_1", "up", "down", "loop_area")
+DIGITS = {BAR.eps: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1.775, 1.875, 1.275, 0.288)}
+AT = 1.6
+DIGITS_AT = {"U": 0.8575, "boundary": 0.23125 * BAR.eps * BAR.l, "energy": 1.5736875}
+BRANCHES = ((0.0, 1.25), (1.38, 1.65), (1.78, END))  # ranges of delta inside the straight parts, for all eps
+COUNTS = (1, 2, 8, 64)  # elements through the layer
+OTHER_STEPS = (3, 17)
+EXACT = 1e-9  # relative
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Move the end of the bar up and down, with the layer meshed and with its interface law, against closed forms.
+
+    Args:
+        record: where to write.
+        quick: coarser mesh, longer steps.
+    """
+    cells, steps = (2, 10) if quick else (4, 20)
+    record.parameters = {"bar": str(BAR), "cells": cells, "steps": steps}
+    table, loops, limit = Table(), Table(), Table()
+    for eps in track(EPS, "fig4_bar", "eps = {:g}"):
+        strip = Strip(record, eps, cells)
+        relaxed, unrelaxed = strip.march(NonMonotone, steps), strip.march(NonMonotoneUnrelaxed, steps)
+        for row in strip.least(relaxed).rows:
+            table.append(row)
+        for row in strip.rows(unrelaxed).rows:
+            loops.append(row)
+        limit.append(strip.thresholds(relaxed, unrelaxed))
+        if eps in (BAR.eps, 0.0):
+            strip.check_steps(unrelaxed)
+            check_energies(record, strip, relaxed, unrelaxed)
+    record.write("table.csv", table)
+    record.write("table_loop.csv", loops)
+    record.write("table_limit.csv", limit)
+    record.say(limit)
+    check_digits(record, table, limit)
+    draw(record)
+
+
+class Strip:
+    """The bar as a strip, 1 wide.
+
+    Args:
+        record: of the study.
+        eps: thickness of the meshed layer over the length; 0: the interface law.
+        cells: along each side.
+    """
+
+    def __init__(self, record: Record, eps: float, cells: int) -> None:
+        self.record, self.bar = record, replace(BAR, eps=eps)
+        self.joint = block(1.0, BAR.l, BAR.l / cells, cell="quadrilateral", structured=True)
+        self._elongation = MeanJump(Surface(self._model(replace(BAR, eps=0.0), NonMonotone)))
+
+    def _model(self, bar: limits.Bar, law: type[Phases]) -> Model:
+        material = law(0.0, bar.kbar / bar.l / 2, bar.alpha, bar.l * bar.cbar, np.diag([0.0, 1.0]))
+        moves = piecewise({0: 0, END: END, 2 * END: 0})
+        supports = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}
+        kind = Model.full if bar.eps else Model.interface
+        layer = ThinLayer(material, (bar.eps or BAR.eps) * bar.l)  # the interface law does not depend on eps
+        body, bodies = LinearElastic(0.0, bar.K / 2), "extended"
+        return kind(self.joint, layer=layer, body=body, supports=supports, bodies=bodies, sublayers=3, element="Q1")
+
+    def march(self, law: type[Phases], steps: int) -> History:
+        """Up to END in equal steps, and back; U is measured on S, sigma at the end that moves."""
+        model, times = self._model(self.bar, law), [END * k / steps for k in range(1, 2 * steps + 1)]
+        measured: Observe = {"U": self._elongation, "sigma": SupportForce(model, "TOP", "y")}
+        history = march(model, times, observe=measured, keep="last")
+        self.record.solved(history.last)
+        return history
+
+    def rows(self, history: History) -> Table:
+        """delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, of all states."""
+        lost = {snap.row: snap.lost for snap in history.snaps}
+        rows = Table()
+        for k, row in enumerate(history.table.rows):
+            delta = {"eps": self.bar.eps, "delta": float(moved(np.array(row["t"])))}
+            found = {name: row[name] for name in ("U", "sigma", "energy")}
+            rows.append(delta | found | {"phase": row["plus"], "lost": lost.get(k)})
+        return rows
+
+    def least(self, history: History) -> Table:
+        """The same of the relaxed law on the way up, with the boundary and closed forms; checks both ways against them."""
+        rows = self.rows(history)
+        delta, bar = rows["delta"], self.bar
+        exact = {name: getattr(bar, name)(delta) for name in ("U", "sigma", "energy", "phase", "boundary")}
+        found = {name: rows[name] for name in list(exact)[:4]} | {"boundary": bar.eps * bar.l * (1 - rows["phase"])}
+        if bar.eps:
+            found["boundary"] = history.table["boundary"]
+        errors = [np.abs(found[name] - values).max() / (values.max() or 1) for name, values in exact.items()]
+        self.record.check(f"{self}: relative error of {', '.join(exact)}, relaxed law", max(errors), high=EXACT)
+        table = Table()
+        for k in range(len(rows) // 2 + 1):
+            pairs = {name: values[k] for name, values in found.items()}
+            pairs |= {f"{name}_exact": values[k] for name, values in exact.items()}
+            table.append({"eps": bar.eps, "delta": delta[k]} | pairs)
+        return table
+
+    def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
+        """Where computed branches meet, where the layer snaps, and the energy lost in a cycle; checks them."""
+        delta, sigma = moved(relaxed.t), relaxed.table["sigma"]
+        first, mixed, last = (straight(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
+        up, down = moved(np.array([snap.t for snap in unrelaxed.snaps]))
+        lost = [snap.lost for snap in unrelaxed.snaps]
+        found = dict(zip(NAMES, (meet(first, mixed), meet(mixed, last), up, down, sum(lost)), strict=True))
+        error = max(abs(value / getattr(self.bar, name) - 1) for name, value in found.items())
+        self.record.check(f"{self}: relative error of {', '.join(found)}", error, high=EXACT)
+        area = float(np.trapezoid(unrelaxed.table["sigma"], moved(unrelaxed.t)))
+        self.record.check(f"{self}: area of the loop, force over delta", area, **near(self.bar.loop_area))
+        self.record.check(f"{self}: energy lost in the first snap over half of it", 2 * lost[0] / area, **near(1.0))
+        return {"eps": self.bar.eps} | found
+
+    def check_steps(self, history: History) -> None:
+        """Other steps, the same snaps."""
+        for steps in OTHER_STEPS:
+            other = self.march(NonMonotoneUnrelaxed, steps)
+            pairs = [(a.t - b.t, a.lost - b.lost) for a, b in zip(history.snaps, other.snaps, strict=True)]
+            self.record.check(f"{self}: difference of snaps, {steps} steps", np.abs(pairs).max(), high=EXACT)
+
+    def __str__(self) -> str:
+        return f"eps = {self.bar.eps:g}" if self.bar.eps else "interface law"
+
+
+def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: History) -> None:
+    """The least energy of n elements through the layer, each in one phase, lies between the computed ones."""
+    bar, delta, energy = strip.bar, moved(unrelaxed.t), unrelaxed.table["energy"]
+    excess = energy - bar.layouts(delta, 1).least().energy
+    record.check(f"{strip}: energy of a local minimum less the least one, smallest", excess.min(), low=-EXACT)
+    record.check(f"{strip}: the same, largest: half of the loop", excess.max(), **near(bar.loop_area / 2))
+    least = [bar.layouts(moved(relaxed.t), n).least().energy for n in COUNTS]
+    record.check(f"{strip}: the least one less the relaxed one", np.min(least - relaxed.table["energy"]), low=-EXACT)
+    growth = np.diff(least, axis=0).max()
+    record.check(f"{strip}: largest growth of the least one with more elements", growth, high=EXACT)
+
+
+def check_digits(record: Record, table: Table, limit: Table) -> None:
+    """The numbers of the bar and of its limit; thresholds are linear in eps. U as printed is another one."""
+    for eps, digits in DIGITS.items():
+        row = limit.rows[EPS.index(eps)]
+        for name, value in zip(NAMES, digits, strict=True):
+            record.check(f"{name} of the bar, eps = {eps:g}", float(row[name] or 0), **near(value))
+    at = np.flatnonzero((table["eps"] == BAR.eps) & np.isclose(table["delta"], AT))[0]
+    for name, value in DIGITS_AT.items():
+        record.check(f"{name} at delta = {AT:g}", table[name][at], **near(value))
+    first = (table["eps"] == BAR.eps) & (table["delta"] > 0) & (table["delta"] < BAR.delta_0)
+    printed = BAR.K * table["delta"] * BAR.R / (1 - BAR.eps)  # before Eq. (47)
+    record.check("U before delta_0: printed over computed", (printed[first] / table["U"][first]).min(), low=4.0)
+    for name in NAMES[:4]:
+        slopes = (limit[name][:-1] - limit[name][-1]) / limit["eps"][:-1]
+        record.check(f"{name}: slope in eps, largest over smallest", slopes.max() / slopes.min(), **near(1.0))
+
+
+def moved(t: Array) -> Array:
+    """Delta at times."""
+    return END - np.abs(t - END)
+
+
+def straight(x: Array, y: Array, inside: npt.NDArray[np.bool_]) -> Array:
+    """Slope and value at 0 of the line through some of the points."""
+    return np.polyfit(x[inside], y[inside], 1)
+
+
+def meet(a: Array, b: Array) -> float:
+    """Where two lines (slope, value at 0) meet."""
+    return float((b[1] - a[1]) / (a[0] - b[0]))
+
+
+def near(value: float) -> dict[str, float]:
+    """A range around a value > 0, relative."""
+    return {"low": value * (1 - EXACT), "high": value * (1 + EXACT)}
+
+
+def draw(record: Record) -> None:
+    """Draw the tables."""
+    if not record.root:
+        return
+    draw_energies(record, BAR)
+    draw_response(record, BAR)
+    draw_limit(record, BAR)

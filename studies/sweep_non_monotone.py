@@ -1,0 +1,199 @@
+"""Non-monotone layers, mixed and in pure phases: error O(eps) of the interface laws, and floors that wrong ones leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import ufl
+
+from forms import NonMonotone, NonMonotoneUnrelaxed, TractionLaw
+from forms.kinematics import Expr
+from forms.traction import JumpStep
+from geometry import Joint, sandwich
+from studies.problems import FOURIER_BODY
+from studies.sweeping import Solution, Sweep, draw_rates, last
+from thinlayer import History, PhaseReport, Table, ThinLayer, observed_orders, plotting
+from thinlayer.record import Record
+
+OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
+# law; amplitudes of shear and pull on the upper side
+CASES: dict[str, tuple[NonMonotone, float, float]] = {
+    "": (NonMonotone(60.0, 40.0, alpha=1.0, C=0.0031, chi=OBLIQUE), 4.0, 1.0),
+    "across": (NonMonotone(60.0, 40.0, alpha=0.7, C=0.003, chi=np.diag([0.0, 1.0])), 1.0, 1.2),
+    "along": (NonMonotone(60.0, 40.0, alpha=0.3, C=0.0004, chi=np.array([[0.0, 0.5], [0.5, 0.0]])), 4.0, 0.4),
+}
+PURE = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, C=0.0025, chi=OBLIQUE)
+MOVED, TIMES = (0.04, 0.03), (0.25, 0.5, 0.75, 1.0)
+COLUMNS = 16  # facets of S, each in one phase
+TITLES = {"": "oblique chi", "across": "n (x) n", "along": "sym(t (x) n)", "unrelaxed": "oblique chi, pure phases"}
+MESHED, ON_S = "meshed layer", "interface law"
+CLOSE = 1e-9  # to a pure phase
+SHARE = 0.15  # of S, that each phase and the mixtures have at least
+
+
+@dataclass(frozen=True)
+class Formula(TractionLaw):
+    """Interface law of `NonMonotone` in 2D, mu w_T + K_N w_N n - phase alpha chi n, with coefficients of one's own.
+
+    Attributes:
+        mu, K_N: stiffness along and across S, stress per length.
+        alpha, C, G: as of `NonMonotone`, per thickness.
+        chi_12, chi_22: chi n in the layer's axes.
+        minus: 1, or 0 for Eq. (43) as printed, which has no phase -1.
+    """
+
+    mu: float
+    K_N: float
+    alpha: float
+    C: float
+    G: float
+    chi_12: float
+    chi_22: float
+    minus: float = 1.0
+
+    @classmethod
+    def of(cls, layer: NonMonotone, **changed: float) -> Formula:
+        """The interface law of a layer, with some coefficients changed."""
+        same = {name: layer.parameters()[name] for name in ("mu", "alpha", "C", "G")}
+        same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
+        return cls(**same | changed)
+
+    def traction(self, step: JumpStep) -> Expr:
+        """Traction, as of any `TractionLaw`."""
+        w, n = step.mid, step.n
+        w_N, tangent = ufl.dot(w, n), ufl.as_vector([n[1], -n[0], 0])
+        stress = self.alpha * (self.chi_12 * tangent + self.chi_22 * n)
+        m = ufl.dot(stress, w)
+        fraction = ufl.min_value(ufl.max_value((abs(m) - self.C) / (self.alpha**2 * self.G) + 0.5, 0), 1)
+        phase = fraction * ufl.conditional(ufl.lt(m, 0), -self.minus, 1)
+        return self.mu * (w - w_N * n) + self.K_N * w_N * n - phase * stress
+
+
+# wrong laws on S: the layer's case, the law (lmbda + mu, no phase -1, 1/(lmbda + 2 mu)), relative errors that stay
+WRONG: dict[str, tuple[str, Formula, dict[str, tuple[float, float]]]] = {
+    "printed": ("", Formula.of(CASES[""][0], K_N=100.0), {"traction": (0.13, 0.16), "jump": (0.22, 0.26)}),
+    "one_branch": ("", Formula.of(CASES[""][0], minus=0.0), {"traction": (0.12, 0.16), "jump": (0.29, 0.35)}),
+    "small_gain": ("across", Formula.of(CASES["across"][0], G=1 / 140), {"traction": (0.018, 0.026)}),
+}
+
+
+def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:
+    """Sweep the thickness; alpha, and the moduli and C per thickness, are held.
+
+    table.csv: relaxed law, chi with a normal and a tangential part; phases -1, 0, 1 and mixtures share S. table_across.csv:
+    chi = n (x) n. table_along.csv: chi = sym(t (x) n), whose mixtures have no stiffness along S. Wrong laws on S leave an
+    error: table_printed.csv (lambda + mu of Eqs. (41)-(42)), table_one_branch.csv (no phase -1, Eq. (43)),
+    table_small_gain.csv (n (x) n, laminates across n alone). table_unrelaxed.csv: pure phases, followed from rest as the
+    upper side is moved; columns of the meshed layer switch as facets of S do, at times that differ by O(eps).
+
+    Args:
+        record: where to write.
+        eps: thicknesses; the blocks are 0.5 high and 2 wide.
+        quick: coarser mesh, and fewer thicknesses with wrong laws.
+    """
+    h, thin = (1 / 8, sorted(eps)[:2]) if quick else (1 / 16, eps)
+    laws = {case: str(law) for case, (law, *_) in CASES.items()} | {"unrelaxed": str(PURE)}
+    record.parameters = {"h": h, "layers": laws, "on S": {name: str(law) for name, (_, law, _) in WRONG.items()}}
+    tables = {}
+    for case, (law, shear, pull) in CASES.items():
+        record.say(law)
+        more = partial(phases, record, case, max(eps))
+        sweep = Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law), case=case, more=more)
+        tables[case] = sweep.run(eps, (0.9, 1.1), pictured=None if case else max(eps), title="non-monotone layer")
+        for share in ("plus", "minus", "mixed"):
+            record.check(f"share of S, {share}, {TITLES[case]}", tables[case][share][-1], low=SHARE)
+    for name, (case, wrong, floors) in WRONG.items():
+        law, shear, pull = CASES[case]
+        record.say(f"meshed layer {law}, on S {wrong}")
+        instead = partial(ThinLayer, wrong)
+        sweep = Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law), case=name, instead=instead)
+        check_floors(record, name, sweep.run(thin, None, pictured=None), tables[case], floors)
+    unrelaxed(record, eps)
+    draw(record)
+
+
+def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> tuple[Joint, dict[str, Any]]:
+    """Two blocks, 2 wide and 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; joint, data of its models.
+
+    That is a traction, or, times t, a displacement. The lower side is clamped, the lateral sides are on rollers.
+    """
+    joint = sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True)
+
+    def top(x: Any, t: Any) -> tuple[Any, Any]:
+        share = t if moved else 1
+        return share * shear * ufl.sin(ufl.pi * x[0]), share * pull * ufl.cos(ufl.pi * x[0] / 2)
+
+    supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    moves = {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
+    data = {"supports": supports | (moves if moved else {}), "tractions": {} if moved else {"TOP": top}}
+    return joint, {"body": FOURIER_BODY, "sublayers": 2} | data
+
+
+def phases(record: Record, case: str, pictured: float, full: Solution, limit: Solution) -> dict[str, float]:
+    """Shares of S in phase 1, in -1, and where they are mixed; columns whose phase in the meshed layer is another one.
+
+    The phases along S are noted for one thickness.
+    """
+    state = last(limit)
+    (x, on_s), (_, meshed) = (PhaseReport(last(one)).profile() for one in (limit, full))
+    if state.model.layer and state.model.layer.eps == pictured:
+        rows = zip(x[:, 0], meshed, on_s, strict=True)
+        record.write(f"phases_{case}.csv", Table(dict(zip(("x", MESHED, ON_S), row, strict=True)) for row in rows))
+    mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
+    report, differ = PhaseReport(state), abs(meshed - on_s) > 0.5
+    return {"plus": report.plus, "minus": report.minus, "mixed": float(mixed.mean()), "differ": float(differ.sum())}
+
+
+def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: dict[str, tuple[float, float]]) -> None:
+    """Check the errors that a wrong law leaves, that they no longer fall, and that they are not the right law's."""
+    for field, (low, high) in floors.items():
+        errors = wrong[f"error_{field}"]
+        record.check(f"error of the {field} that {name} leaves", errors[-1], low=low, high=high)
+        record.check(f"error of the {field}, {name} over right law", errors[-1] / right[f"error_{field}"][-1], low=4.0)
+        if len(errors) > 1:
+            record.check(f"last observed order of the {field}, {name}", wrong[f"order_{field}"][-1], low=-0.2, high=0.2)
+
+
+def unrelaxed(record: Record, eps: Sequence[float]) -> None:
+    """Sweep the thickness for pure phases; phases, times of snaps and the energy lost in them."""
+    record.say(PURE)
+
+    def more(full: Solution, limit: Solution) -> dict[str, float]:
+        assert isinstance(full, History)
+        assert isinstance(limit, History)
+        return phases(record, "unrelaxed", max(eps), full, limit) | snaps(full, limit)
+
+    joint, setup = blocks(2 / COLUMNS, *MOVED, moved=True)
+    sweep = Sweep(record, joint, setup, partial(ThinLayer, PURE), times=TIMES, case="unrelaxed", more=more)
+    table = sweep.run(eps, (0.9, 1.1), pictured=max(eps), title="non-monotone layer, pure phases")
+    record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
+    record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)
+    for what, high in {"times": 1.3, "lost": 1.6}.items() if len(eps) > 1 else ():
+        order = observed_orders(table["eps"], table[f"error_{what}"])[-1]
+        record.check(f"last observed order, {what}, of snaps", order or np.nan, low=0.85, high=high)
+
+
+def snaps(full: History, limit: History) -> dict[str, float]:
+    """Snaps on S; largest difference of their times from the meshed layer's, and that of energies lost, both relative."""
+    meshed, on_s = (np.array([(snap.t, snap.lost) for snap in one.snaps]).reshape(-1, 2) for one in (full, limit))
+    if not len(meshed) == len(on_s) > 0:
+        return {"snaps": len(on_s), "error_times": np.nan, "error_lost": np.nan}
+    times, lost = abs(meshed - on_s)[:, 0].max() / on_s[-1, 0], meshed[:, 1].sum() / on_s[:, 1].sum() - 1
+    return {"snaps": len(on_s), "error_times": float(times), "error_lost": float(abs(lost))}
+
+
+def draw(record: Record) -> None:
+    """Draw the rates and the phases along S from the tables."""
+    cases = {title: f"table_{case}.csv" if case else "table.csv" for case, title in TITLES.items()}
+    draw_rates(record, title="non-monotone layer", cases=cases | {"lambda + mu on S": "table_printed.csv"}, apart=True)
+    if not record.root:
+        return
+    tables = {title: Table.load(record.path(f"phases_{case}.csv")) for case, title in TITLES.items()}
+    parts = {title: {name: (table["x"], table[name]) for name in (MESHED, ON_S)} for title, table in tables.items()}
+    labels, (blue, red, *_) = dict.fromkeys(parts, "phase"), plotting.COLOURS
+    styles, colours, save = {MESHED: "-", ON_S: "o"}, {MESHED: red, ON_S: blue}, record.path("phases.png")
+    plotting.panels(parts, xlabel="x", ylabels=labels, styles=styles, colours=colours, columns=2, save=save)

@@ -1,0 +1,344 @@
+"""Non-monotone layers in models: columns, the bar of section 6.2, orders, heating, phases counted, ranks, refusals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import ufl
+from scipy.optimize import brentq
+
+from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated, limits
+from geometry import block, sandwich
+from studies.sweep_non_monotone import CASES, Formula, blocks
+from tests.non_monotone_run import CHI, END, HALF, HEATED, models, numbers
+from tests.non_monotone_run import C as OF_T
+from tests.test_bar import BAR
+from tests.test_columns_in_time import BODY, both, check_balance, check_same, joint, jump_of
+from tests.test_columns_in_time import C as COMPLIANCE
+from tests.test_columns_in_time import K as STIFFNESS
+from tests.test_columns_in_time import column as tall_column
+from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
+from tests.test_parallel import mpirun
+from thinlayer import Model, ModelError, PhaseReport, Surface, ThinLayer, march, piecewise, solve
+
+LMBDA, MU, ALPHA = 60.0, 40.0, 1.2
+CHI3 = np.array([[0.3, 0.5, -0.2], [0.5, 0.9, 0.4], [-0.2, 0.4, -0.6]])
+CHIS = {"normal": np.diag([0.0, 0.7]), "shear": np.array([[0.0, 0.4], [0.4, 0.0]])}
+RELAXED = NonMonotone(LMBDA, MU, ALPHA, 0.02, CHI)
+PURE = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.05, CHI)
+# jumps (w_T, w_N) whose drives are far from C = 0.05 on either side, so that facets do not hold each other back
+CLEAR = np.array([[0.0, -0.01], [0.2, -0.01], [0.02, -0.02], [-0.2, 0.01], [0.0, 0.15]])
+CLEAR_PHASES = [0, 1, 0, -1, 1]
+FIXED = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}}
+
+
+def quads():
+    return sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
+
+
+# ---------------------------------------------------------------- columns
+@pytest.mark.parametrize(("eps", "angle"), [(0.3, 0.0), (1e-2, 0.7), (1e-4, 2.5)])
+def test_relaxed_law_in_columns(eps, angle):
+    """Mixed and pure phases of both signs, sheared, opened and closed, at several angles; the closed formula on S."""
+    limit, full, point = column(RELAXED, PATH, eps, angle)
+    check_path(limit, full, point)
+    for history in (limit, full):
+        assert np.abs(history.table["imbalance"]).max() < 1e-9
+        assert np.abs(history.table["dissipated"]).max() < 1e-12 * history.table["energy"].max()
+    n, mirrored = np.array([0.0, 1.0]), CHI * [[1, -1], [-1, 1]]
+    t, phases = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.C, CHI, point.jumps, n)
+    assert point.tractions == pytest.approx(t, abs=1e-9 * np.abs(t).max())
+    for k, phase in enumerate(phases):
+        assert PhaseReport(limit.at(k + 1.0)).plus == pytest.approx(max(phase, 0), abs=1e-9)
+        assert PhaseReport(full.at(k + 1.0)).minus == pytest.approx(max(-phase, 0), abs=1e-9)
+    assert {-1, 1} <= {int(np.sign(phase)) for phase in phases if 0 < abs(phase) < 1}
+    wrong, _ = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.C, mirrored, point.jumps, n)
+    assert np.abs(wrong - t).max() > 0.2 * np.abs(t).max()  # the tangent is (n_2, -n_1), not its opposite
+
+
+@pytest.mark.parametrize("eps", [0.3, 1e-4])
+def test_pure_phases_in_columns(eps):
+    """The same phases and displacements at the ends of steps, in which facets may switch one after the other."""
+    limit, full, point = column(PURE, CLEAR, eps, angle=0.7)
+    surface = Surface(limit.model)
+    for k, phase in enumerate(CLEAR_PHASES):
+        t, holds = limits.non_monotone_branch(
+            LMBDA, MU, ALPHA, PURE.C, CHI, point.jumps[k], np.array([0.0, 1.0]), phase
+        )
+        assert holds
+        assert point.tractions[k] == pytest.approx(t, abs=1e-9)
+        one, other = limit.at(k + 1.0), full.at(k + 1.0)
+        for state in (one, other):
+            assert PhaseReport(state).profile()[1] == pytest.approx(phase, abs=1e-14)
+        difference = surface.displacement(other).x.array - one.u.x.array
+        assert np.abs(difference).max() < 1e-9 * np.abs(point.jumps).max()
+        jump = surface.frame(surface.jump(one)) - ufl.as_vector(point.jumps[k].tolist())
+        assert surface.norm(jump) < 1e-9 * np.abs(point.jumps).max()
+    for history in (limit, full):
+        assert np.abs(history.table["imbalance"]).max() < 1e-9
+        assert min(snap.lost for snap in history.snaps) > 0
+
+
+@pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
+def test_three_dimensions(kind):
+    """Shear whose direction turns in S."""
+    clear = np.array([[0.2, 0.0, -0.01], [0.0, 0.0, 0.0], [0.0, -0.2, -0.01]])
+    path = PATH_3D if kind is NonMonotone else clear
+    limit, full, point = column(kind(LMBDA, MU, ALPHA, 0.05, CHI3), path, 0.02, angle=0.3)
+    if kind is NonMonotone:
+        check_path(limit, full, point)
+        check_balance(full)
+        return
+    surface = Surface(limit.model)
+    for k, phase in enumerate([1, 0, -1]):
+        assert PhaseReport(full.at(k + 1.0)).profile()[1] == pytest.approx(phase, abs=1e-14)
+        difference = surface.displacement(full.at(k + 1.0)).x.array - limit.at(k + 1.0).u.x.array
+        assert np.abs(difference).max() < 1e-9 * np.abs(point.jumps).max()
+
+
+@pytest.mark.parametrize(
+    ("mode", "element", "eps"), [("normal", "Q1", 0.3), ("normal", "P2", 1e-4), ("shear", "Q2", 1e-2)]
+)
+def test_loop(mode, element, eps):
+    """Moved forth, back and home: four snaps at the ends of the loops, each losing a^2/(2 (K + 1/C)), a = alpha chi n."""
+    K, compliance = STIFFNESS[mode], COMPLIANCE[mode]
+    law = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.02, CHIS[mode])
+    a = ALPHA * (CHIS[mode][1, 1] if mode == "normal" else CHIS[mode][0, 1])
+    up = law.C * (1 + compliance * K) / a
+    down, far = up - a * compliance, 2 * up
+    move = piecewise({0: 0, 1: far, 3: -far, 4: -0.1 * far})  # it turns within a step
+    setup = tall_column(mode, move=move) | {"element": element}
+    limit, full = both(joint() if element == "P2" else quads(), ThinLayer(law, eps), setup, [1.0, 2.2, 4.0])
+    check_same(limit, full)
+    times = [up / far, 2 - down / far, 2 + up / far, 3 + (1 - down / far) / 0.9]
+    for history in (limit, full):
+        assert [snap.t for snap in history.snaps] == pytest.approx(times, rel=1e-9)
+        assert [snap.lost for snap in history.snaps] == pytest.approx([a**2 / (2 * (K + 1 / compliance))] * 4, rel=1e-8)
+        rows = [snap.row for snap in history.snaps]
+        assert (history.table["plus"] - history.table["minus"])[rows] == pytest.approx([1, 0, -1, 0])
+        check_balance(history)
+    w = (far + a * compliance) / (1 + compliance * K)
+    assert jump_of(limit, mode, limit.at(1.0)) == pytest.approx(w, rel=1e-10)
+
+
+# ---------------------------------------------------------------- the bar, several cells through a layer that is flat
+@pytest.mark.parametrize("element", ["P2", "Q1"])
+def test_bar(element):
+    """Phases 0 and 1 in any order through the thickness: no tangent stiffness, but one elongation, energy and boundary."""
+    cell = "triangle" if element == "P2" else "quadrilateral"
+    strip = block(1.0, 1.0, 1.0, cell=cell, structured=True)
+    layer = ThinLayer(NonMonotone(0.0, BAR.kbar / 2, BAR.alpha, BAR.cbar, np.diag([0.0, 1.0])), BAR.eps)
+    supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": lambda x, t: t}}
+    setup = {"body": LinearElastic(0.0, BAR.K / 2), "supports": supports, "element": element, "layer": layer}
+    limit = Model.interface(strip, **setup)
+    full = Model.full(strip, bodies="extended", sublayers=4, **setup)
+    surface = Surface(limit)
+    deltas = np.array([0.9, 1.4, 1.6, 1.8])
+    for model, bar in ((limit, replace(BAR, eps=0.0)), (full, BAR)):
+        history = march(model, deltas.tolist())
+        table, found = history.table, [history.at(delta) for delta in deltas]
+        share = bar.phase(deltas)
+        assert np.sum((share > 0) & (share < 1)) >= 1
+        assert table["energy"][1:] == pytest.approx(bar.energy(deltas), rel=1e-9)
+        assert table["plus"][1:] == pytest.approx(share, abs=1e-9)
+        assert table["boundary"][1:] == pytest.approx(BAR.eps * (1 - share), abs=1e-10)
+        jumps = [surface.integral(surface.jump(state)[1]) for state in found]
+        assert jumps == pytest.approx(bar.U(deltas), rel=1e-9)
+        tractions = [surface.integral(surface.traction(state)[1]) for state in found]
+        assert tractions == pytest.approx(bar.sigma(deltas), rel=1e-9)
+        assert np.abs(table["imbalance"]).max() < 1e-9
+
+
+# ---------------------------------------------------------------- order of the error, wrong laws
+def test_order_and_wrong_laws():
+    """Oblique chi with all phases on S: order 1; a law with lmbda + mu or without phase -1 leaves its error."""
+    law, shear, pull = CASES[""]
+    where, setup = blocks(1 / 8, shear, pull)
+    setup |= {"sublayers": 1}
+    on_s = {"right": law, "formula": Formula.of(law), "lmbda + mu": Formula.of(law, K_N=LMBDA + MU)}
+    on_s["one branch"] = Formula.of(law, minus=0.0)
+    surface = Surface(Model.interface(where, layer=ThinLayer(law, 1.0), **setup))
+    full = {eps: solve(Model.full(where, layer=ThinLayer(law, eps), **setup)) for eps in (1 / 32, 1 / 64)}
+    errors = {}
+    for name, one in on_s.items():
+        state = solve(Model.interface(where, layer=ThinLayer(one, 1.0), **setup))
+        fields = [(surface.traction, state), (surface.jump, state)]
+        sizes = [surface.norm(field(state)) for field, state in fields]
+        differences = {e: [surface.norm(f(full[e]) - f(state)) for f, state in fields] for e in full}
+        errors[name] = np.array(list(differences.values())) / sizes
+    assert errors["formula"] == pytest.approx(errors["right"], rel=1e-6)
+    orders = {name: np.log2(error[0] / error[1]) for name, error in errors.items()}
+    assert orders["right"] == pytest.approx([1, 1], abs=0.07)
+    assert errors["right"][1].max() < 0.01
+    for name in ("lmbda + mu", "one branch"):
+        assert orders[name] == pytest.approx([0, 0], abs=0.1)
+        assert errors[name][1].min() > 0.12
+
+
+# ---------------------------------------------------------------- temperature
+def heated(T, mode="normal", kind=NonMonotoneUnrelaxed, alpha=ALPHA):
+    return kind(LMBDA, MU, alpha, OF_T, CHIS[mode], T=T)
+
+
+def test_snap_by_heating():
+    """At a displacement that is held, the layer switches as it reaches the temperature where C(T) is the drive."""
+    law, K, compliance = heated(lambda x, t: 20 + 75 * t + 0 * x[0]), STIFFNESS["normal"], COMPLIANCE["normal"]
+    a, d = ALPHA * 0.7, 0.04
+    w = d / (1 + compliance * K)
+    hot = brentq(lambda T: float(OF_T(T)) - a * w, 20, 100)
+    setup = tall_column("normal", move=lambda x, t: ufl.min_value(d, 10 * d * t))
+    limit, full = both(joint(), ThinLayer(law, 0.02), setup, [0.1, 0.5, 1.0])
+    check_same(limit, full)
+    for history in (limit, full):
+        (snap,) = history.snaps
+        assert 20 + 75 * snap.t == pytest.approx(hot, rel=1e-9)
+        assert PhaseReport(history.at(0.1)).plus == 0
+        assert PhaseReport(history.last).plus == pytest.approx(1)
+        check_balance(history)
+    cold = both(joint(), ThinLayer(heated(hot - 1), 0.02), setup, [0.1, 1.0])
+    assert not any(history.snaps for history in cold)
+    assert all(len(h.snaps) == 1 for h in both(joint(), ThinLayer(heated(hot + 1), 0.02), setup, [0.1, 1.0]))
+
+
+def test_temperature_along_s():
+    """Pure phases in the hotter facets, mixtures that follow T: each facet as with its own temperature alone."""
+    stiff = {"body": LinearElastic.young(1e9, 0.3), "element": "Q1"}
+    where = sandwich(1.0, 0.5, 0.5, 0.125, cell="quadrilateral", structured=True)
+    setup = stiff | {"supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": 0.02}}}
+    T = lambda x, t: 25 + 60 * x[0]
+    drive, middle = ALPHA * 0.7 * 0.02, np.arange(8) / 8 + 1 / 16
+    switched = OF_T(25 + 60 * middle) < drive
+    assert 2 < switched.sum() < 6
+    for make in (Model.interface, Model.full):
+        pure = PhaseReport(solve(make(where, layer=ThinLayer(heated(T), 0.02), **setup)))
+        assert pure.profile()[0][:, 0] == pytest.approx(middle)
+        assert pure.profile()[1] == pytest.approx(switched.astype(float))
+    alpha = Tabulated([(20.0, 0.9), (100.0, 1.1)])
+    law = heated(T, kind=NonMonotone, alpha=alpha)
+    state = solve(Model.interface(where, layer=ThinLayer(law, 0.02), **setup))
+    x = state.model.quadratures[0].joint_x[0]
+    a, C = alpha(25 + 60 * x), OF_T(25 + 60 * x)
+    expected = np.clip(0.5 + (a * 0.7 * 0.02 - C) / (a**2 * law.G), 0, 1)
+    assert state.memory[0][:, 0] == pytest.approx(expected, abs=1e-5)  # bodies of 1e9 give way a little
+    assert np.ptp(expected) > 0.3
+
+
+def test_temperature_beyond_its_table(tmp_path):
+    """A march that would get there is refused before its first step, in every model."""
+    law, seen = heated(lambda x, t: 50 + 60 * t * x[0]), []
+    for make in (Model.interface, Model.full):
+        model = make(joint(), layer=ThinLayer(law, 0.02), **tall_column("normal", move=0.01))
+        with pytest.raises(LawError, match=r"C\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"):
+            march(model, [0.5, 1.0], out=tmp_path / "out", observe={"seen": lambda state: seen.append(1) or 1.0})
+        with pytest.raises(LawError, match="the table knows 20 to 100"):
+            solve(model, t=1.0)
+    assert not seen
+    assert not (tmp_path / "out").exists()
+
+
+# ---------------------------------------------------------------- phases counted
+def test_phases_by_hand():
+    """Shares, boundary, profile and fronts of a march against the points of each facet, or column; in the table too."""
+    for model in models(HEATED):
+        history = march(model, [0.6, 1.0])
+        for state in history:
+            x, report = model.quadratures[0].joint_x[0], PhaseReport(state)
+            places, phases = report.profile()
+            by_hand = [state.memory[0][np.floor(8 * x).astype(int) == k, 0].mean() for k in range(8)]
+            assert places[:, 0] == pytest.approx(np.arange(8) / 8 + 1 / 16)
+            assert phases == pytest.approx(by_hand, abs=1e-12)
+            assert set(np.round(by_hand, 12)) <= {-1, 0, 1}
+            plus, minus = np.sum(phases > 0.5) / 8, np.sum(phases < -0.5) / 8
+            assert (report.plus, report.minus) == pytest.approx((plus, minus), abs=1e-9)
+            assert report.boundary == pytest.approx(0.05 * (1 - plus - minus), abs=1e-9)
+            ends = np.flatnonzero(np.diff(np.abs(by_hand) > 0.5)) + 1
+            assert report.fronts[:, 0] == pytest.approx(ends / 8)
+            assert f"phase 1: {report.plus:.4g}" in str(report)
+        for snap in history.snaps:
+            assert (snap.t, snap.lost) == (history.table["t"][snap.row], history.table["dissipated"][snap.row])
+            assert history.table["t"][snap.row - 1] == snap.t
+            assert history.table["energy"][snap.row] < history.table["energy"][snap.row - 1]
+        assert history.table["plus"][-1] == report.plus
+        assert 0 < history.table["boundary"][-1] < 0.05
+
+
+@pytest.mark.parametrize("eps", [0.3, 1e-3])
+def test_sublayer(eps):
+    """An elastic sublayer below the one that changes: a mixture by the closed form of springs in series, opened, closed."""
+    soft, a, law = LinearElastic(20.0, 90.0), ALPHA * 0.7, NonMonotone(LMBDA, MU, ALPHA, 0.02, CHIS["normal"])
+    layer = ThinLayer(Stack((0.3, soft), (0.7, law)), eps)
+    below = COMPLIANCE["normal"] + 0.3 / (soft.lmbda + 2 * soft.mu)
+    K, g = STIFFNESS["normal"], ALPHA**2 * law.G
+
+    def share(d):
+        phase = lambda t: np.clip(0.5 + (a * (d - below * t) / 0.7 - law.C) / g, 0, 1)
+        return phase(brentq(lambda t: t - K * (d - below * t) / 0.7 + a * phase(t), -100, 100))
+
+    move = piecewise({0: 0, 1: 0.04, 2: -0.041})
+    limit, full = both(joint(), layer, tall_column("normal", move=move), [1.0, 2.0])
+    check_same(limit, full)
+    opened, closed = share(0.04), share(0.041)
+    assert 0 < opened < closed < 1
+    for history in (limit, full):
+        check_balance(history)
+        first, second = (PhaseReport(history.at(t)) for t in (1.0, 2.0))
+        assert (first.plus, second.plus) == pytest.approx((opened, 0), abs=1e-9)
+        assert (first.minus, second.minus) == pytest.approx((0, closed), abs=1e-9)
+        assert second.boundary == pytest.approx(0.7 * eps * (1 - closed), rel=1e-8)
+        assert second.profile()[1] == pytest.approx(-closed, rel=1e-8)
+
+
+# ---------------------------------------------------------------- ranks, resumed marches
+def test_ranks_and_resumed_marches(tmp_path):
+    """Half of each march on two ranks and the rest on one: the numbers, and the snaps, of one rank that did not stop."""
+    whole = numbers(tmp_path / "one", END)
+    two = mpirun(2, "-m", "tests.non_monotone_run", str(tmp_path / "two"), str(HALF))
+    assert two.returncode == 0, two.stderr
+    half = json.loads(two.stdout)
+    assert half == pytest.approx({name: whole[name] for name in half}, rel=1e-9)
+    assert numbers(tmp_path / "two", END, resume=True) == pytest.approx(whole, rel=1e-9)
+    snaps = [sum(name.endswith(" lost") for name in found) for found in (half, whole)]
+    assert 4 <= snaps[0] < snaps[1]
+
+
+# ---------------------------------------------------------------- what is refused
+@cache
+def solid():
+    return sandwich(1.0, 0.5, 0.5, 0.5, depth=0.5, structured=True)
+
+
+@pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
+def test_refused(kind):
+    law, deep = kind(LMBDA, MU, ALPHA, 0.02, CHI), kind(LMBDA, MU, ALPHA, 0.02, CHI3)
+    setup = {"body": BODY, "supports": FIXED, "layer": ThinLayer(law, 0.1)}
+    for make in (Model.interface, Model.full):
+        with pytest.raises(LawError, match=r"shape of chi is \(2, 2\); allowed: \(3, 3\) in a model of dimension 3"):
+            make(solid(), **setup)
+        with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2"):
+            make(joint(), **setup | {"layer": ThinLayer(deep, 0.1)})
+        with pytest.raises(LawError, match=f"plane stress is not defined for {kind.__name__}; use plane='strain'"):
+            make(joint(), plane="stress", **setup)
+        with pytest.raises(ModelError, match=f"{kind.__name__} is for layers; bodies take elastic laws"):
+            make(joint(), **setup | {"body": law})
+    bonded = solve(Model.bonded(joint(), **setup))
+    elastic = solve(Model.interface(joint(), **setup | {"layer": ThinLayer(BODY, 0.1)}))
+    for state in (bonded, elastic):
+        with pytest.raises(ModelError, match="PhaseReport needs a layer whose law has phases"):
+            PhaseReport(state)
+    with pytest.raises(ModelError, match="PhaseReport takes what solve or march returns"):
+        PhaseReport(law)
+
+
+def test_refused_pure_phases():
+    with pytest.raises(LawError, match="order=1 of NonMonotoneUnrelaxed: its phases are those of jumps alone"):
+        ThinLayer(PURE, 0.1, order=1)
+    with pytest.raises(LawError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
+        Stack((0.5, PURE), (0.5, BODY))
+    deep = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.02, CHI3)
+    state = solve(Model.interface(solid(), body=BODY, supports={"BOTTOM": 0.0, "TOP": 0.0}, layer=ThinLayer(deep, 0.1)))
+    with pytest.raises(ModelError, match=r"in 3D look at profile\(\)"):
+        assert PhaseReport(state).fronts

@@ -1,0 +1,97 @@
+"""The studies of non-monotone layers, and what they measure with."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic
+from geometry import block
+from studies.fig4_bar import BAR, meet, straight
+from studies.measured import MeanJump, SupportForce
+from studies.snap_structures import distance
+from thinlayer import Model, Surface, ThinLayer, solve
+from thinlayer.cli import main
+
+
+def rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_fig4_bar(tmp_path):
+    """The quick version holds its checks, and its tables the paper's numbers; it is drawn again from them."""
+    assert main(["run", "fig4_bar", "--quick", "--out", str(tmp_path)]) == 0
+    at = next(row for row in rows(tmp_path / "table.csv") if (row["eps"], row["delta"]) == ("0.1", "1.6"))
+    assert float(at["U"]) == pytest.approx(0.8575, rel=1e-9)
+    assert float(at["phase"]) == pytest.approx(1 - 0.23125, rel=1e-9)
+    lost = [float(row["lost"]) for row in rows(tmp_path / "table_loop.csv") if row["lost"] and row["eps"] == "0.1"]
+    assert sum(lost) == pytest.approx(BAR.loop_area, rel=1e-9)
+    assert main(["draw", "fig4_bar", "--out", str(tmp_path)]) == 0
+    for name in ("energies.png", "response.png", "elongation.png"):
+        assert (tmp_path / name).stat().st_size > 10_000, name
+
+
+def test_sweep(tmp_path):
+    """The quick version holds its checks: order 1, and the floors of three wrong laws."""
+    eps = ["--eps", "0.015625", "0.0078125"]
+    assert main(["run", "sweep_non_monotone", "--quick", *eps, "--out", str(tmp_path)]) == 0
+    for name in ("rates.png", "phases.png"):
+        assert (tmp_path / name).stat().st_size > 10_000, name
+
+
+def test_snap(tmp_path):
+    """The quick version holds its checks; the table has a row for each snap, whose energies are lost, never gained."""
+    assert main(["run", "snap", "--quick", "--out", str(tmp_path)]) == 0
+    snaps = rows(tmp_path / "table.csv")
+    assert {row["structure"] for row in snaps} == {"strip", "block"}
+    assert min(float(row["lost"]) for row in snaps) > 0
+    for row in snaps:
+        up = float(row["t"]) < 2.4
+        assert (float(row["phase after"]) > float(row["phase before"])) == up
+        assert (float(row["force after"]) < float(row["force before"])) == up
+    assert json.loads((tmp_path / "run.json").read_text())["error"] is None
+    assert main(["draw", "snap", "--out", str(tmp_path)]) == 0
+    for name in ("response.png", "phases.png", "largest_snap.png"):
+        assert (tmp_path / name).stat().st_size > 10_000, name
+
+
+@pytest.mark.parametrize("kind", [Model.full, Model.interface])
+def test_force_of_a_support_is_conjugate_to_its_displacement(kind):
+    """Clapeyron: half of force times displacement is the energy; the jump of a column follows from its stiffness."""
+    joint = block(1.4, 0.8, 0.4, cell="quadrilateral", structured=True)
+    body, layer = LinearElastic(3.0, 2.0), ThinLayer(LinearElastic(0.4, 0.7), 0.1)
+    data = {"body": body, "layer": layer}
+    shape = lambda x: 1.2 - 0.3 * x[0]
+    sides = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    model = kind(joint, supports=sides | {"TOP": {"y": lambda x, t: 0.05 * shape(x)}}, **data)
+    state = solve(model)
+    energies = state.energies()
+    force = SupportForce(model, "TOP", "y", shape)(state)
+    assert force * 0.05 / 2 == pytest.approx(energies["bodies"] + energies["layer"], rel=1e-9)
+    assert abs(SupportForce(model, "TOP", "y")(state) - force) > 0.01 * force
+
+    model = kind(joint, supports=sides | {"TOP": {"x": 0, "y": 0.05}}, **data)
+    compliances = np.array([0.8 / 7.0, 1 / 1.8])
+    stress = 0.05 / compliances.sum()
+    surface = Surface(Model.interface(joint, supports=sides, **data))
+    state = solve(model)
+    assert MeanJump(surface)(state) == pytest.approx(stress / 1.8, rel=1e-9)
+    assert MeanJump(surface, 0)(state) == pytest.approx(0, abs=1e-12)
+    assert SupportForce(model, "TOP", "y")(state) == pytest.approx(1.4 * stress, rel=1e-9)
+
+
+def test_distance_from_a_polygon():
+    """Over the size of each component: 4 and 2 here."""
+    polygon = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
+    points = np.array([[2.0, 0.0], [2.0, 0.5], [4.4, 1.0], [-0.4, 0.0], [4.0, 2.4]])
+    assert distance(points, polygon) == pytest.approx([0, 0.25, 0.1, 0.1, 0.2], abs=1e-14)
+
+
+def test_straight_lines_meet():
+    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    y = np.array([1.0, 3.0, 7.0, 6.0, 5.0])  # 1 + 2 x, then 9 - x
+    assert meet(straight(x, y, x < 2), straight(x, y, x > 1)) == pytest.approx(8 / 3, rel=1e-12)

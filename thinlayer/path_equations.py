@@ -1,0 +1,142 @@
+"""The balance of forces of a model as a function of displacements and load parameter, R(u, t), and its derivatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from petsc4py import PETSc
+
+from thinlayer.equations import Equations, Interval
+from thinlayer.failure import SolveError
+from thinlayer.linear_solvers import direct_solver, mark
+from thinlayer.loads import ModelError
+from thinlayer.newton import LARGEST_RESIDUAL, TOLERANCE, reason_name
+from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read, require_known_values
+from thinlayer.state import State
+
+SHORT = 1e-3  # of a difference quotient in t, in units of t
+
+
+class PathEquations:
+    """R(u, t), with loads, supports and laws at t, and linear solves with its derivatives. Collective, as all methods are.
+
+    Laws with memory answer from a state `last`, however t changes.
+
+    Args:
+        equations: of the model.
+        unit: a change of t that loads and supports show, > 0.
+        middle: of the times that they are known at: difference quotients look towards it.
+        options: PETSc options of the linear solver, over ours; those of SNES are not for it.
+
+    Attributes:
+        x: unknowns, to be set before `residual`, which moves the supported ones.
+        r: their residual R, zero where supports hold.
+        step: after `linearise` -K^-1 R, a Newton step at fixed t.
+        change: likewise the change of the unknowns with t in equilibrium, -K^-1 dR/dt, with the supports' own.
+    """
+
+    def __init__(
+        self, equations: Equations, unit: float, middle: float, options: Mapping[str, OptionValue] | None
+    ) -> None:
+        self.equations, self._middle, self._short = equations, middle, SHORT * unit
+        self._ours = direct_solver(equations.model)
+        self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
+        self._ksp: PETSc.KSP | None = None
+        self._vectors = [equations.vector() for _ in range(5)]
+        self.x, self.r, self.step, self.change, self._dR = self._vectors
+
+    def close(self) -> None:
+        """Free vectors and factor."""
+        for thing in (self._ksp, *self._vectors):
+            if thing is not None:
+                thing.destroy()
+
+    def put(self, state: State, x: PETSc.Vec) -> None:
+        """Displacements of a state as unknowns."""
+        n = self.equations.n_displacements
+        x.array[:n] = state.u.x.array[:n]
+
+    def residual(self, last: State, t: float) -> float | None:
+        """Residual at a time; over the forces if it is as small as equilibrium asks for, else None.
+
+        Raises:
+            SolveError: a law that fails, or loads or supports that are not finite at t.
+        """
+        self._begin(last, t)
+        equations, held = self.equations, self.equations.held
+        self.x.array[held] = equations.prescribed
+        equations.residual(self.x, self.r)
+        self._require_law()
+        self.r.array[held] = 0.0
+        size = float(self.r.norm())
+        rounding = min(equations.rounding_at(self.x), LARGEST_RESIDUAL * equations.least_scale)
+        enough = max(TOLERANCE * equations.scale, equations.least_residual, rounding)
+        return size / max(equations.scale, 1e-300) if size <= enough else None
+
+    def _begin(self, last: State, t: float) -> None:
+        try:
+            self.equations.begin(Interval(last, t, t - last.t, 1.0))
+        except ModelError as error:
+            raise SolveError(str(error)) from error
+
+    def _require_law(self) -> None:
+        if self.equations.failed:
+            raise SolveError(f"the layer's law failed at {self.equations.failed} points")
+
+    def linearise(self, last: State, t: float) -> None:
+        """Step and change at the unknowns of the last residual. Derivatives by t are difference quotients.
+
+        Raises:
+            SolveError: as `residual`, or a matrix that cannot be factorised.
+        """
+        equations, held = self.equations, self.equations.held
+        prescribed, short = equations.prescribed, math.copysign(self._short, self._middle - t)
+        self._begin(last, t + short)
+        equations.residual(self.x, self._dR)
+        self._require_law()
+        self._dR.axpy(-1.0, self.r)
+        self._dR.scale(-1 / short)
+        self.change.set(0.0)
+        self.change.array[held] = (equations.prescribed - prescribed) / short
+        self._matrix = equations.tangent()
+        self._matrix.zeroRowsColumns(equations.held_rows, 1.0, self.change, self._dR)
+        mark(self._matrix, equations.model, saddle=True)
+        self._solve(self._dR, self.change)
+        self.r.scale(-1.0)
+        self._solve(self.r, self.step)
+        self.r.scale(-1.0)
+
+    def derivative(self, x: PETSc.Vec, slope: float, out: PETSc.Vec) -> None:
+        """Derivative of R along (x, slope), where it was linearised last; supported x move with t."""
+        x.copy(self._dR)
+        self._dR.axpy(-slope, self.change)  # K change + dR/dt = 0
+        self._dR.array[self.equations.held] = 0.0
+        self._matrix.mult(self._dR, out)
+
+    def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        with defaults({**self._ours, **self._given}):
+            if self._ksp is None:
+                self._ksp = self._solver(b, x)
+            else:
+                self._ksp.setOperators(self._matrix)
+                self._ksp.solve(b, x)
+        reason = self._ksp.getConvergedReason()
+        if reason < 0 or not math.isfinite(x.norm()):
+            raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")
+
+    def _solver(self, b: PETSc.Vec, x: PETSc.Vec) -> PETSc.KSP:
+        """The linear solver, after a solve that has read its options."""
+        ours = self._ours.keys() - self._given.keys()
+        ksp = PETSc.KSP().create(self.equations.comm)
+        ksp.setOptionsPrefix(PREFIX)
+        ksp.setOperators(self._matrix)
+        try:
+            ksp.setFromOptions()
+            ksp.solve(b, x)
+        except PETSc.Error as error:
+            require_known_values(error, ours)
+            raise
+        newton = {name.removeprefix(PREFIX) for name in PETSc.Options().getAll() if "snes_" in name}
+        require_all_read("arc-length", {*ours, *newton})
+        return ksp

@@ -1,0 +1,89 @@
+"""Columns of the layer: facets of S, in the meshed layer with the cells that stand on them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from geometry.joint import Joint, S
+
+Array = npt.NDArray[np.float64]
+
+
+def column_numbers(joint: Joint) -> tuple[npt.NDArray[np.int64], Array]:
+    """The column of every cell of an inflated joint (-1 outside the layer), or of every facet; and their centres.
+
+    Returns:
+        Numbers (cells or facets,), and the centres (columns, d) of the facets of S in the joint before inflating.
+    """
+    if joint.band is None:
+        rows = np.sort(joint.table.index(joint.facets[S]))
+        numbers = np.full(len(joint.table.vertices), -1, np.int64)
+        numbers[rows] = np.arange(len(rows))
+        return numbers, joint.points[joint.table.vertices[rows]].mean(axis=1)
+    layer = np.flatnonzero(joint.side == 0)
+    places, place = np.unique(joint.reference, axis=0, return_inverse=True)
+    below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice
+    below[:, 1:][below[:, 1:] == below[:, :-1]] = -1
+    facets, column = np.unique(np.sort(below, axis=1), axis=0, return_inverse=True)
+    numbers = np.full(len(joint.cells), -1, np.int64)
+    numbers[layer] = column.ravel()
+    vertices = (facets >= 0)[:, :, None]
+    return numbers, (places[facets] * vertices).sum(axis=1) / vertices.sum(axis=1)
+
+
+class Columns:
+    """Means over columns. Collective, as all methods are.
+
+    Attributes:
+        centres: (columns, d) centres of the facets of S, of all ranks, in the joint before inflating.
+        of: (points,) column of each point of this rank.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, of: npt.NDArray[np.int64], centres: Array, weights: Array) -> None:
+        self.comm, self.of, self.centres, self._weights = comm, of, centres, weights
+        self._total = self.sum_of(weights)
+
+    def sum_of(self, values: Array) -> Array:
+        """Sums (columns,) of values at the points, the same on all ranks."""
+        sums: Array = np.bincount(self.of, values, len(self.centres)).astype(float)  # of no points: integers
+        self.comm.Allreduce(MPI.IN_PLACE, sums)
+        return sums
+
+    def mean(self, values: Array) -> Array:
+        """Weighted means (columns,) of values at the points, the same on all ranks."""
+        return self.sum_of(self._weights * values) / self._total
+
+
+class Switching:
+    """The phases of a law whose columns switch, read from its internal values and changed there."""
+
+    def __init__(self, law: Any, columns: Columns | None = None) -> None:
+        self.law, self.columns = law, columns
+        self._slot = {name: k for k, name in enumerate(law.internal)}
+
+    def _of_columns(self, memory: Array) -> list[Array]:
+        values = [memory[:, self._slot[name]] for name in ("phase", "drive", "bound")]
+        return [self.columns.mean(v) for v in values] if self.columns else values
+
+    def excess(self, memory: Array) -> float:
+        """Largest excess of a column: by how much the energy of another phase is lower, over C. Collective."""
+        return float(self.law.excess(*self._of_columns(memory)).max(initial=-np.inf))
+
+    def switched(self, memory: Array, old: Array) -> Array | None:
+        """Internal values `old` with the phases that columns change to; None if none changes. Collective.
+
+        Args:
+            memory: internal values at the equilibrium that was found with the phases held.
+            old: those at the beginning of the step, with these phases.
+        """
+        before = self._of_columns(memory)
+        after = self.law.switched(*before)
+        if (after == before[0]).all():
+            return None
+        new = old.copy()
+        new[:, self._slot["phase"]] = after[self.columns.of] if self.columns else after
+        return new

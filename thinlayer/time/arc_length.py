@@ -1,0 +1,120 @@
+"""ArcLength: what a march along an equilibrium path is told, and the models that it can follow."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+
+from thinlayer.equations import Equations
+from thinlayer.loads import ModelError
+from thinlayer.model import Model
+
+SIZES = (1e-6, 1e-3, 1.0)  # of strains that laws are asked about
+
+
+@dataclass(frozen=True)
+class ArcLength:
+    """An equilibrium path of a model, followed by arc length: t is the parameter of loads and supports, and may go back.
+
+    The path starts at the state of t = start, with t increasing, and goes on in the direction of its last increment. This
+    is the selection rule: no energies are compared, and equilibria are followed whether they are stable or not. What
+    happens within the length of one step is not seen: it should be small against the features of the path.
+
+    Lengths are sqrt(|du|^2/U^2 + dt^2/T^2), with the L2 norm of the change of nodal displacements, T = `first`, and U from
+    the first step. `smallest` and `largest` are relative to the length of the first step. It adapts to the number of Newton
+    steps; steps that fail are halved.
+
+    Attributes:
+        end: the march ends when t comes to it; the last step lands there. > start.
+        first: change of t in the first step, > 0.
+        smallest: length below which a step is not shortened further (default: 1e-6).
+        largest: length of the longest step (default: 1; longer ones may pass over loops of the path).
+        steps: largest number of steps; more are an error.
+        back: the march ends too when t falls below it, < start (default: start - (end - start)). Loads and supports are
+            evaluated there.
+
+    Raises:
+        ModelError: values out of range.
+    """
+
+    end: float
+    first: float
+    smallest: float | None = None
+    largest: float = 1.0
+    steps: int = 1000
+    back: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("end", "first", "smallest", "largest", "back"):
+            value = getattr(self, name)
+            if value is None and name in ("smallest", "back"):
+                continue
+            signed = name in ("end", "back")
+            number = float(value) if isinstance(value, Real) else math.nan
+            if not (math.isfinite(number) or (name == "largest" and number > 0)) or not (signed or number > 0):
+                raise ModelError(f"ArcLength: {name} is {value!r}; allowed: a number" + " > 0" * (not signed))
+        if not isinstance(self.steps, int) or isinstance(self.steps, bool) or self.steps < 1:
+            raise ModelError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
+        object.__setattr__(self, "smallest", 1e-6 if self.smallest is None else float(self.smallest))
+        if self.largest < self.shortest:
+            raise ModelError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.shortest:g}")
+
+    @property
+    def shortest(self) -> float:
+        """Length of the shortest step."""
+        return 1e-6 if self.smallest is None else float(self.smallest)
+
+    def lowest(self, start: float) -> float:
+        """Time below which the march ends."""
+        return 2 * start - self.end if self.back is None else float(self.back)
+
+    def check(self, start: float) -> None:
+        """Raise ModelError unless the path can begin at a time."""
+        if not math.isfinite(start) or not self.end > start:
+            raise ModelError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
+        if self.first > self.end - start:
+            raise ModelError(f"ArcLength: first is {self.first:g}; end - start is {self.end - start:g}")
+        if not self.lowest(start) < start:
+            raise ModelError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
+
+
+def require_path(model: Model, theta: float, method: str | None) -> None:
+    """Raise ModelError unless paths of the model can be followed: laws of t alone, differentiable, without bounds."""
+    if theta != 1:
+        raise ModelError(f"theta is {theta}; on a path equilibria are those of t itself: theta = 1")
+    if method not in (None, "newton"):
+        raise ModelError(f"method is {method!r}; a path is followed by Newton's method")
+    if model.contact:
+        raise ModelError(f"{type(model.contact).__name__} is a contact law: march in time instead of ArcLength")
+    for law in (p.law for p in model.points):
+        name = type(law).__name__
+        if law.rate:
+            raise ModelError(f"{name} depends on the strain rate, and t is no time on a path: march in time")
+        if law.constrained:
+            raise ModelError(f"{name} is incompressible: paths have displacements alone; march in time")
+        if law.yields:
+            raise ModelError(
+                f"{name} bounds stresses: loads come to their limit, and stay there; march in time, which tells it"
+            )
+        if law.switches:
+            raise ModelError(
+                f"{name} has pure phases, whose equilibria are no curve: march in time, which finds its snaps"
+            )
+
+
+def require_no_time(equations: Equations) -> None:
+    """Raise ModelError if a law's answer depends on how long a step takes. Collective."""
+    for p in equations.points:
+        rest, differs = p.rest(), False
+        for size in SIZES:
+            e = size * np.cos(np.arange(p.count * len(p.slots), dtype=float)).reshape(p.count, len(p.slots))
+            short, long = (p.respond(e, np.zeros_like(e), rest, dt, 1.0) for dt in (1e-3, 1e3))
+            for a, b in ((short.stress, long.stress), (short.memory, long.memory)):
+                differs = differs or not np.array_equal(a, b, equal_nan=True)
+        if equations.comm.allreduce(int(differs)):
+            raise ModelError(
+                f"{type(p.points.law).__name__} creeps or relaxes, and t is no time on a path: march in time"
+            )

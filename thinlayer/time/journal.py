@@ -1,0 +1,125 @@
+"""The accepted steps of a march: noted in its history, observed, written and read again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from thinlayer.equations import Equations
+from thinlayer.loads import ModelError
+from thinlayer.phases import PhaseReport
+from thinlayer.state import State
+from thinlayer.table import Row
+from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
+from thinlayer.time.history import History
+
+Observe = Mapping[str, Callable[[State], float]]
+COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")
+PHASE_COLUMNS = ("energy", "plus", "minus", "boundary")  # further ones, of layers with phases
+
+
+class Journal:
+    """What every march does with its states. Collective, as all methods are.
+
+    Args:
+        equations: of the model.
+        pace: of the first step.
+        observe: name of a column -> function of a state.
+        keep: "all" states, or "last" alone.
+        out: folder for the table and the files to resume from, if any.
+        choices: what else must be the same for a march to be resumed.
+        directed: whether the next step depends on the direction of the last one, so that two states are kept.
+
+    Attributes:
+        history: what was accepted.
+        pace: what the length of the next steps depends on; written with the steps.
+        before: the state before the last, if the march is directed.
+    """
+
+    def __init__(
+        self,
+        equations: Equations,
+        pace: Pace,
+        observe: Observe,
+        keep: str,
+        out: Path | None,
+        choices: Mapping[str, Any],
+        *,
+        directed: bool = False,
+    ) -> None:
+        self.model, self._equations = equations.model, equations
+        self._observe, self._keep, self.out = observe, keep, out
+        self._directed = directed
+        self.before: State | None = None
+        self._checkpoint = Checkpoint(out, equations, 2 if directed else 1) if out else None
+        self._mark = fingerprint(self.model, observe=sorted(observe), **choices)
+        self._written = 0
+        self.history, self.pace = History(self.model), pace
+
+    def read(self, resume: bool) -> bool:
+        """Take over the march that is in the folder; False if there is none, or it is not to be resumed.
+
+        Raises:
+            ModelError: the folder has another march, or, to be resumed, a damaged one.
+        """
+        found = self._checkpoint.read(self._mark, self._keep, resume) if self._checkpoint else None
+        if not found:
+            return False
+        self.history, self.pace = found
+        self._written = len(self.history)
+        states, last = self.history.states, len(self.history) - 1
+        if self._directed:
+            self.before = states.get(last - 1)
+            if self._keep == "last":
+                self.history.states = {last: states[last]}
+        return True
+
+    def accept(self, states: list[State]) -> None:
+        """Note states and write them."""
+        for state in states:
+            self.note(state)
+        if self._checkpoint:
+            if self._written == 0:
+                self._checkpoint.forget()
+            self._checkpoint.write(self._mark, self.history, self.pace, self._written, self.before)
+            self.write_table()
+            self._written = len(self.history)
+        self._equations.collect()
+
+    def note(self, state: State) -> None:
+        """Add a row and a state to the history. They are written together with the next ones that are accepted."""
+        before = self.history.last if self.history.states else None
+        self.history.table.append(self._row(state, state.t - before.t if before else 0.0))
+        if self._directed:
+            self.before = before
+        if self._keep == "last":
+            self.history.states.clear()
+        self.history.states[len(self.history) - 1] = state
+        self.pace.largest = max(self.pace.largest, float(state.u.x.petsc_vec.norm()))
+
+    def write_table(self) -> None:
+        """Write table.csv into the folder, if there is one."""
+        if self.out and self.model.comm.rank == 0:
+            self.history.table.write(self.out / "table.csv")
+
+    def _row(self, state: State, dt: float) -> Row:
+        values: dict[str, Any] = {"t": state.t, "dt": dt}
+        for name in COLUMNS[len(values) :]:
+            value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
+            values[name] = None if math.isnan(value) else value
+        if self.model.layer and self.model.kind != "bonded" and self.model.layer.law.phases:
+            report = PhaseReport(state)
+            values |= {"energy": state.audit.total} | {name: getattr(report, name) for name in PHASE_COLUMNS[1:]}
+        return values | {name: self._observed(name, state) for name in self._observe}
+
+    def _observed(self, name: str, state: State) -> float:
+        """What rank 0 observes: a function of a state is to give the same on all ranks."""
+        try:
+            value = float(self._observe[name](state))
+        except (TypeError, ValueError) as error:
+            raise ModelError(
+                f"observe[{name!r}] at t = {state.t:g}: {error}; it must be a function of a state that returns a number"
+            ) from error
+        return float(self.model.comm.bcast(value))

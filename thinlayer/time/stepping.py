@@ -1,0 +1,180 @@
+"""Marching in steps of time that are planned or adapted, and halved where they fail."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from thinlayer.failure import LimitLoad, SolveError
+from thinlayer.loads import ModelError
+from thinlayer.progress import track
+from thinlayer.rigid import rigid_motions
+from thinlayer.solvers import Solver
+from thinlayer.state import State
+from thinlayer.time.history import SAME_TIME, History
+from thinlayer.time.journal import Journal
+from thinlayer.time.plan import Plan
+from thinlayer.time.switching import steps
+
+SAME_LOADS = 1e-12  # relative change
+SAFETY, LEAST, MOST = 0.9, 0.2, 3.0  # of the change of an adaptive step
+
+
+class TimeStepping:
+    """A march in time under way.
+
+    Args:
+        solver: of the model.
+        journal: of the march.
+        plan: when steps end.
+        start: time of the first state.
+        theta: of the balance of forces.
+    """
+
+    def __init__(self, solver: Solver, journal: Journal, plan: Plan, start: float, theta: float) -> None:
+        self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
+        self._journal = journal
+        self._failed_at: float | None = None  # earliest end of a step that failed, still ahead
+        self._shortest = False  # whether the step cannot be shortened further
+
+    @property
+    def _history(self) -> History:
+        return self._journal.history
+
+    @property
+    def _sudden(self) -> bool:
+        """Whether the layer answers a sudden load at once."""
+        return not any(p.law.rate for p in self.solver.model.points)
+
+    def run(self, resume: bool) -> History:
+        """The march, or the rest of the one that is in its folder. Collective; errors as in `march`."""
+        if self._journal.read(resume):
+            last, end = self._history.last.t, self.plan.targets[-1]
+            if last > end + SAME_TIME * max(abs(end), abs(self.start)):
+                raise ModelError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
+            self._journal.write_table()
+        else:
+            self._begin()
+        for target in track(self.plan.after(self._history.last.t), "march", "t = {:g}"):
+            self._reach(target)
+        return self._history
+
+    def _begin(self) -> None:
+        """The first state. One at rest is written together with the first step: until then nothing has been solved."""
+        rest = self.solver.rest(self.start)
+        if not self._sudden:
+            self._journal.note(rest)
+            return
+        try:
+            self._journal.accept([self.solver.step(rest, self.start)])
+        except SolveError as error:
+            advice = "let the loads grow from less, as functions (x, t) or piecewise" if self.solver.yields else None
+            reason = error.reason if advice else str(error)
+            raise SolveError(
+                f"the sudden load at t = {self.start:g}: {reason}", self._history, advice=advice
+            ) from error
+
+    def _reach(self, target: float) -> None:
+        """Step to a time, in shorter steps where need be."""
+        while self._history.last.t != target:
+            old = self._history.last
+            left = target - old.t
+            planned = self._journal.pace.step or left
+            dt = min(planned, left)
+            end = target if left - dt < 1e-3 * dt else old.t + dt
+            try:
+                states, factor = self._try(old, end)
+            except SolveError as error:
+                self._fail(old, end, error)
+                continue
+            if not states:
+                self._shorten(
+                    (end - old.t) * factor, old, end, SolveError("its estimated error stays above the tolerance")
+                )
+                continue
+            passed = self._failed_at is None or end >= self._failed_at
+            if self.plan.adaptive:
+                step = (end - old.t) * factor
+                if end == target:  # a step cut short for the target says nothing against a longer one
+                    step = max(step, planned)
+                self._journal.pace.step = min(step, self.plan.adaptive.largest)
+            elif self._journal.pace.step is not None:
+                self._journal.pace.step = None if end == target else 2 * dt if passed or not self.solver.yields else dt
+            if passed:
+                self._failed_at = None
+            self._shortest = False
+            self._journal.accept(states)
+
+    @property
+    def _smallest(self) -> float:
+        return self.plan.smallest * (1 - SAME_TIME)
+
+    @property
+    def _thorough(self) -> bool:
+        """Whether a step is worth every effort: a planned one, the shortest one, one after another that took it."""
+        whole = self._failed_at is None and (self._journal.pace.step is None or self.plan.adaptive is not None)
+        return whole or self._shortest or self._history.last.report.eased > 0
+
+    def _fail(self, old: State, end: float, error: SolveError) -> None:
+        """Shorten a step whose solve failed; the shortest one is tried again with every effort."""
+        dt, thorough = (end - old.t) / 2, self._thorough
+        self._failed_at = end if self._failed_at is None else min(end, self._failed_at)
+        if self.solver.yields and not thorough and dt < self._smallest:
+            self._shortest = True
+        else:
+            self._shorten(dt, old, end, error)
+
+    def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
+        if dt >= self._smallest:
+            self._journal.pace.step = dt
+            return
+        if self.solver.yields and self._failed_at is not None and self._loads_change(old.t, end):
+            raise LimitLoad(error.reason, old.t, end, self._resultant(old.t), self._history) from error
+        raise SolveError(
+            f"step {len(self._history)}, from t = {old.t:g} to {end:g}, failed, and so did longer ones: {error}",
+            self._history,
+        ) from error
+
+    def _loads_change(self, before: float, after: float) -> bool:
+        a, b = (self.solver.equations.loads_at(t) for t in (before, after))
+        size = b.norm()
+        b.axpy(-1.0, a)
+        change = b.norm()
+        a.destroy()
+        b.destroy()
+        return bool(change > SAME_LOADS * size)
+
+    def _resultant(self, t: float) -> list[float]:
+        """Tractions and body forces on the bodies at a time, their sum."""
+        model, loads = self.solver.model, self.solver.equations.loads_at(t)
+        translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
+        forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
+        loads.destroy()
+        return forces
+
+    def _try(self, old: State, end: float) -> tuple[list[State], float]:
+        """States of a step, none if its error is too large, and by how much the next step may be longer or shorter."""
+        theta = 1.0 if len(self._history) == 1 and not self._sudden else self.theta
+        middle = (old.t + end) / 2
+        adaptive = self.plan.adaptive
+        if self.solver.equations.switches:
+            return [*steps(self.solver, old, end)], 1.0
+        if not adaptive:
+            ends = [middle, end] if theta != self.theta else [end]
+            return [*self._chain(old, ends, theta)], 1.0
+        whole = self.solver.step(old, end, theta, self._thorough)
+        halves = [*self._chain(old, [middle, end], theta)]
+        order = 2 if theta == 0.5 else 1
+        size = max(float(halves[-1].u.x.petsc_vec.norm()), self._journal.pace.largest)
+        difference = halves[-1].u.x.petsc_vec.copy()
+        difference.axpy(-1.0, whole.u.x.petsc_vec)
+        error = difference.norm() / (2**order - 1) / size if size else 0.0
+        ratio = (adaptive.tolerance / error) ** (1 / (order + 1)) if error else MOST
+        factor = float(np.clip(SAFETY * ratio, LEAST, MOST))
+        return (halves if error <= adaptive.tolerance else []), factor
+
+    def _chain(self, state: State, ends: list[float], theta: float) -> Iterator[State]:
+        for t in ends:
+            state = self.solver.step(state, t, theta, self._thorough)
+            yield state
