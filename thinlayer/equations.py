@@ -33,6 +33,7 @@ SAME, SUBSET, DIFFERENT = (
 )
 
 ASYMMETRY = 1e-8  # of a tangent, over its size
+STRAIGHT, BETWEEN = 1e-9, (0.21, 0.5, 0.83)  # of what is linear in time: its rounding; where it is looked at
 ROUNDING = 1e-8  # times 1e-6, the largest residual: stiffness times displacement is rounded to 1e-14
 
 
@@ -200,6 +201,27 @@ class Equations:
             self._prescribed_at(t)
             for p in self.points:
                 p.at_time(t)
+
+    def straight(self, start: float, end: float) -> bool:
+        """Whether loads, supports and parameters of laws are linear in time between two times. Seen at a few of them."""
+        first, last = self._given_at(start), self._given_at(end)
+        for share in BETWEEN:
+            now = self._given_at(start + share * (end - start))
+            for a, b, c in zip(first, last, now, strict=True):
+                apart = np.abs((1 - share) * a + share * b - c).max(initial=0.0)
+                size = np.abs([a, b, c]).max(initial=0.0)
+                if self.comm.allreduce(float(apart), max) > STRAIGHT * self.comm.allreduce(float(size), max):
+                    return False
+        return True
+
+    def _given_at(self, t: float) -> list[npt.NDArray[np.float64]]:
+        """Loads, prescribed displacements and parameters that vary, on this rank."""
+        loads = self.loads_at(t)
+        given = [loads.array_r.copy(), self._prescribed_at(t)]
+        loads.destroy()
+        for p in self.points:
+            p.at_time(t)
+        return given + [p.material.parameters for p in self.points if p.material.varies]
 
     def loads_at(self, t: float) -> PETSc.Vec:
         """Nodal forces of the loads at a time."""

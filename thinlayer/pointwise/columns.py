@@ -67,7 +67,10 @@ class Switching:
 
     def _of_columns(self, memory: Array) -> list[Array]:
         values = [memory[:, self._slot[name]] for name in ("phase", "drive", "bound")]
-        return [self.columns.mean(v) for v in values] if self.columns else values
+        if not self.columns:
+            return values
+        phase, drive, bound = map(self.columns.mean, values)
+        return [np.rint(phase), drive, bound]  # the mean of equal numbers is rounded
 
     def excess(self, memory: Array) -> float:
         """Largest excess of a column: by how much the energy of another phase is lower, over C. Collective."""

@@ -44,8 +44,9 @@ def march(
 
     A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows the local minimum of the energy that it is in, until the
     phase of one of its columns is that of lowest energy no more. The march stops there, and notes the state before and
-    the one after the column and all that follow it have switched, at the same t (`History.snaps`). Loads, supports and
-    temperatures that turn back should do so at the end of a step, or be `piecewise`, whose turns the march stops at.
+    the one after the column and all that follow it have switched, at the same t (`History.snaps`). It stops where piecewise
+    loads break as well. Where loads or temperatures are no linear functions of time within a step, or a body's law is not
+    linear, it looks at eight times within the step: what columns pass through between two of them is not seen.
 
     Args:
         model: the model.
@@ -72,7 +73,7 @@ def march(
     if isinstance(times, ArcLength):
         return _follow(model, times, start, theta, observe, keep, out, resume, options, method)
     require_hardening(model, "march in time")
-    plan = Plan.of(times, start, model.break_times)
+    plan = Plan.of(times, start, model.break_times, switching=any(p.law.switches for p in model.layer_points))
     _check_switching(model, plan, theta)
     adaptive, folder = plan.adaptive, Path(out) if out else None
     pace = Pace(adaptive.first if adaptive else None)

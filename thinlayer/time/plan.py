@@ -76,8 +76,8 @@ class Plan:
     smallest: float
 
     @classmethod
-    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> Plan:
-        """The plan for `times`; adaptive steps also end where piecewise loads break."""
+    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float], switching: bool = False) -> Plan:
+        """The plan for `times`; adaptive steps, and those of a layer that switches phases, also end where loads break."""
         adaptive = times if isinstance(times, Adaptive) else None
         if isinstance(times, str):
             raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
@@ -91,8 +91,9 @@ class Plan:
                 f"times is {targets} from start = {start:g}; they must be finite, increase, "
                 "and come after start, which is not one of them"
             )
-        if adaptive:
+        if adaptive or switching:
             targets = sorted({*targets, *(t for t in breaks if start < t < targets[-1])})
+        if adaptive:
             return cls(targets, adaptive, adaptive.smallest or adaptive.first / 1e6)
         return cls(targets, None, float(np.diff(whole).min()) / 2**HALVINGS)
 
