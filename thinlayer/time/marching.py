@@ -45,8 +45,8 @@ def march(
     A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows the local minimum of the energy that it is in, until the
     phase of one of its columns is that of lowest energy no more. The march stops there, and notes the state before and
     the one after the column and all that follow it have switched, at the same t (`History.snaps`). It stops where piecewise
-    loads break as well. Where loads or temperatures are no linear functions of time within a step, or a body's law is not
-    linear, it looks at eight times within the step: what columns pass through between two of them is not seen.
+    loads break as well. Where loads or temperatures are no linear functions of time within a step, it looks at seven times
+    within the step: what columns pass through and leave between two of them is not seen.
 
     Args:
         model: the model.

@@ -35,7 +35,9 @@ def _one_way(solver: Solver, old: State, end: float) -> Iterator[State]:
         return solver.equations.excess - 2 * TIE
 
     while True:
-        bound = end if _bends_up(solver, old.t, end) else next(filter(lambda t: excess(t) > 0, _probes(old.t, end)), end)
+        bound = (
+            end if _bends_up(solver, old.t, end) else next(filter(lambda t: excess(t) > 0, _probes(old.t, end)), end)
+        )
         held = solver.step(old, bound, held=True)
         if solver.equations.excess <= 2 * TIE:
             if old.t < end:
@@ -56,9 +58,10 @@ def _one_way(solver: Solver, old: State, end: float) -> Iterator[State]:
 def _bends_up(solver: Solver, start: float, end: float) -> bool:
     """Whether an excess with phases held is a convex function of time: it is positive at the end if it ever is. Collective.
 
-    Where all is linear in time drives are, and an excess is the largest of their sizes.
+    Where all is linear in time drives are, and an excess is the largest of their sizes; bodies that are not linear are
+    taken to be near enough.
     """
-    return solver.method == "linear" and (start == end or solver.equations.straight(start, end))
+    return start == end or solver.equations.straight(start, end)
 
 
 def _probes(start: float, end: float) -> Iterator[float]:

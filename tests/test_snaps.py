@@ -1,0 +1,140 @@
+"""Snaps that are easily missed: at the end of a step, on coarse times, within a step that comes back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Law, LinearElastic, NonMonotoneUnrelaxed
+from forms.elastic import lame
+from forms.non_monotone import TIE
+from geometry import sandwich
+from thinlayer import Model, PhaseReport, ThinLayer, march, piecewise
+
+CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
+LAW = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, CHI)
+SOFT = LinearElastic.young(100.0, 0.3)
+
+
+@dataclass(frozen=True)
+class Stiffening(Law):
+    mu: float
+    c: float
+
+    def stress(self, step):
+        return lame(0.8 * self.mu, self.mu, step.mid) + self.c * ufl.inner(step.mid, step.mid) * step.mid
+
+    def energy(self, step):
+        e = step.e
+        return 0.4 * self.mu * ufl.tr(e) ** 2 + self.mu * ufl.inner(e, e) + self.c / 4 * ufl.inner(e, e) ** 2
+
+
+def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Model.interface):
+    """Eight columns, sheared and pulled, more at the right end; they switch in four snaps as of_t goes from 0 to 1."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.125, cell="quadrilateral", structured=True)
+    top = top or {"x": lambda x, t: 0.03 * of_t(t), "y": lambda x, t: of_t(t) * (0.05 * x[0] - 0.01)}
+    return kind(
+        joint, layer=ThinLayer(law, 0.05), sublayers=2, body=body, supports={"BOTTOM": 0.0, "TOP": top}, element="Q1"
+    )
+
+
+def excesses(history):
+    """Of every state the largest excess of a column."""
+    law = history.model.layer.law
+    for state in history:
+        columns = state.model.quadratures[0].columns
+        phase, drive, bound = (columns.mean(state.memory[0][:, k]) for k in (0, 2, 3))
+        yield law.excess(np.rint(phase), drive, bound).max()
+
+
+def check(history, t=None, lost=None, rel=1e-9):
+    """Times and losses of snaps; energy balance; no column is left in a phase that another one beats."""
+    if t is not None:
+        assert [snap.t for snap in history.snaps] == pytest.approx(t, rel=rel)
+    if lost is not None:
+        assert [snap.lost for snap in history.snaps] == pytest.approx(lost, rel=1e-6)
+    assert all(snap.lost > 0 for snap in history.snaps)
+    assert np.abs(history.table["imbalance"]).max() < 1e-9
+    assert np.diff(history.t).min() >= 0
+
+
+@cache
+def reference():
+    """Times and losses of the snaps of one march of one step."""
+    history = march(blocks(), [1.0])
+    assert len(history.snaps) == 4
+    assert max(excesses(history)) < 3 * TIE
+    for snap in history.snaps:
+        energy = history.table["energy"]
+        assert energy[snap.row - 1] - energy[snap.row] == pytest.approx(snap.lost, rel=1e-9)
+    return np.array([snap.t for snap in history.snaps]), np.array([snap.lost for snap in history.snaps])
+
+
+@pytest.mark.parametrize("near", [0.0, -5e-12, -1e-11, -3e-11, 1e-9])
+def test_a_step_that_ends_at_a_snap(near):
+    """The snap comes at the end of the first step or just after it, once."""
+    t, lost = reference()
+    check(march(blocks(), [t[0] * (1 + near), 1.0]), t, lost)
+
+
+def test_times_that_are_coarse():
+    """Seconds of a million: times are known to 1e-10, excesses to more than `TIE`."""
+    t, lost = reference()
+    start = 1e6
+    check(march(blocks(lambda t: t - start), [start + 0.5, start + 1], start=start), start + t, lost, rel=1e-14)
+
+
+def test_loads_that_come_back_within_a_step():
+    """A half wave in one step is that in eight: up, through all snaps, and back, through others."""
+    wave = lambda t: ufl.sin(np.pi * t)
+    t = np.arcsin(reference()[0]) / np.pi
+    one, eight = (march(blocks(wave), np.arange(1, n + 1) / n) for n in (1, 8))
+    assert [snap.t for snap in one.snaps[:4]] == pytest.approx(t, rel=1e-9)
+    assert len(one.snaps) > 8
+    assert PhaseReport(one.last).plus == 0
+    check(one, [snap.t for snap in eight.snaps], [snap.lost for snap in eight.snaps])
+
+
+def test_piecewise_loads_that_come_back_within_a_step():
+    """The march stops where they break."""
+    top = {"x": 0.0, "y": piecewise({0: 0.0, 0.3: 0.05, 0.7: 0.0, 1: -0.04})}
+    one, three = (march(blocks(top=top), times) for times in ([1.0], [0.3, 0.7, 1.0]))
+    assert len(one.snaps) == 3
+    check(one, [snap.t for snap in three.snaps], [snap.lost for snap in three.snaps])
+    assert {0.3, 0.7} <= set(one.t)
+    assert PhaseReport(one.last).minus == 1
+
+
+def test_a_temperature_that_comes_back_within_a_step():
+    cold = lambda T: 0.03 * np.exp(-T / 50)
+    law = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, cold, CHI, T=lambda x, t: 40 * x[0] + 50 * np.sin(3 * t))
+    one, five = (march(blocks(law=law, top={"x": 0.03, "y": 0.02}), 2 * np.arange(1, n + 1) / n) for n in (1, 5))
+    assert len(one.snaps) == 11
+    check(one, [snap.t for snap in five.snaps], [snap.lost for snap in five.snaps])
+
+
+def test_bodies_that_stiffen():
+    """By Newton's method phases are held in a solve as well; the snaps are those of other steps, and not those of SOFT."""
+    body = Stiffening(40.0, 1e4)
+    one, three = (march(blocks(body=body), times) for times in ([0.6], [0.3, 0.6]))
+    check(one, [snap.t for snap in three.snaps], [snap.lost for snap in three.snaps])
+    assert len(one.snaps) == 2
+    assert abs(one.snaps[0].t - reference()[0][0]) > 1e-3
+
+
+@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+def test_columns_that_tie(kind):
+    """Columns left and right that come to their threshold together switch together."""
+    law = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, np.diag([0.2, 1.0]))
+    top = {"x": 0.0, "y": lambda x, t: 0.06 * t * (1 - 2 * (x[0] - 0.5) ** 2)}
+    history = march(blocks(law=law, top=top, kind=kind), [1.0])
+    check(history)
+    assert len(history.snaps) == 3
+    for state in history:
+        phases = PhaseReport(state).profile()[1]
+        assert phases == pytest.approx(phases[::-1], abs=1e-12)
+        assert set(phases) <= {0.0, 1.0}
