@@ -99,5 +99,5 @@ class Plan:
 
     def after(self, t: float) -> list[float]:
         """Targets still to reach."""
-        near = SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0]))
+        near = min(SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0])), self.smallest)
         return [target for target in self.targets if target > t + near]
