@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.declarations import LawError as LawError
+from forms.declarations import require_dataclass, require_declarations
 from forms.kinematics import Expr
-
-
-class LawError(ValueError):
-    """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
 
 
 class Step(NamedTuple):
@@ -89,9 +87,11 @@ class Law:
         yields: whether stresses are bounded in some direction, so that loads may have a limit.
         otherwise: a law with the same parameters and internal values, for all points in three dimensions and for those in
             plane strain where this one does not hold (`holds`). Without one such points fail, and steps are shortened.
-        functions: parameters that may be given as functions; see `at`.
-        phases: whether an internal variable "phase" in [-1, 1] says how much of the layer is in phase 1, or -1.
-        switches: whether phases are pure, one for each column of the layer, held in a solve and switched after it.
+        functions: parameters that may be given as functions; `parameters` gives numbers for them, NaN where they vary, and
+            `at` their values.
+        phases: whether a scalar internal variable "phase" in [-1, 1] says how much of the layer is in phase 1, or -1.
+        switches: whether phases are pure, one for each column of the layer, held in a solve and switched after it: by the
+            methods `excess` and `switched`, from "phase" and the internal variables "drive" and "bound".
         flat: whether the tangent of a law with an energy may vanish along some strains.
     """
 
@@ -110,7 +110,7 @@ class Law:
     flat: ClassVar[bool] = False
 
     def __new__(cls, *_: Any, **named: Any) -> Self:
-        cls._require_dataclass()
+        require_dataclass(cls)
         known = [name for name in inspect.signature(cls.__init__).parameters if name != "self"]
         for name in named:
             if name not in known:
@@ -120,9 +120,14 @@ class Law:
 
     def __post_init__(self) -> None:
         for f in fields(self):
+            allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
+            require(
+                not isinstance(getattr(self, f.name), ufl.core.expr.Expr), self, f.name, "a UFL expression", allowed
+            )
+        for f in fields(self):
             self._check_number(f.name, getattr(self, f.name), f.default is None, str(f.type).startswith("float"))
         self.check()
-        self.check_declarations()
+        require_declarations(self)
 
     def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
         if (value is None and may_be_none) or (callable(value) and name in self.functions):
@@ -137,24 +142,6 @@ class Law:
             raise LawError(
                 f"{type(self).__name__}: {name} is {value!r}; allowed: {'a number' if scalar else 'numbers'}"
             )
-
-    @classmethod
-    def _require_dataclass(cls) -> None:
-        own = [n for n, note in inspect.get_annotations(cls).items() if "ClassVar" not in str(note)]
-        if own and "__dataclass_params__" not in vars(cls):
-            raise LawError(f"{cls.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
-
-    def check_declarations(self) -> None:
-        """Raise LawError unless what the class declares fits its parameters."""
-        kind, known = type(self), self.parameters()
-        kind._require_dataclass()
-        if not isinstance(self.powers, Mapping) or not isinstance(self.internal, Mapping):
-            raise LawError(f"{kind.__name__}: powers is {{parameter: power}}, internal is {{name: shape}}")
-        for name, power in self.powers.items():
-            if name not in known:
-                raise LawError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
-            if not isinstance(power, Real) or not math.isfinite(power):
-                raise LawError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
 
     def check(self) -> None:
         """Raise LawError if a parameter is out of its range."""
@@ -174,7 +161,7 @@ class Law:
 
     @property
     def varies(self) -> bool:
-        """Whether parameters vary along the layer or in time."""
+        """Whether parameters vary along the layer or in time; `at` gives those that do."""
         return False
 
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
@@ -194,7 +181,7 @@ class Law:
     @property
     def pointwise(self) -> bool:
         """Whether the law acts on arrays of points, step by step; otherwise its stress is a part of a UFL form."""
-        return self.rate or bool(self.internal) or type(self).holds is not Law.holds
+        return self.rate or bool(self.internal) or self.varies or type(self).holds is not Law.holds
 
     def stress(self, step: Step) -> Expr:
         """Stress at t + theta dt, (3, 3), symmetric, UFL."""

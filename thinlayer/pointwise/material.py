@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from forms.law import Law
+from forms.law import Law, LawError
 from forms.series import Stack
 from thinlayer.compiled import library
 from thinlayer.pointwise.kernels import Array, kernels
@@ -62,11 +62,11 @@ class Material:
         """Answer from now on with the parameters at places x (d, points), in the joint before inflating, and a time.
 
         Raises:
-            LawError: parameters out of range at one of them.
+            LawError: parameters out of range at one of them, or that the law gives in another form.
         """
         columns = []
         for law in _sublayers(self._current):
-            varying = law.at(x, t)
+            varying = _varying(law, x, t) if law.varies else {}
             for name, value in law.parameters().items():
                 fixed = np.broadcast_to(np.ravel(np.asarray(value, float)), (x.shape[1], np.size(value)))
                 columns.append(varying[name][:, None] if name in varying else fixed)
@@ -115,6 +115,25 @@ class Material:
         """Pointers to arrays, made contiguous (outputs are)."""
         kinds = {"int32": "int32_t[]", "int64": "intptr_t[]", "float64": "double[]"}
         return [self._library.ffi.from_buffer(kinds[a.dtype.name], np.ascontiguousarray(a)) for a in arrays]
+
+
+def _varying(law: Law, x: Array, t: float) -> dict[str, Array]:
+    """The parameters of a law that vary, at places x (d, n) and a time: name -> (n,)."""
+    asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
+    known = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
+    try:
+        given = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
+    except LawError:
+        raise
+    except Exception as error:
+        raise LawError(f"{asked}, fails: {type(error).__name__}: {error}") from error
+    if not given or not given.keys() <= set(known):
+        allowed = ", ".join(known)
+        raise LawError(f"{asked}, gives {sorted(given)}; allowed: those that vary of {allowed}, scalars")
+    for name, value in given.items():
+        if value.shape != x.shape[1:] or not np.isfinite(value).all():
+            raise LawError(f"{asked}, gives {name} of shape {value.shape}; allowed: {x.shape[1:]}, finite numbers")
+    return given
 
 
 def _kinds(law: Law) -> list[type[Law]]:

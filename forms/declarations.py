@@ -1,0 +1,57 @@
+"""What the class of a law declares, checked."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Mapping
+from numbers import Real
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from forms.law import Law
+
+SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
+
+
+class LawError(ValueError):
+    """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
+
+
+def require_dataclass(kind: type[Law]) -> None:
+    """Raise LawError if a class has parameters of its own and no constructor that takes them."""
+    own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
+    if own and "__dataclass_params__" not in vars(kind):
+        raise LawError(f"{kind.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
+
+
+def require_declarations(law: Law) -> None:
+    """Raise LawError unless what the class of a law declares fits its parameters and its methods."""
+    kind, known = type(law), law.parameters()
+    require_dataclass(kind)
+    if not isinstance(law.powers, Mapping) or not isinstance(law.internal, Mapping):
+        raise LawError(f"{kind.__name__}: powers is {{parameter: power}}, internal is {{name: shape}}")
+    for name, power in law.powers.items():
+        if name not in known:
+            raise LawError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
+        if not isinstance(power, Real) or not math.isfinite(power):
+            raise LawError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
+    for name in law.functions:
+        if callable(known.get(name)):
+            raise LawError(
+                f"{kind.__name__}: parameters() gives a function for {name}; it must give a number, NaN where it varies"
+            )
+    _require_phases(law)
+
+
+def _require_phases(law: Law) -> None:
+    kind, name = type(law), type(law).__name__
+    if kind.phases is True and law.internal.get("phase") != ():
+        raise LawError(f"{name} has phases = True; it needs an internal variable 'phase' of shape (), a UFL law")
+    if kind.switches is not True:
+        return
+    if kind.phases is not True or any(law.internal.get(one) != () for one in SWITCHED):
+        raise LawError(f"{name} has switches = True; it needs phases = True and the scalars {SWITCHED} in internal")
+    for method in ("excess", "switched"):
+        if not callable(getattr(law, method, None)):
+            raise LawError(f"{name} has switches = True; it needs a method {method}, see NonMonotoneUnrelaxed")
