@@ -15,7 +15,7 @@ import ufl
 from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
 from forms.law import Law, LawError, Step, require
-from forms.temperature import Field, OfTemperature, evaluated, temperatures
+from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
 from forms.viscous import isotropic_energy
 
 Array = npt.NDArray[np.float64]
@@ -106,17 +106,18 @@ class Phases(Law):
             require(isinstance(self.T, Real) and math.isfinite(self.T), self, "T", repr(self.T), "a number, a function")
         if not self.varies:
             numbers = self.parameters()
-            self._check_phases(numbers["alpha"], numbers["C"], "")
+            self._check_phases(numbers["alpha"], numbers["C"], lambda k: "")
 
     def check_dimension(self, d: int) -> None:
         require(len(self.chi) == d, self, "shape of chi", self.chi.shape, f"({d}, {d}) in a model of dimension {d}")
 
-    def _check_phases(self, alpha: Any, C: Any, where: str) -> None:
-        """Raise LawError unless these values, (n,) or numbers, are in range."""
+    def _check_phases(self, alpha: Any, C: Any, where: Callable[[int], str]) -> None:
+        """Raise LawError unless these values, (n,) or numbers, are in range; `where` tells the place of the k-th."""
         for name, values in {"alpha": alpha, "C": C}.items():
-            values = np.asarray(values, float)
-            least = float(np.min(values, initial=math.inf))
-            require(least > 0 and bool(np.isfinite(values).all()), self, name + where, f"{least:g}", "> 0")
+            values = np.ravel(values).astype(float)
+            bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
+            for k in bad[np.argsort(values[bad])][:1]:
+                require(False, self, name + where(k), f"{values[k]:g}", "> 0")
 
     @property
     def varies(self) -> bool:
@@ -138,7 +139,7 @@ class Phases(Law):
             return {}
         T = temperatures(self, self.T, x, t)  # type: ignore[arg-type]
         values = {name: evaluated(self, name, getattr(self, name), T) for name in ("alpha", "C")}
-        self._check_phases(values["alpha"], values["C"], f" at t = {t:g} somewhere in the layer")
+        self._check_phases(values["alpha"], values["C"], lambda k: place(x, t, k))
         return values | {"T": T}
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Phases:
@@ -151,7 +152,7 @@ class Phases(Law):
 
     def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | OfTemperature:
         given, power = getattr(self, name), self.powers.get(name, 0)
-        return (lambda T: change(np.asarray(given(T), float), power)) if callable(given) else change(given, power)
+        return (lambda T: change(real(given(T)), power)) if callable(given) else change(given, power)
 
     # ---------------------------------------------------------------- of a step, UFL
     def _drive(self, e: Expr, n: Expr) -> Expr:
@@ -206,12 +207,12 @@ class NonMonotone(Phases):
         object.__setattr__(self, "G", lamination_gain(self.lmbda, self.mu, self.chi))
         self._check_temperature()
 
-    def _check_phases(self, alpha: Any, C: Any, where: str) -> None:
+    def _check_phases(self, alpha: Any, C: Any, where: Callable[[int], str]) -> None:
         super()._check_phases(alpha, C, where)
         values, least = map(np.ravel, np.broadcast_arrays(C, self.mixing * self.G * np.square(alpha) / 2))
         for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
             allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
-            require(False, self, f"C{where}", f"{values[k]:g}", allowed)
+            require(False, self, f"C{where(k)}", f"{values[k]:g}", allowed)
 
     @property
     def softens(self) -> bool:

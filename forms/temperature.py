@@ -39,12 +39,27 @@ class Tabulated:
 
     def __call__(self, T: Any) -> npt.NDArray[np.float64]:
         """Values (n,) at temperatures (n,)."""
+        if np.asarray(T).dtype.kind not in "iuf":
+            raise LawError(f"T is {T!r}; a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
         outside = np.logical_not((rows[0, 0] <= T) & (rows[-1, 0] >= T))
         if outside.any():
             first = float(np.atleast_1d(T)[np.atleast_1d(outside)][0])
             raise LawError(f"T is {first:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
+
+
+def real(values: Any) -> npt.NDArray[np.float64]:
+    """Numbers as they are, or a TypeError: conversion would drop imaginary parts, and take conditions for 0 and 1."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
+    return array.astype(float)
+
+
+def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
+    """Where and when the k-th of places x (d, n) is, for messages."""
+    return f" at x = ({', '.join(f'{c:g}' for c in x[:, k])}), t = {t:g}"
 
 
 def evaluated(law: object, name: str, given: float | OfTemperature, T: npt.NDArray[np.float64]) -> Any:
@@ -56,7 +71,7 @@ def evaluated(law: object, name: str, given: float | OfTemperature, T: npt.NDArr
     if not callable(given):
         return np.full(len(T), float(given))
     try:
-        values = np.broadcast_to(np.asarray(given(T), float), T.shape)
+        values = np.broadcast_to(real(given(T.copy())), T.shape)
     except LawError as error:
         raise LawError(f"{type(law).__name__}: {name}(T): {error}") from None
     except Exception as error:
@@ -76,7 +91,7 @@ def temperatures(law: object, T: Field, x: npt.NDArray[np.float64], t: float) ->
         LawError: a field that fails, or gives something else than n finite numbers.
     """
     try:
-        values = np.array(np.broadcast_to(np.asarray(T(x, t), float), (x.shape[1],)))
+        values = np.array(np.broadcast_to(real(T(x.copy(), t)), (x.shape[1],)))
     except Exception as error:
         raise LawError(
             f"{type(law).__name__}: T(x, t) fails for x of shape {x.shape}: {type(error).__name__}: {error}; "
@@ -84,6 +99,5 @@ def temperatures(law: object, T: Field, x: npt.NDArray[np.float64], t: float) ->
         ) from error
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
-        where = ", ".join(f"{c:g}" for c in x[:, bad[0]])
-        raise LawError(f"{type(law).__name__}: T is {values[bad[0]]} at x = ({where}), t = {t:g}")
+        raise LawError(f"{type(law).__name__}: T is {values[bad[0]]}{place(x, t, bad[0])}")
     return values
