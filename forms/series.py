@@ -46,7 +46,7 @@ class Stack(Law):
         total = sum(self.fractions)
         require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
         for law in self.laws:
-            allowed = "laws that give a stress for a strain, at each point"
+            allowed = "laws that give a stress for a strain, at each point by itself"
             require(isinstance(law, Law) and law.in_series, self, "a sublayer", law, allowed)
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
+from numbers import Integral, Real
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class ArcLength:
 
     end: float
     first: float
-    smallest: float | None = None
+    smallest: float = 1e-6
     largest: float = 1.0
     steps: int = 1000
     back: float | None = None
@@ -50,22 +50,16 @@ class ArcLength:
     def __post_init__(self) -> None:
         for name in ("end", "first", "smallest", "largest", "back"):
             value = getattr(self, name)
-            if value is None and name in ("smallest", "back"):
+            if value is None and name == "back":
                 continue
             signed = name in ("end", "back")
             number = float(value) if isinstance(value, Real) else math.nan
             if not (math.isfinite(number) or (name == "largest" and number > 0)) or not (signed or number > 0):
                 raise ModelError(f"ArcLength: {name} is {value!r}; allowed: a number" + " > 0" * (not signed))
-        if not isinstance(self.steps, int) or isinstance(self.steps, bool) or self.steps < 1:
+        if not isinstance(self.steps, Integral) or isinstance(self.steps, bool) or self.steps < 1:
             raise ModelError(f"ArcLength: steps is {self.steps!r}; allowed: a whole number > 0")
-        object.__setattr__(self, "smallest", 1e-6 if self.smallest is None else float(self.smallest))
-        if self.largest < self.shortest:
-            raise ModelError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.shortest:g}")
-
-    @property
-    def shortest(self) -> float:
-        """Length of the shortest step."""
-        return 1e-6 if self.smallest is None else float(self.smallest)
+        if self.largest < self.smallest:
+            raise ModelError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
     def lowest(self, start: float) -> float:
         """Time below which the march ends."""

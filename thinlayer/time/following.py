@@ -131,7 +131,7 @@ class PathFollowing:
                 return self._checked(last, self._path.step(last, length * scale, turn=True)), length
             except SolveError:
                 pass
-        if length / 2 < self.plan.shortest:
+        if length / 2 < self.plan.smallest:
             raise failed
         return None, length / 2
 

@@ -24,7 +24,7 @@ class Snap:
 
     Attributes:
         t: when.
-        row: of the state after it; the row before it has the state just before.
+        row: of the state after it; the row before it has the state just before (in `History.states` if all are kept).
         lost: energy lost.
     """
 
@@ -56,17 +56,22 @@ class History:
 
     @property
     def last(self) -> State:
-        """State of the last accepted step."""
+        """State of the last accepted step; raises ModelError if there is none."""
+        if not self.states:
+            raise ModelError("the march has no accepted state: its first one failed")
         return self.states[max(self.states)]
 
     @property
     def t(self) -> npt.NDArray[np.float64]:
         """Times of all accepted states."""
-        return self.table["t"]
+        return self.table["t"] if self.table.rows else np.empty(0)
 
     @property
     def snaps(self) -> list[Snap]:
-        """The snaps of a layer whose columns switch phase, in their order: rows after the first with dt = 0."""
+        """The snaps of a layer whose columns switch phase, in their order: rows after the first with dt = 0.
+
+        What a sudden load at the start switches is in the first row, without a state before it.
+        """
         if not self.table.rows:
             return []
         t, dt, lost = (self.table[name] for name in ("t", "dt", "dissipated"))

@@ -111,15 +111,18 @@ class Journal:
             values[name] = None if math.isnan(value) else value
         if self.model.layer and self.model.kind != "bonded" and self.model.layer.law.phases:
             report = PhaseReport(state)
-            values |= {"energy": state.audit.total} | {name: getattr(report, name) for name in PHASE_COLUMNS[1:]}
+            energy = None if math.isnan(state.audit.total) else state.audit.total
+            values |= {"energy": energy} | {name: getattr(report, name) for name in PHASE_COLUMNS[1:]}
         return values | {name: self._observed(name, state) for name in self._observe}
 
     def _observed(self, name: str, state: State) -> float:
         """What rank 0 observes: a function of a state is to give the same on all ranks."""
         try:
             value = float(self._observe[name](state))
-        except (TypeError, ValueError) as error:
+        except Exception as error:
+            kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
             raise ModelError(
-                f"observe[{name!r}] at t = {state.t:g}: {error}; it must be a function of a state that returns a number"
+                f"observe[{name!r}] at t = {state.t:g}: {kind}{error}; it must be a function of a state that returns "
+                "a number"
             ) from error
         return float(self.model.comm.bcast(value))

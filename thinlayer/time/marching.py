@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +100,7 @@ def _follow(
 
 
 def _number(name: str, value: Any) -> float:
-    if (not isinstance(value, Real) and np.ndim(value)) or not np.issubdtype(np.asarray(value).dtype, np.number):
+    if np.ndim(value) or np.asarray(value).dtype.kind not in "iuf":
         raise ModelError(f"{name} is {value!r}; it must be a number")
     return float(value)
 
@@ -136,7 +135,9 @@ def _check_switching(model: Model, plan: Plan, theta: float) -> None:
     if names and theta != 1:
         raise ModelError(f"theta is {theta}; {names[0]} holds at the ends of steps: theta = 1")
     if names and plan.adaptive:
-        raise ModelError(f"Adaptive is for laws that depend on time; {names[0]} needs none: give the times to stop at")
+        raise ModelError(
+            f"Adaptive is for laws that depend on time; steps of {names[0]} have no error: give the times to stop at"
+        )
 
 
 def _check_folder(model: Model, out: Any) -> None:
