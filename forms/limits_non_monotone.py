@@ -8,6 +8,7 @@ eta < 1" of Eq. (41). The models never use these formulas, tests and studies com
 from __future__ import annotations
 
 import math
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -59,7 +60,7 @@ def non_monotone(
     Raises:
         ValueError: a parameter out of range.
     """
-    if not 0 < mixing <= 1:
+    if not mixed_share(mixing) > 0:
         raise ValueError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
     if not g / 2 * (1 - ROUNDING) <= C:
@@ -98,6 +99,8 @@ def non_monotone_energy(
     x, g as in `non_monotone`. Pure phases have the energy of Eq. (44), whatever the mixing, 0 <= mixing <= 1.
     """
     mixed_share(mixing)
+    if not (np.abs(phase) <= 1).all():
+        raise ValueError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
     x = non_monotone_drive(alpha, C, chi, w, n)
     elastic = np.sum(np.asarray(w, float) * _traction(lmbda, mu, alpha, chi, w, n, 0 * x), axis=-1) / 2
@@ -167,6 +170,6 @@ def phase_energy(x: Array, C: float, g: float, phase: Array) -> Array:
 
 def mixed_share(mixing: float) -> float:
     """The share itself; raises ValueError unless it is in [0, 1]."""
-    if not 0 <= mixing <= 1:
-        raise ValueError(f"mixing = {mixing:g}; allowed: 0 <= mixing <= 1")
+    if not (isinstance(mixing, Real) and 0 <= mixing <= 1):
+        raise ValueError(f"mixing = {mixing!r}; allowed: 0 <= mixing <= 1")
     return mixing

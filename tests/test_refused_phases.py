@@ -1,0 +1,254 @@
+"""Mistakes with phases, temperatures and paths: each is refused with what, where and what is allowed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import basix.ufl
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+
+from forms import Law, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
+from geometry import sandwich
+from tests.test_parallel import mpirun
+from thinlayer import Adaptive, ArcLength, History, Model, ModelError, PhaseReport, ThinLayer, march, solve
+
+JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
+SETUP = {"body": LinearElastic.young(1e4, 0.3), "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0}}}
+TABLE = Tabulated([(0.0, 1.5), (100.0, 0.5)])
+SLIP_AND_OPENING = [[0.0, 0.3], [0.3, 1.0]]
+
+
+def pure(**changed: Any) -> NonMonotoneUnrelaxed:
+    return NonMonotoneUnrelaxed(**{"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "C": 0.3, "chi": SLIP_AND_OPENING, **changed})
+
+
+def model(law: Law, pull: float = 1.0) -> Model:
+    """Two blocks with a layer of this law, pulled by pull * t."""
+    loads = {"TOP": lambda x, t: (0.0, pull * t * (1 + 0.1 * x[0]))}
+    return Model.interface(JOINT, layer=ThinLayer(law, 0.1), tractions=loads, **SETUP)
+
+
+def refused(law: Law, message: str, tmp_path: Any) -> None:
+    """A march with this law is refused, and writes nothing."""
+    with pytest.raises(LawError, match=message):
+        march(model(law), [0.5, 1.0], out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+# ---------------------------------------------------------------- temperatures
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"T": lambda x, t: 20 + 1j * x[0]}, r"T\(x, t\) fails .*it gives complex128 values, not real numbers"),
+        ({"T": lambda x, t: x[0] > 1}, r"T\(x, t\) fails .*it gives bool values"),
+        ({"alpha": lambda T: 1 + 1j * T, "T": lambda x, t: x[0]}, r"alpha\(T\) fails .*it gives complex128 values"),
+        ({"T": lambda x, t: 20 + 100 * t}, r"alpha\(T\): T is 120; the table knows 0 to 100"),
+        ({"C": lambda T: 0.5 - T, "T": lambda x, t: t + 0 * x[0]}, r"C at x = \(\S+, 0\), t = 0.5 is 0; allowed: > 0"),
+    ],
+    ids=["complex", "condition", "complex alpha", "later", "place"],
+)
+def test_fields_that_are_no_temperatures(changed, message, tmp_path):
+    refused(pure(**{"alpha": TABLE, **changed}), f"^NonMonotoneUnrelaxed: {message}", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["alpha", "C", "T"])
+def test_temperatures_in_ufl(name):
+    mesh = ufl.Mesh(basix.ufl.element("Lagrange", "triangle", 1, shape=(2,)))
+    space = ufl.FunctionSpace(mesh, basix.ufl.element("Lagrange", "triangle", 1))
+    field = ufl.Coefficient(space)  # can be called, as a function
+    for value in (field, ufl.SpatialCoordinate(mesh)[0]):
+        with pytest.raises(LawError, match=f"{name} is a UFL expression; allowed: a number, a function in numpy"):
+            pure(**{"T": 20.0, name: value})
+
+
+def test_a_field_that_changes_its_places():
+    """Places are those of the points whatever a field does to the array that it is given."""
+
+    def cools(x: Any, t: float) -> Any:
+        x[0] *= 0.5
+        return 100 * x[0] / 2
+
+    law = pure(alpha=TABLE, T=cools)
+    again = [march(model(law, 0.1), [0.5, 1.0]).table["stored"][-1] for _ in range(2)]
+    fixed = march(model(pure(alpha=TABLE, T=lambda x, t: 25 * x[0]), 0.1), [0.5, 1.0]).table["stored"][-1]
+    assert again == pytest.approx([fixed, fixed], rel=1e-14)
+
+
+def test_a_table_of_no_temperatures():
+    for T in (1j, "20", None, np.array([True])):
+        with pytest.raises(LawError, match=r"T is .*; a table is a function of temperatures, numbers"):
+            TABLE(T)
+
+
+# ---------------------------------------------------------------- laws of one's own
+@dataclass(frozen=True)
+class Switch(Law):
+    """A spring whose phase tells whether it is open."""
+
+    k: float
+    powers: ClassVar = {"k": 1}
+    internal: ClassVar = {"phase": ()}
+    phases: ClassVar = True
+
+    def advance(self, step):
+        return {"phase": ufl.conditional(ufl.gt(step.e[1, 1], 0.05), 1.0, 0.0)}
+
+    def stress(self, step):
+        return self.k * step.mid
+
+
+def kind(**declared: Any) -> Law:
+    """The spring, of a class that declares this."""
+    return dataclass(frozen=True)(type("Own", (Switch,), {"__annotations__": {}, "__module__": __name__} | declared))(
+        5.0
+    )
+
+
+def test_phases_of_a_law_of_ones_own():
+    history = march(model(Switch(5.0)), [0.5])
+    assert history.table["plus"].tolist() == [0.0, 1.0]
+    assert np.isnan(history.table["energy"]).all()  # it declares none
+    assert PhaseReport(history.last).plus == 1.0
+
+
+SCALARS = {"phase": (), "drive": (), "bound": ()}
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        ({"internal": {}}, "phases = True; it needs an internal variable 'phase' of shape ()"),
+        ({"internal": {"phase": (3,)}}, "phases = True; it needs an internal variable 'phase' of shape ()"),
+        ({"switches": True}, "switches = True; it needs phases = True and the scalars .*'drive', 'bound'"),
+        ({"switches": True, "phases": False, "internal": SCALARS}, "switches = True; it needs phases = True"),
+        ({"switches": True, "internal": SCALARS}, "switches = True; it needs a method excess"),
+        (
+            {"switches": True, "internal": SCALARS, "excess": lambda self, *_: 0},
+            "switches = True; it needs a method switched",
+        ),
+    ],
+)
+def test_declared_phases_that_are_not_there(declared, message):
+    with pytest.raises(LawError, match=f"^Own has {message}"):
+        kind(**declared)
+
+
+def test_functions_that_have_no_numbers():
+    with pytest.raises(LawError, match=r"Own: parameters\(\) gives a function for k; it must give a number"):
+        dataclass(frozen=True)(
+            type("Own", (Switch,), {"__annotations__": {}, "__module__": __name__, "functions": ("k",)})
+        )(lambda T: T)
+
+
+@dataclass(frozen=True)
+class Varying(Switch):
+    """The spring, with a stiffness that varies in one of several ways that are wrong."""
+
+    way: float = 0.0
+    powers: ClassVar = {}
+    varies: ClassVar = True
+
+    def at(self, x, t):
+        return list(WRONG.values())[int(self.way)](x, t)
+
+
+WRONG = {
+    r"gives \[\]; allowed: those that vary of k": lambda x, t: {},
+    r"gives \['K'\]; allowed: those that vary of k": lambda x, t: {"K": x[0]},
+    r"gives k of shape \(\); allowed: \(\d+,\), finite numbers": lambda x, t: {"k": 5.0},
+    r"gives k of shape \(2, \d+\)": lambda x, t: {"k": x},
+    r"gives k of shape \(\d+,\); allowed: .*finite": lambda x, t: {"k": np.where(x[0] > 1, np.nan, 5.0)},
+    "fails: AttributeError": lambda x, t: x[0],
+    "fails: ZeroDivisionError": lambda x, t: 1 / 0,
+}
+
+
+@pytest.mark.parametrize("way", range(len(WRONG)))
+def test_parameters_that_do_not_vary_as_they_should(way, tmp_path):
+    message = rf"^Varying\.at\(x, t\), for x of shape \(2, \d+\), {list(WRONG)[way]}"
+    refused(Varying(5.0, way=way), message, tmp_path)
+
+
+def test_parameters_of_a_law_without_memory_vary():
+    """Such a law would be a part of the form, where nobody asks for its parameters at a place."""
+    twice = {"varies": True, "at": lambda self, x, t: {"k": np.full(x.shape[1], 10 * self.k)}}
+    plain = {"phases": False, "internal": {}, "advance": Law.advance}
+    moved = [np.abs(solve(model(kind(**plain, **vary)), 1.0).u.x.array).max() for vary in ({}, twice)]
+    assert moved[1] < 0.5 * moved[0]
+
+
+# ---------------------------------------------------------------- marches
+@pytest.mark.parametrize(
+    ("times", "choices", "message"),
+    [
+        ([1.0], {"theta": 1j}, "theta is 1j; it must be a number"),
+        ([1.0], {"start": 1j}, "start is 1j; it must be a number"),
+        (Adaptive(1.0, 0.1), {}, "steps of NonMonotoneUnrelaxed have no error: give the times to stop at"),
+        ([1.0], {"observe": {"a": lambda state: 1 / 0}}, r"observe\['a'\] at t = 0: ZeroDivisionError: division"),
+        (
+            [1.0],
+            {"observe": {"a": lambda s: PhaseReport(s).shares}},
+            r"observe\['a'\] at t = 0: AttributeError: .*shares",
+        ),
+        (ArcLength(1.0, 0.1, steps=np.int64(5)), {}, "NonMonotoneUnrelaxed has pure phases"),
+    ],
+)
+def test_marches(times, choices, message):
+    with pytest.raises(ModelError, match=message):
+        march(model(pure()), times, **choices)
+
+
+def test_a_stack_of_pure_phases():
+    with pytest.raises(LawError, match=r"(?s)a sublayer is NonMonotoneUnrelaxed.*at each point by itself"):
+        Stack((0.5, pure()), (0.5, LinearElastic(2.0, 5.0)))
+
+
+def test_an_empty_history():
+    history = History(model(pure()))
+    assert history.snaps == []
+    assert len(history.t) == 0
+    with pytest.raises(ModelError, match="no accepted state"):
+        _ = history.last
+
+
+def test_closed_forms():
+    bar = limits.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
+    for mixing in ("0.5", None, [0.5], 1.5):
+        with pytest.raises(ValueError, match=r"mixing = .*allowed: 0 <= mixing <= 1"):
+            bar.layer(0.1, mixing)
+    for phase in (2.0, np.array([0.5, -1.1]), np.nan):
+        with pytest.raises(ValueError, match=r"phase is .*; allowed: -1 <= phase <= 1"):
+            limits.non_monotone_energy(2.0, 3.0, 1.2, 0.9, SLIP_AND_OPENING, [0.1, 0.2], [0.0, 1.0], phase)
+
+
+# ---------------------------------------------------------------- ranks
+def main() -> None:
+    """A field that is wrong on one rank's part of S only: the same error on all ranks."""
+    texts = []
+    for law in (
+        pure(alpha=TABLE, T=lambda x, t: np.where(x[0] > 1, 150.0, 20.0)),
+        Varying(5.0, way=4),
+    ):
+        try:
+            march(model(law), [1.0], out="no/such/folder")
+        except LawError as error:
+            texts.append(str(error))
+    gathered = MPI.COMM_WORLD.gather(texts)
+    if gathered:
+        print(len(gathered), len({tuple(one) for one in gathered}), gathered[0])
+
+
+def test_all_ranks_refuse():
+    done = mpirun(2, "-m", "tests.test_refused_phases")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("2 1 ")
+    assert "alpha(T): T is 150; the table knows 0 to 100" in done.stdout
+    assert "Varying.at(x, t)" in done.stdout
+
+
+if __name__ == "__main__":
+    main()
