@@ -165,7 +165,10 @@ class Law:
         return False
 
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
-        """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,)."""
+        """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
+
+        Asked of the law in a layer, whose own parameters are real: multiply those, do not give values per thickness.
+        """
         return {}
 
     @property

@@ -10,7 +10,7 @@ from forms.law import Law
 
 
 class PointLaw(Law):
-    """A law for what UFL cannot express: an implicit update, a return mapping, phases.
+    """A law for what UFL cannot express: an implicit update, a return mapping.
 
     Subclasses are frozen dataclasses like other laws, with their parameters as fields, and give `kernel`: a function of one
     point that numba can compile,

@@ -79,6 +79,23 @@ def test_limit_script(printed_by):
     assert found[0] == pytest.approx(0.2 * math.cos(angle) - t_N * math.sin(angle), rel=2e-3)
 
 
+def test_snap_script(tmp_path):
+    """The foam collapses at the printed pressures, up and down."""
+    script = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[4]
+    (tmp_path / "script.py").write_text(script)
+    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    printed = [line.strip() for line in README.splitlines() if re.match(r" {4}at [\d.]+ MPa: ", line)]
+    found, wanted = (
+        [[float(x) for x in re.findall(r"\d+\.?\d*", line)] for line in lines]
+        for lines in (done.stdout.splitlines(), printed)
+    )
+    assert len(found) == 2
+    assert found[0] == pytest.approx(wanted[0], rel=1e-2)  # another gmsh may mesh a little differently
+    assert found[1] == pytest.approx(wanted[1], rel=1e-2)
+    assert wanted[0][0] < 2 < wanted[0][0] * 1.25  # the right end bears 1.2 times the mean; the foam falls at 2 MPa
+
+
 def test_scripts_are_short():
     first, second, *_ = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     assert len([line for line in first.splitlines() if line.strip()]) <= 20

@@ -45,7 +45,8 @@ def march(
     phase of one of its columns is that of lowest energy no more. The march stops there, and notes the state before and
     the one after the column and all that follow it have switched, at the same t (`History.snaps`). It stops where piecewise
     loads break as well. Where loads or temperatures are no linear functions of time within a step, it looks at seven times
-    within the step: what columns pass through and leave between two of them is not seen.
+    within the step: what columns pass through and leave between two of them is not seen. What a sudden load at `start`
+    switches is no snap: the first state comes after it. Let loads grow from zero to see it.
 
     Args:
         model: the model.
