@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from numbers import Real
 
 import basix
 import numpy as np
@@ -133,8 +134,8 @@ def check_layering(layers: int, bodies: str) -> None:
     """Raise GeometryError if the number of cells through the thickness or the way to make room is out of range."""
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
-    if not np.isfinite(layers) or int(layers) != layers or layers < 1:
-        raise GeometryError(f"layers is {layers}; the layer needs a whole number >= 1 of cells through its thickness")
+    if not isinstance(layers, Real) or not np.isfinite(layers) or int(layers) != layers or layers < 1:
+        raise GeometryError(f"layers is {layers!r}; the layer needs a whole number >= 1 of cells through its thickness")
 
 
 def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodies: str) -> None:

@@ -12,9 +12,9 @@ import ufl
 from mpi4py import MPI
 
 from forms import Law, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
-from geometry import sandwich
+from geometry import GeometryError, sandwich
 from tests.test_parallel import mpirun
-from thinlayer import Adaptive, ArcLength, History, Model, ModelError, PhaseReport, ThinLayer, march, solve
+from thinlayer import Adaptive, ArcLength, History, Model, ModelError, PhaseReport, ThinLayer, drive, march, solve
 
 JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
 SETUP = {"body": LinearElastic.young(1e4, 0.3), "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0}}}
@@ -200,6 +200,22 @@ def test_parameters_of_a_law_without_memory_vary():
 def test_marches(times, choices, message):
     with pytest.raises(ModelError, match=message):
         march(model(pure()), times, **choices)
+
+
+def test_a_point_with_pure_phases_holds_at_the_ends_of_steps():
+    with pytest.raises(ModelError, match=r"theta is 0\.5; NonMonotoneUnrelaxed holds at the ends of steps"):
+        drive(pure(), [{"w_T": 0.0, "w_N": 0.4}], theta=0.5)
+
+
+def test_loads_and_supports_that_are_no_numbers():
+    layer = ThinLayer(pure(), 0.1)
+    with pytest.raises(ModelError, match=r"traction on 'TOP' gives \(0, nan\); it needs 2 finite components"):
+        Model.interface(JOINT, layer=layer, tractions={"TOP": lambda x, t: (0, np.nan)}, **SETUP)
+    moved = SETUP | {"supports": {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: np.inf}}}
+    with pytest.raises(ModelError, match=r"support on 'TOP': a component gives inf; it must be a finite number"):
+        Model.interface(JOINT, layer=layer, **moved)
+    with pytest.raises(GeometryError, match="layers is '4'; the layer needs a whole number"):
+        Model.full(JOINT, layer=layer, sublayers="4", **SETUP)
 
 
 def test_a_stack_of_pure_phases():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -13,6 +14,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.conditional import Condition
+from ufl.constantvalue import RealValue
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
@@ -74,7 +76,14 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
         raise ModelError(
             f"{what} gives {components!r}; it needs {dim} components, ufl.conditional(c, 1, 0) for a condition c"
         )
+    if not all(_is_finite(ufl.as_ufl(c)) for c in components):
+        raise ModelError(f"{what} gives {components!r}; it needs {dim} finite components")
     return vector
+
+
+def _is_finite(value: Expr) -> bool:
+    """Whether a UFL scalar is finite, where it is a plain number."""
+    return not isinstance(value, RealValue) or math.isfinite(float(value))
 
 
 def piecewise(values: Mapping[float, Value | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
@@ -124,6 +133,8 @@ def _scalar(value: Any, what: str) -> Expr:
         raise ModelError(f"{what}: a component gives {value!r}; it must be a number: {error}") from error
     if found.ufl_shape:
         raise ModelError(f"{what}: a component gives a tensor of shape {found.ufl_shape}; it must be a number")
+    if not _is_finite(found):
+        raise ModelError(f"{what}: a component gives {value!r}; it must be a finite number")
     return found
 
 

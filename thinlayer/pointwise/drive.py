@@ -100,6 +100,8 @@ def drive(
         raise ModelError("a path needs at least one step")
     if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
         raise ModelError(f"theta is {theta!r}; allowed: 0.5 to 1")
+    if law.switches and theta != 1:
+        raise ModelError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
     if law.rate and (lengths == 0).any():
         raise ModelError(
             f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
