@@ -243,7 +243,7 @@ def test_closed_forms():
 
 # ---------------------------------------------------------------- ranks
 def main() -> None:
-    """A field that is wrong on one rank's part of S only: the same error on all ranks."""
+    """A field, or a function that observes, that is wrong on one rank only: the same error on all ranks."""
     texts = []
     for law in (
         pure(alpha=TABLE, T=lambda x, t: np.where(x[0] > 1, 150.0, 20.0)),
@@ -253,6 +253,10 @@ def main() -> None:
             march(model(law), [1.0], out="no/such/folder")
         except LawError as error:
             texts.append(str(error))
+    try:
+        march(model(pure()), [0.1], observe={"a": lambda state: 1 / (1 - MPI.COMM_WORLD.rank)})
+    except ModelError as error:
+        texts.append(str(error))
     gathered = MPI.COMM_WORLD.gather(texts)
     if gathered:
         print(len(gathered), len({tuple(one) for one in gathered}), gathered[0])
@@ -264,6 +268,7 @@ def test_all_ranks_refuse():
     assert done.stdout.startswith("2 1 ")
     assert "alpha(T): T is 150; the table knows 0 to 100" in done.stdout
     assert "Varying.at(x, t)" in done.stdout
+    assert "observe['a'] at t = 0: ZeroDivisionError" in done.stdout
 
 
 if __name__ == "__main__":

@@ -117,12 +117,14 @@ class Journal:
 
     def _observed(self, name: str, state: State) -> float:
         """What rank 0 observes: a function of a state is to give the same on all ranks."""
+        value, problem, cause = math.nan, None, None
         try:
             value = float(self._observe[name](state))
         except Exception as error:
             kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
+            problem, cause = f"{kind}{error}", error
+        if problem := next(filter(None, self.model.comm.allgather(problem)), None):
             raise ModelError(
-                f"observe[{name!r}] at t = {state.t:g}: {kind}{error}; it must be a function of a state that returns "
-                "a number"
-            ) from error
+                f"observe[{name!r}] at t = {state.t:g}: {problem}; it must be a function of a state that returns a number"
+            ) from cause
         return float(self.model.comm.bcast(value))
