@@ -173,15 +173,15 @@ def test_eased_laws_leave_no_trace():
     model = sheared("S")
     with Solver(model) as solver:
         expected = solver.step(solver.rest(0.3), 0.3)
-        parameters = [p.material.parameters.copy() for p in solver.equations.points]
+        parameters = [p.material.parameters.copy() for p in solver.equations.laws.points]
         with pytest.raises(SolveError):
             solver.step(expected, 0.7)
-        for p, before in zip(solver.equations.points, parameters, strict=True):
+        for p, before in zip(solver.equations.laws.points, parameters, strict=True):
             assert (p.material.parameters == before).all()
         again = solver.step(solver.rest(0.3), 0.3)
     assert (again.u.x.array == expected.u.x.array).all()
     with Solver(model) as solver:
-        (points,) = solver.equations.points
+        (points,) = solver.equations.laws.points
         with pytest.raises(ValueError, match="not of the kind that is compiled"):
             points.material.take(FULL)
 

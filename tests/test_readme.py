@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from forms import LinearElastic
@@ -59,10 +60,13 @@ def test_contact_script(printed_by):
 
 def test_snap_script(printed_by):
     """All at once; 2 MPa and 0.5 MPa at which the foam falls and comes back, over the largest and the least pressure."""
-    out = printed_by(4)
-    for line in out.splitlines():
-        assert line.strip() in README
-    up, down = ([float(x) for x in re.findall(r"\d+\.\d+", line)] for line in out.splitlines())
+    printed = re.findall(r"^ {4}(at [\d.]+ MPa: .*)", README, re.MULTILINE)
+    found, wanted = (
+        [[float(x) for x in re.findall(r"\d+\.\d+", line)] for line in lines]
+        for lines in (printed_by(4).splitlines(), printed)
+    )
+    assert np.array(found) == pytest.approx(np.array(wanted), rel=1e-2)  # another gmsh may mesh a little differently
+    up, down = found
     assert 2 / 1.2 < up[0] < 2 < 2 / 0.8
     assert 0.5 / 1.2 < down[0] < 0.5 / 0.8
     assert (up[0] - down[0]) * 200 * 5 * 1.5 / 20 == pytest.approx(up[1] + down[1], rel=5e-3)  # area of the loop
@@ -77,23 +81,6 @@ def test_limit_script(printed_by):
     assert found == pytest.approx(printed, abs=2e-3)
     t_N, angle = found[3], math.radians(35)
     assert found[0] == pytest.approx(0.2 * math.cos(angle) - t_N * math.sin(angle), rel=2e-3)
-
-
-def test_snap_script(tmp_path):
-    """The foam collapses at the printed pressures, up and down."""
-    script = re.findall(r"```python\n(.*?)```", README, re.DOTALL)[4]
-    (tmp_path / "script.py").write_text(script)
-    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
-    assert done.returncode == 0, done.stderr
-    printed = [line.strip() for line in README.splitlines() if re.match(r" {4}at [\d.]+ MPa: ", line)]
-    found, wanted = (
-        [[float(x) for x in re.findall(r"\d+\.?\d*", line)] for line in lines]
-        for lines in (done.stdout.splitlines(), printed)
-    )
-    assert len(found) == 2
-    assert found[0] == pytest.approx(wanted[0], rel=1e-2)  # another gmsh may mesh a little differently
-    assert found[1] == pytest.approx(wanted[1], rel=1e-2)
-    assert wanted[0][0] < 2 < wanted[0][0] * 1.25  # the right end bears 1.2 times the mean; the foam falls at 2 MPa
 
 
 def test_scripts_are_short():

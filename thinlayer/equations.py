@@ -11,19 +11,16 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.elastic import LinearElastic
-from forms.law import LawError
-from forms.symmetry import NOT_SYMMETRIC, require_symmetric_stress, require_symmetric_tangent
+from forms.symmetry import require_symmetric_stress, require_symmetric_tangent
 from forms.work import energy, work
 from thinlayer.contact.springs import ContactSprings
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
-from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.constraint import Constraint
-from thinlayer.pointwise.points import LawPoints, Response
+from thinlayer.pointwise.laws import PointLaws
 from thinlayer.state import Audit, State
 
 SAME, SUBSET, DIFFERENT = (
@@ -32,7 +29,6 @@ SAME, SUBSET, DIFFERENT = (
     PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN,
 )
 
-ASYMMETRY = 1e-8  # of a tangent, over its size
 STRAIGHT, BETWEEN = 1e-9, (0.21, 0.5, 0.83)  # of what is linear in time: its rounding; where it is looked at
 ROUNDING = 1e-8  # times 1e-6, the largest residual: stiffness times displacement is rounded to 1e-14
 
@@ -54,20 +50,17 @@ class Equations:
     Collective, as all methods are.
 
     Attributes:
-        points: where compiled laws act.
+        laws: the compiled laws that act at points.
         constraint: the pressures of an incompressible layer.
         contact: the springs at the nodes of S under a contact law.
         loads: nodal forces of the loads in the balance of the present step.
         scale: size of the forces in the last residual: of the bodies' stresses, of the loads, or of what rounding leaves
             of the stresses of stiff bodies that supports move.
         least_residual: what rounding leaves of the forces of stiff bodies that supports move.
-        failed: number of points where a law failed in the last residual.
-        eased: ease of the laws at points.
     """
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
-        self.eased = 0.0
         V = model.V
         self.u, self.mid = fem.Function(V), fem.Function(V)
         forms = [p for p in model.points if not p.law.pointwise]
@@ -86,13 +79,12 @@ class Equations:
             residual = work(self._curved, self.mid, test)
             self._F, self._J = fem.form(residual), fem.form(ufl.derivative(residual, self.mid, trial))
         self._L = fem.form(model.external_work(test))
-        self.points = [LawPoints(model.domain, V, p, model.degree_at(p)) for p in model.points if p.law.pointwise]
+        self.laws = PointLaws(model)
         constrained = [p for p in model.points if p.law.constrained]
         self.constraint = Constraint(model.domain, V, constrained[0]) if constrained else None
         self.pressure = fem.Function(self.constraint.space) if self.constraint else None
         self.contact = ContactSprings(model, model.contact, self.held) if model.contact else None
         self._matrix: PETSc.Mat | None = None
-        self._responses: list[Response] = []
         self._forces, self._product = self.K.createVecLeft(), self.K.createVecLeft()
         self.loads = self.K.getDiagonal()
         self._stiffness = float(self.loads.norm())
@@ -137,27 +129,10 @@ class Equations:
 
     def rest(self) -> tuple[npt.NDArray[np.float64], ...]:
         """Internal values before anything happened."""
-        memory = [p.rest() for p in self.points]
+        memory = self.laws.rest()
         if self.contact:
             memory.append(self.contact.rest())
         return tuple(memory)
-
-    @property
-    def flat(self) -> bool:
-        """Whether tangents of laws with an energy may vanish along some strains."""
-        return any(p.points.law.flat for p in self.points)
-
-    @property
-    def can_ease(self) -> bool:
-        """Whether laws at points can be replaced by easier ones."""
-        return any(p.points.law.can_ease for p in self.points)
-
-    def ease(self, ease: float) -> None:
-        """Replace the laws at points by ones between themselves (0) and an elastic layer (1)."""
-        self.eased = ease
-        for p in self.points:
-            p.ease(ease)
-            p.at_time(self.interval.t)
 
     # ---------------------------------------------------------------- a step
     def begin(self, interval: Interval) -> None:
@@ -179,10 +154,7 @@ class Equations:
         moved = float(self.old.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self._rounding = ROUNDING * self._stiffness * max(farthest, moved)
         self.least_residual = np.finfo(float).eps * self._stiffness * farthest
-        self._e_old = [p.strain(self.old) for p in self.points]
-        self._begins = [*interval.old.memory]
-        for p in self.points:
-            p.at_time(interval.t)
+        self.laws.begin(self.old, old.memory, interval.t)
 
     def rounding_at(self, x: PETSc.Vec) -> float:
         """What rounding leaves of the forces at unknowns x, about."""
@@ -199,8 +171,7 @@ class Equations:
         for t in times:
             self.loads_at(t).destroy()
             self._prescribed_at(t)
-            for p in self.points:
-                p.at_time(t)
+            self.laws.at_time(t)
 
     def straight(self, start: float, end: float) -> bool:
         """Whether loads, supports and parameters of laws are linear in time between two times. Seen at a few of them."""
@@ -219,9 +190,8 @@ class Equations:
         loads = self.loads_at(t)
         given = [loads.array_r.copy(), self._prescribed_at(t)]
         loads.destroy()
-        for p in self.points:
-            p.at_time(t)
-        return given + [p.material.parameters for p in self.points if p.material.varies]
+        self.laws.at_time(t)
+        return given + [p.material.parameters for p in self.laws.points if p.material.varies]
 
     def loads_at(self, t: float) -> PETSc.Vec:
         """Nodal forces of the loads at a time."""
@@ -260,13 +230,8 @@ class Equations:
             self.scale = max(self.scale, float(b.norm()))
             forces.axpy(1.0, b)
             b.destroy()
-        self._responses = [
-            p.respond(p.strain(now), e_old, q, self.interval.dt, theta)
-            for p, e_old, q in zip(self.points, self._e_old, self._begins, strict=False)
-        ]
-        self.failed = self.comm.allreduce(sum(r.failed for r in self._responses)) if self.points else 0
-        for p, r in zip(self.points, self._responses, strict=True):
-            forces.axpy(1.0, p.forces(r.stress))
+        self.laws.respond(now, self.interval.dt, theta)
+        self.laws.add_forces(forces)
         if self.constraint and self.pressure is not None:
             self.constraint.G.multTranspose(self.pressure.x.petsc_vec, self._product)
             forces.axpy(1.0, self._product)
@@ -275,49 +240,14 @@ class Equations:
         if self.contact:
             self.contact.add_forces(now, self._slip, forces)
         forces.axpy(-1.0, self.loads)
-        out.array[: self.n_displacements] = np.nan if self.failed else forces.array_r
-        self._lack = self._lacking(out) if self.flat else 0.0
+        out.array[: self.n_displacements] = np.nan if self.laws.failed else forces.array_r
+        self._lack = self._lacking(out) if self.laws.flat else 0.0
 
     def _lacking(self, residual: PETSc.Vec) -> float:
         """A residual where nothing is held, over the forces."""
         free = residual.array_r.copy()
         free[self.held] = 0.0
         return math.sqrt(self.comm.allreduce(float(free @ free))) / max(self.scale, 1e-300)
-
-    # ---------------------------------------------------------------- phases that are held in a solve
-    @property
-    def excess(self) -> float:
-        """Of the columns whose phases are held, by how much another phase is lower in energy, over C; <= 0: by nothing.
-
-        At the last residual's unknowns. Collective.
-        """
-        switching = self._switching
-        return max((s.excess(r.memory) for s, r, _ in switching), default=-np.inf)
-
-    def switch(self) -> bool:
-        """Let columns change to the phase of lowest energy at the last residual's unknowns; whether any does."""
-        changed = False
-        for switching, response, k in self._switching:
-            new = switching.switched(response.memory, self._begins[k])
-            if new is not None:
-                self._begins[k], changed = new, True
-        return changed
-
-    @property
-    def _switching(self) -> list[tuple[Switching, Response, int]]:
-        both = zip(self.points, self._responses, strict=True)
-        return [(p.switching, r, k) for k, (p, r) in enumerate(both) if p.switching]
-
-    @property
-    def switches(self) -> bool:
-        """Whether there are such phases."""
-        return any(p.switching for p in self.points)
-
-    @property
-    def steady(self) -> bool:
-        """Whether the tangent of linear laws is the same for steps of all lengths."""
-        laws = [p.points.law for p in self.points]
-        return all(law.switches for law in laws)
 
     @property
     def _slip(self) -> npt.NDArray[np.float64]:
@@ -331,8 +261,7 @@ class Equations:
             LawError: a law that says it is symmetric, and is not.
         """
         theta = self.interval.theta
-        self._check_symmetry()
-        parts = [p.stiffness(r.tangent, self._lack) for p, r in zip(self.points, self._responses, strict=True)]
+        parts = self.laws.stiffness(self._lack)
         if self.contact:
             parts.append(self.contact.stiffness(self.u.x.petsc_vec, self._slip))
         if self._curved:
@@ -359,16 +288,6 @@ class Equations:
             A.copy(self._matrix, SAME)
             A.destroy()
         return self._matrix
-
-    def _check_symmetry(self) -> None:
-        """Raise LawError if half of a tangent would be lost in a solver for symmetric matrices."""
-        if not self.points or not self.model.symmetric:
-            return
-        found = np.array([r.skew for r in self._responses])
-        self.comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
-        for p, skew in zip(self.points, found, strict=True):
-            if skew > ASYMMETRY:
-                raise LawError(NOT_SYMMETRIC.format(type(p.points.law).__name__, skew))
 
     def _saddle(self, A: PETSc.Mat) -> PETSc.Mat:
         assert self.constraint is not None
@@ -406,14 +325,13 @@ class Equations:
             stored += after - before
             total += after
             remainder += curved - (after - before)
-        layer: npt.NDArray[np.float64] = np.zeros(3)
-        if self.points:
-            layer = self.comm.allreduce(sum(r.energies for r in self._responses))
+        layer = self.laws.energies
+        if self.laws.points:
             stored += layer[0] - self.interval.old.audit.layer
             total += layer[0]
             dissipated += layer[1]
             remainder += layer[2]
-        memory = [r.memory for r in self._responses]
+        memory = self.laws.memory
         if self.contact:
             layer, slip = self.contact.audit(now, self.old, self._slip)
             memory.append(slip)
@@ -454,8 +372,7 @@ class Equations:
 
     def destroy(self) -> None:
         """Free the matrices."""
-        for p in self.points:
-            p.destroy()
+        self.laws.destroy()
         for thing in (self.K, self._matrix, self.constraint, self.contact, self._forces, self._product, self.loads):
             if thing is not None:
                 thing.destroy()
@@ -464,6 +381,11 @@ class Equations:
         """Free what Python has dropped: PETSc keeps the objects of several ranks until all ranks are asked together."""
         if self.comm.size > 1:
             V = self.model.V
-            comms = [self.comm, V.mesh.comm, V.dofmap.index_map.comm, *(p.B.getComm().tompi4py() for p in self.points)]
+            comms = [
+                self.comm,
+                V.mesh.comm,
+                V.dofmap.index_map.comm,
+                *(p.B.getComm().tompi4py() for p in self.laws.points),
+            ]
             for comm in comms:
                 PETSc.garbage_cleanup(comm)

@@ -69,8 +69,8 @@ class Equilibrium:
         if not self.curved:
             x.axpy(1.0, move)
         equations.residual(x, r)
-        if equations.failed:
-            raise SolveError(f"the layer's law failed at {equations.failed} points at the start of the step")
+        if equations.laws.failed:
+            raise SolveError(f"the layer's law failed at {equations.laws.failed} points at the start of the step")
         forces = equations.scale
         r.scale(-1.0)
         if not self.curved:
@@ -92,14 +92,14 @@ class Equilibrium:
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
-        equations, ease = self.equations, self.equations.eased
+        equations, ease = self.equations, self.equations.laws.eased
         equations.residual(x, r)
         r.scale(-1.0)
-        equations.ease(1.0)
+        equations.laws.ease(1.0)
         try:
             equations.residual(x, d)
         finally:
-            equations.ease(ease)
+            equations.laws.ease(ease)
         self._prepare(move, r)
         self._solve_linear(r, d)
 
@@ -116,7 +116,7 @@ class Equilibrium:
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
         equations = self.equations
-        dt = 0.0 if equations.steady else equations.interval.dt
+        dt = 0.0 if equations.laws.steady else equations.interval.dt
         key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
         self.reused = move is None and self._factored == key
         if self.reused:

@@ -10,6 +10,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from forms.contact import ContactLaw
+from forms.declarations import require_declarations
 from forms.law import Law, LawError
 from forms.series import Stack
 from forms.traction import TractionLaw
@@ -44,7 +45,7 @@ class ThinLayer:
     def __post_init__(self) -> None:
         if not isinstance(self.law, Law):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
-        self.law.check_declarations()
+        require_declarations(self.law)
         if not (isinstance(self.eps, (int, float, np.floating)) and math.isfinite(self.eps) and self.eps > 0):
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
         if self.order not in (0, 1):

@@ -81,8 +81,8 @@ class PathEquations:
             raise SolveError(str(error)) from error
 
     def _require_law(self) -> None:
-        if self.equations.failed:
-            raise SolveError(f"the layer's law failed at {self.equations.failed} points")
+        if self.equations.laws.failed:
+            raise SolveError(f"the layer's law failed at {self.equations.laws.failed} points")
 
     def linearise(self, last: State, t: float) -> None:
         """Step and change at the unknowns of the last residual. Derivatives by t are difference quotients.

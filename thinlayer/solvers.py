@@ -169,7 +169,7 @@ class Solver:
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
         x, iterations, residual, eased = self._find(old, thorough)
-        while not held and self.equations.switch():
+        while not held and self.equations.laws.switch():
             x, more, residual, again = self._find(old, thorough)
             iterations, eased = iterations + more, eased + again
         memory, audit = self.equations.audit(x)
@@ -188,7 +188,7 @@ class Solver:
             else:
                 return x, spent + iterations, residual, 0
         assert first is not None
-        if not (thorough and self.equations.can_ease):
+        if not (thorough and self.equations.laws.can_ease):
             raise first
         try:
             x, iterations, residual, solves = self._continue(old)
@@ -202,7 +202,7 @@ class Solver:
 
         def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
             nonlocal spent, residual
-            self.equations.ease(ease)
+            self.equations.laws.ease(ease)
             try:
                 x, iterations, residual = self._solve(old, self._searches[-1], begin)
             except SolveError as error:
@@ -214,7 +214,7 @@ class Solver:
         try:
             found = way.follow(solve)
         finally:
-            self.equations.ease(0.0)
+            self.equations.laws.ease(0.0)
         assert isinstance(self._finder, Equilibrium)
         found.copy(self._finder.x)
         found.destroy()
@@ -269,7 +269,7 @@ class Solver:
             return {}
         if self.model.contact:
             search = "basic"
-        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.flat else NEWTON
+        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.laws.flat else NEWTON
         return options | ({"snes_linesearch_type": search} if search else {})
 
     @property

@@ -101,7 +101,7 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
 
 def require_no_time(equations: Equations) -> None:
     """Raise ModelError if a law's answer depends on how long a step takes. Collective."""
-    for p in equations.points:
+    for p in equations.laws.points:
         rest, differs = p.rest(), False
         for size in SIZES:
             e = size * np.cos(np.arange(p.count * len(p.slots), dtype=float)).reshape(p.count, len(p.slots))

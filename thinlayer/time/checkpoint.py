@@ -109,7 +109,7 @@ class Checkpoint:
         mesh = self.model.domain.mesh
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
         self._owned, self._cells = np.arange(owned, dtype=np.int32), self.model.domain.original_cells
-        self._points = [_Places.of_points(p) for p in equations.points]
+        self._points = [_Places.of_points(p) for p in equations.laws.points]
         if equations.contact:
             numbers = equations.contact.nodes.numbers
             self._points.append(_Places(numbers, np.arange(len(numbers))[:, None], None))

@@ -158,7 +158,7 @@ class TimeStepping:
         theta = 1.0 if len(self._history) == 1 and not self._sudden else self.theta
         middle = (old.t + end) / 2
         adaptive = self.plan.adaptive
-        if self.solver.equations.switches:
+        if self.solver.equations.laws.switches:
             return [*steps(self.solver, old, end)], 1.0
         if not adaptive:
             ends = [middle, end] if theta != self.theta else [end]

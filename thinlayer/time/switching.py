@@ -19,8 +19,9 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
     """States on the way from a state to a time: at every snap the one just before it, and the one after it, then the end.
 
     A snap has no duration: both its states have the same t. What the layer and the bodies lose in it is `dissipated`.
-    Switches are looked for at the end of a way: there is one more for each turn of piecewise loads, and loads and
-    temperatures that are functions of time should change in one direction within a step. Collective; errors as in `solve`.
+    The march stops where piecewise loads break too. Where loads, supports and parameters are linear in time in between, the
+    first switch is found; where they are not, a column that is beaten for a while only may be missed, see `PROBES`.
+    Collective; errors as in `solve`.
     """
     turns = sorted(t for t in solver.model.break_times if old.t < t < end)
     for stop in (*turns, end):
@@ -32,14 +33,14 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
 def _one_way(solver: Solver, old: State, end: float) -> Iterator[State]:
     def excess(t: float) -> float:
         solver.step(old, t, held=True)
-        return solver.equations.excess - 2 * TIE
+        return solver.equations.laws.excess - 2 * TIE
 
     while True:
         bound = (
             end if _bends_up(solver, old.t, end) else next(filter(lambda t: excess(t) > 0, _probes(old.t, end)), end)
         )
         held = solver.step(old, bound, held=True)
-        if solver.equations.excess <= 2 * TIE:
+        if solver.equations.laws.excess <= 2 * TIE:
             if old.t < end:
                 yield held
             return
