@@ -6,10 +6,7 @@ import inspect
 import math
 from collections.abc import Mapping
 from numbers import Real
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from forms.law import Law
+from typing import Any
 
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
@@ -18,14 +15,14 @@ class LawError(ValueError):
     """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
 
 
-def require_dataclass(kind: type[Law]) -> None:
+def require_dataclass(kind: type) -> None:
     """Raise LawError if a class has parameters of its own and no constructor that takes them."""
     own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
     if own and "__dataclass_params__" not in vars(kind):
         raise LawError(f"{kind.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
 
 
-def require_declarations(law: Law) -> None:
+def require_declarations(law: Any) -> None:
     """Raise LawError unless what the class of a law declares fits its parameters and its methods."""
     kind, known = type(law), law.parameters()
     require_dataclass(kind)
@@ -44,7 +41,7 @@ def require_declarations(law: Law) -> None:
     _require_phases(law)
 
 
-def _require_phases(law: Law) -> None:
+def _require_phases(law: Any) -> None:
     kind, name = type(law), type(law).__name__
     if kind.phases is True and law.internal.get("phase") != ():
         raise LawError(f"{name} has phases = True; it needs an internal variable 'phase' of shape (), a UFL law")
