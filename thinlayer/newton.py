@@ -72,9 +72,7 @@ def newton(
             given_up = "displacements grow without bound"
         if given_up:
             return Reason.DIVERGED_DTOL
-        rounding = min(equations.rounding_at(x), LARGEST_RESIDUAL * equations.least_scale)
-        enough = max(TOLERANCE * equations.scale, equations.least_residual, rounding)
-        return Reason.CONVERGED_FNORM_ABS if norms[2] <= enough else False
+        return Reason.CONVERGED_FNORM_ABS if norms[2] <= enough(equations, x) else False
 
     A = equations.tangent()
     A.zeroRowsColumns(equations.held_rows, 1.0)
@@ -104,6 +102,12 @@ def newton(
             advice=f"try {advice}, or -{PREFIX}snes_monitor to watch it",
         )
     return steps, last
+
+
+def enough(equations: Equations, x: PETSc.Vec) -> float:
+    """Size of a residual at unknowns x that is small enough: against the forces, or all that rounding allows."""
+    rounding = min(equations.rounding_at(x), LARGEST_RESIDUAL * equations.least_scale)
+    return max(TOLERANCE * equations.scale, equations.least_residual, rounding)
 
 
 def _largest(x: PETSc.Vec) -> float:
