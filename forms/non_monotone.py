@@ -19,7 +19,6 @@ from forms.temperature import Field, OfTemperature, evaluated, place, real, temp
 from forms.viscous import isotropic_energy
 
 Array = npt.NDArray[np.float64]
-TIE = 1e-11  # relative to C: phases whose energies differ by less are the same to rounding
 
 
 def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
@@ -280,4 +279,4 @@ class NonMonotoneUnrelaxed(Phases):
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
         """The phases (n,) after columns with an excess have changed theirs to the one of lowest energy."""
         lowest = np.where(drive > bound, 1.0, np.where(drive < -bound, -1.0, 0.0))
-        return np.where(self.excess(phase, drive, bound) > TIE, lowest, phase)
+        return np.where(self.excess(phase, drive, bound) > 0, lowest, phase)

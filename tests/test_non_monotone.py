@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated, limits
-from forms.non_monotone import TIE, lamination_gain
+from forms.non_monotone import lamination_gain
 from geometry import sandwich
 from tests.test_points import jump_strain, material, respond, tensor, traction, vector
 from thinlayer import Model, ThinLayer, drive
 from thinlayer.loads import ModelError
+from thinlayer.pointwise.columns import TIE
 
 LMBDA, MU, ALPHA, C = 60.0, 40.0, 1.2, 0.02
 E2 = np.array([0.0, 1.0, 0.0])

@@ -11,9 +11,9 @@ import ufl
 
 from forms import Law, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
-from forms.non_monotone import TIE
 from geometry import sandwich
-from thinlayer import Model, PhaseReport, ThinLayer, march, piecewise
+from thinlayer import Model, PhaseReport, SolveError, ThinLayer, march, piecewise
+from thinlayer.pointwise.columns import TIE
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 LAW = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, CHI)
@@ -141,3 +141,15 @@ def test_columns_that_tie(kind):
         phases = PhaseReport(state).profile()[1]
         assert phases == pytest.approx(phases[::-1], abs=1e-12)
         assert set(phases) <= {0.0, 1.0}
+
+
+class Stuck(NonMonotoneUnrelaxed):
+    """Says that its phases are beaten, and does not change them."""
+
+    def switched(self, phase, drive, bound):
+        return phase
+
+
+def test_a_law_that_does_not_switch_is_told():
+    with pytest.raises(SolveError, match="a column is beaten and switches to no other phase"):
+        march(blocks(law=Stuck(60.0, 40.0, 1.2, 0.015, CHI)), [1.0])

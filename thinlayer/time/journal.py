@@ -54,7 +54,7 @@ class Journal:
         self._directed = directed
         self.before: State | None = None
         self._checkpoint = Checkpoint(out, equations, 2 if directed else 1) if out else None
-        self._mark = fingerprint(self.model, observe=sorted(observe), **choices)
+        self._mark = fingerprint(self.model, observe=sorted(observe), **choices) if out else ""
         self._written = 0
         self.history, self.pace = History(self.model), pace
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from scipy.optimize import brentq
 
-from forms.non_monotone import TIE
+from thinlayer.failure import SolveError
+from thinlayer.pointwise.columns import TIE
 from thinlayer.solvers import Solver
 from thinlayer.state import State
 
@@ -19,18 +20,14 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
     """States on the way from a state to a time: at every snap the one just before it, and the one after it, then the end.
 
     A snap has no duration: both its states have the same t. What the layer and the bodies lose in it is `dissipated`.
-    The march stops where piecewise loads break too. Where loads, supports and parameters are linear in time in between, the
-    first switch is found; where they are not, a column that is beaten for a while only may be missed, see `PROBES`.
+    Where loads, supports and parameters are linear in time on the way, the first switch is found (the march stops where
+    piecewise ones break); where they are not, a column that is beaten for a while only may be missed, see `PROBES`.
     Collective; errors as in `solve`.
+
+    Raises:
+        SolveError: a law whose `excess` asks for what its `switched` does not do.
     """
-    turns = sorted(t for t in solver.model.break_times if old.t < t < end)
-    for stop in (*turns, end):
-        for state in _one_way(solver, old, stop):
-            yield state
-            old = state
 
-
-def _one_way(solver: Solver, old: State, end: float) -> Iterator[State]:
     def excess(t: float) -> float:
         solver.step(old, t, held=True)
         return solver.equations.laws.excess - 2 * TIE
@@ -51,6 +48,10 @@ def _one_way(solver: Solver, old: State, end: float) -> Iterator[State]:
             if excess(t) <= -TIE:  # from there Newton's method may find it smaller by what its tolerance allows
                 continue
         old = snapped(solver.step(old, t))
+        if solver.equations.laws.excess > 2 * TIE:
+            raise SolveError(
+                f"at t = {t:g} a column is beaten and switches to no other phase: see the law's `switched`"
+            )
         yield old
         if t == end:
             return
