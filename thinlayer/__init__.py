@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from thinlayer.comparison import compare, observed_orders, sweep
     from thinlayer.contact.report import ContactReport
-    from thinlayer.failure import LimitLoad, SolveError
+    from thinlayer.failure import LimitLoad, RangeWarning, SolveError
     from thinlayer.layer import ThinLayer
     from thinlayer.loads import ModelError, piecewise
     from thinlayer.model import Model
@@ -37,6 +37,7 @@ __all__ = [
     "OptionError",
     "PhaseReport",
     "PointHistory",
+    "RangeWarning",
     "SolveError",
     "State",
     "Surface",
@@ -69,6 +70,7 @@ _HOME = {
     "PointHistory": "pointwise.drive",
     "drive": "pointwise.drive",
     "LimitLoad": "failure",
+    "RangeWarning": "failure",
     "SolveError": "failure",
     "solve": "solvers",
     "State": "state",

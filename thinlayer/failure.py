@@ -1,9 +1,22 @@
-"""Errors of solves that did not converge."""
+"""Errors of solves that did not converge, and warnings of results that may mislead."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
+
+from mpi4py import MPI
+
+
+class RangeWarning(UserWarning):
+    """A model or a result outside the range in which its law is accurate: the message has the number and the remedy."""
+
+
+def warn(message: str, comm: MPI.Intracomm) -> None:
+    """Issue a RangeWarning on rank 0. Not collective: the other ranks do nothing."""
+    if comm.rank == 0:
+        warnings.warn(message, RangeWarning, stacklevel=3)
 
 
 class SolveError(RuntimeError):
