@@ -16,12 +16,14 @@ from petsc4py import PETSc
 from forms.elastic import LinearElastic
 from forms.symmetry import require_symmetric_stress, require_symmetric_tangent
 from forms.work import energy, work
+from thinlayer.balance import free_norm, require_equilibrium
 from thinlayer.contact.springs import ContactSprings
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.pointwise.constraint import Constraint
 from thinlayer.pointwise.laws import PointLaws
 from thinlayer.state import Audit, State
+from thinlayer.uniqueness import RigidMotions
 
 SAME, SUBSET, DIFFERENT = (
     PETSc.Mat.Structure.SAME_NONZERO_PATTERN,
@@ -52,10 +54,13 @@ class Equations:
     Attributes:
         laws: the compiled laws that act at points.
         constraint: the pressures of an incompressible layer.
+        pressure: the unknown pressures, over the constraint's unit.
         contact: the springs at the nodes of S under a contact law.
         loads: nodal forces of the loads in the balance of the present step.
-        scale: size of the forces in the last residual: of the bodies' stresses, of the loads, or of what rounding leaves
-            of the stresses of stiff bodies that supports move.
+        scale: size of the forces in the last residual: of the bodies' stresses, of the loads, of what was out of balance at
+            the start of the step, or of what rounding leaves of the stresses of stiff bodies that supports move.
+        unbalanced: forces out of balance at the start of the step, if `start` was asked; they may be all the forces there
+            are, as where an eigenstrain ends in a state without stress.
         least_residual: what rounding leaves of the forces of stiff bodies that supports move.
     """
 
@@ -80,14 +85,16 @@ class Equations:
             self._F, self._J = fem.form(residual), fem.form(ufl.derivative(residual, self.mid, trial))
         self._L = fem.form(model.external_work(test))
         self.laws = PointLaws(model)
-        constrained = [p for p in model.points if p.law.constrained]
-        self.constraint = Constraint(model.domain, V, constrained[0]) if constrained else None
-        self.pressure = fem.Function(self.constraint.space) if self.constraint else None
         self.contact = ContactSprings(model, model.contact, self.held) if model.contact else None
         self._matrix: PETSc.Mat | None = None
         self._forces, self._product = self.K.createVecLeft(), self.K.createVecLeft()
         self.loads = self.K.getDiagonal()
         self._stiffness = float(self.loads.norm())
+        constrained = [p for p in model.points if p.law.constrained]
+        self.constraint = Constraint(model.domain, V, constrained[0]) if constrained else None
+        if self.constraint:
+            self.constraint.weigh(float(self.loads.max()[1]))
+        self.pressure = fem.Function(self.constraint.space) if self.constraint else None
 
     # ---------------------------------------------------------------- unknowns
     @cached_property
@@ -119,6 +126,25 @@ class Equations:
         dofs = [bc.dof_indices()[0] for bc in self.model.conditions.bcs]
         held = np.unique(np.concatenate([np.empty(0, np.int32), *dofs]))
         return held[held < self.n_displacements].astype(np.int32)
+
+    @cached_property
+    def _rigid(self) -> RigidMotions:
+        return RigidMotions(self.model, self.held, self._stiffness)
+
+    def require_unique(self) -> None:
+        """Raise SolveError if a piece of a body can move freely: by the last tangent, or by the springs of contact.
+
+        Not asked where a law depends on the rate, bounds stresses or has a tangent that may vanish.
+        """
+        laws = [p.law for p in self.model.layer_points]
+        if any(law.rate or law.yields or law.flat or law.softens for law in laws) or self.constraint:
+            return
+        if self.contact:
+            springs = self.contact.stiffness(self.u.x.petsc_vec, self._slip)
+            self._rigid.require_resisted(springs)
+            springs.destroy()
+        elif self._matrix is not None:
+            self._rigid.require_resisted(self._matrix)
 
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
@@ -154,6 +180,7 @@ class Equations:
         moved = float(self.old.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self._rounding = ROUNDING * self._stiffness * max(farthest, moved)
         self.least_residual = np.finfo(float).eps * self._stiffness * farthest
+        self.unbalanced = 0.0
         self.laws.begin(self.old, old.memory, interval.t)
 
     def rounding_at(self, x: PETSc.Vec) -> float:
@@ -163,8 +190,8 @@ class Equations:
 
     @property
     def least_scale(self) -> float:
-        """Size of the loads, or of what rounding leaves where supports move stiff bodies."""
-        return max(float(self.loads.norm()), self._rounding)
+        """Size of the loads, of what a step has to balance, or of what rounding leaves where supports move stiff bodies."""
+        return max(float(self.loads.norm()), self.unbalanced, self._rounding)
 
     def check_times(self, times: list[float]) -> None:
         """Raise ModelError if loads or supports, LawError if a law's parameters, are out of range at one of these times."""
@@ -214,6 +241,12 @@ class Equations:
             raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
         return np.asarray(prescribed)
 
+    def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
+        """The residual at the displacements before the step, to which `unbalanced` is set."""
+        self.residual(x, out)
+        size = free_norm(self, out)
+        self.unbalanced = size if math.isfinite(size) else 0.0
+
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads; pressures: the layer's change of volume. NaN where a law failed."""
         self.put(x)
@@ -224,7 +257,7 @@ class Equations:
         mid.axpy(1 - theta, self.old)
         self.mid.x.scatter_forward()
         self.K.mult(mid, forces)
-        self.scale = max(float(forces.norm()), float(self.loads.norm()), self._rounding)
+        self.scale = max(float(forces.norm()), self.least_scale)
         if self._curved:
             b = self._curved_forces()
             self.scale = max(self.scale, float(b.norm()))
@@ -241,13 +274,7 @@ class Equations:
             self.contact.add_forces(now, self._slip, forces)
         forces.axpy(-1.0, self.loads)
         out.array[: self.n_displacements] = np.nan if self.laws.failed else forces.array_r
-        self._lack = self._lacking(out) if self.laws.flat else 0.0
-
-    def _lacking(self, residual: PETSc.Vec) -> float:
-        """A residual where nothing is held, over the forces."""
-        free = residual.array_r.copy()
-        free[self.held] = 0.0
-        return math.sqrt(self.comm.allreduce(float(free @ free))) / max(self.scale, 1e-300)
+        self._lack = free_norm(self, out) / max(self.scale, 1e-300) if self.laws.flat else 0.0
 
     @property
     def _slip(self) -> npt.NDArray[np.float64]:
@@ -308,9 +335,14 @@ class Equations:
 
     # ---------------------------------------------------------------- an accepted step
     def audit(self, x: PETSc.Vec) -> tuple[tuple[npt.NDArray[np.float64], ...], Audit]:
-        """Internal values and energy balance at the end of the step, for its solution x."""
+        """Internal values and energy balance at the end of the step, for its solution x.
+
+        Raises:
+            SolveError: x is no equilibrium, whatever the solver said.
+        """
         out, change = self.vector(), self._product
         self.residual(x, out)
+        require_equilibrium(self, x, out)
         r, now = out.array_r[: self.n_displacements], self.u.x.petsc_vec
         now.copy(change)
         change.axpy(-1.0, self.old)
@@ -333,6 +365,7 @@ class Equations:
             remainder += layer[2]
         memory = self.laws.memory
         if self.contact:
+            self.require_unique()
             layer, slip = self.contact.audit(now, self.old, self._slip)
             memory.append(slip)
             change_of_layer = layer[0] - self.interval.old.audit.layer

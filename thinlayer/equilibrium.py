@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
+from thinlayer.balance import LARGEST_RESIDUAL
 from thinlayer.equations import Equations
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import mark, tell_multigrid
-from thinlayer.newton import LARGEST_RESIDUAL, newton, reason_name
+from thinlayer.newton import newton, reason_name
 from thinlayer.options import PREFIX
-from thinlayer.state import State
 
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov methods
 WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
@@ -48,7 +48,7 @@ class Equilibrium:
         for vector in self._vectors:
             vector.destroy()
 
-    def advance(self, old: State, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
+    def advance(self, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
         """Unknowns at the end of the step, iterations, residual; with `begin`, Newton's method starts there.
 
         Errors as in `solve`.
@@ -59,16 +59,16 @@ class Equilibrium:
             begin.copy(x)
             equations.residual(x, r)
             return self._newton(x, r)
-        n, held = equations.n_displacements, equations.held
+        held = equations.held
         for vector in self._vectors:
             vector.set(0.0)
-        x.array[:n] = old.u.x.array[:n]
-        if old.p is not None:
-            x.array[n:] = old.p.x.array[: equations.n_pressures]
+        self._put_old(x)
         move.array[held] = equations.prescribed - x.array_r[held]
         if not self.curved:
             x.axpy(1.0, move)
-        equations.residual(x, r)
+            equations.residual(x, r)
+        else:
+            equations.start(x, r)
         if equations.laws.failed:
             raise SolveError(f"the layer's law failed at {equations.laws.failed} points at the start of the step")
         forces = equations.scale
@@ -89,6 +89,14 @@ class Equilibrium:
             self._retreat(x, r, d, move, forces)
             return self._newton(x, r)
         return x, iterations, self._refine(x, r, d)
+
+    def _put_old(self, x: PETSc.Vec) -> None:
+        """Unknowns at the start of the step."""
+        equations, old = self.equations, self.equations.interval.old
+        n = equations.n_displacements
+        x.array[:n] = old.u.x.array[:n]
+        if old.p is not None and equations.constraint:
+            x.array[n:] = old.p.x.array[: equations.n_pressures] / equations.constraint.unit
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
@@ -123,6 +131,8 @@ class Equilibrium:
             return
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
+        if not self.curved:
+            equations.require_unique()
         mark(A, equations.model, saddle=equations.constraint is not None)
         self.drop_factor()
         self._ksp = ksp = PETSc.KSP().create(equations.comm)
@@ -156,6 +166,11 @@ class Equilibrium:
                 break
             residual = refined
         if not residual < LARGEST_RESIDUAL:
+            self._put_old(d)
+            equations.start(d, r)
+            equations.residual(x, r)
+            residual = self._relative(r)
+        if not residual < LARGEST_RESIDUAL:
             few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
             raise SolveError(
                 f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
@@ -176,4 +191,6 @@ class Equilibrium:
         steps, residual = newton(
             self.equations, x, r, own_test=self._own_test, hopeless=self._yields, advice=self._advice
         )
+        if not self.equations.contact:
+            self.equations.require_unique()
         return x, steps + 1, residual

@@ -7,6 +7,7 @@ from typing import Any
 
 from petsc4py import PETSc
 
+from thinlayer.balance import LARGEST_RESIDUAL, aim
 from thinlayer.equations import Equations
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import tell_multigrid
@@ -19,12 +20,11 @@ NEWTON: dict[str, OptionValue] = {
     "snes_stol": 0,
     "snes_max_it": 100,
 }
-LARGEST_RESIDUAL = 1e-6
-TOLERANCE = 1e-10  # residual over the forces of the bodies' stresses, or the loads
 YIELDING: dict[str, OptionValue] = {"snes_max_it": 50}
 FLAT: dict[str, OptionValue] = {  # a search for the least energy: residuals may have to grow on the way
     "snes_linesearch_type": "cp",
     "snes_linesearch_max_it": 40,
+    "snes_linesearch_atol": 0,  # of the work along the step, in units of energy: it knows nothing of the forces
     "snes_max_it": 300,
 }
 STALLED = 16  # steps without a residual that is a tenth smaller: a law that yields has no equilibrium, or hides it
@@ -72,7 +72,7 @@ def newton(
             given_up = "displacements grow without bound"
         if given_up:
             return Reason.DIVERGED_DTOL
-        return Reason.CONVERGED_FNORM_ABS if norms[2] <= enough(equations, x) else False
+        return Reason.CONVERGED_FNORM_ABS if norms[2] <= aim(equations, x) else False
 
     A = equations.tangent()
     A.zeroRowsColumns(equations.held_rows, 1.0)
@@ -92,7 +92,8 @@ def newton(
     ksp_reason = snes.getKSP().getConvergedReason()
     snes.destroy()
     stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
-    if reason < 0 and not stalled:
+    stopped = own_test and reason >= 0 and not last < LARGEST_RESIDUAL  # by a test other than ours
+    if stopped or (reason < 0 and not stalled):
         failed = f"; the layer's law failed at {equations.laws.failed} points" if equations.laws.failed else ""
         raise SolveError(
             f"Newton's method failed after {steps} steps: {given_up or reason_name(Reason, reason)}"
@@ -102,12 +103,6 @@ def newton(
             advice=f"try {advice}, or -{PREFIX}snes_monitor to watch it",
         )
     return steps, last
-
-
-def enough(equations: Equations, x: PETSc.Vec) -> float:
-    """Size of a residual at unknowns x that is small enough: against the forces, or all that rounding allows."""
-    rounding = min(equations.rounding_at(x), LARGEST_RESIDUAL * equations.least_scale)
-    return max(TOLERANCE * equations.scale, equations.least_residual, rounding)
 
 
 def _largest(x: PETSc.Vec) -> float:

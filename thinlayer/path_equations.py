@@ -7,11 +7,12 @@ from collections.abc import Mapping
 
 from petsc4py import PETSc
 
+from thinlayer.balance import aim
 from thinlayer.equations import Equations, Interval
 from thinlayer.failure import SolveError
 from thinlayer.linear_solvers import direct_solver, mark
 from thinlayer.loads import ModelError
-from thinlayer.newton import enough, reason_name
+from thinlayer.newton import reason_name
 from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read, require_known_values
 from thinlayer.state import State
 
@@ -70,7 +71,7 @@ class PathEquations:
         self._require_law()
         self.r.array[held] = 0.0
         size = float(self.r.norm())
-        return size / max(equations.scale, 1e-300) if size <= enough(equations, self.x) else None
+        return size / max(equations.scale, 1e-300) if size <= aim(equations, self.x) else None
 
     def _begin(self, last: State, t: float) -> None:
         try:

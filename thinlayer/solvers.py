@@ -228,7 +228,7 @@ class Solver:
             return found
         while True:
             try:
-                return self._with_options(self._finder.advance, old, begin, search=search)
+                return self._with_options(self._finder.advance, begin, search=search)
             except SolveError:
                 reused = self._finder.reused
                 self._finder.drop_factor()
@@ -280,9 +280,10 @@ class Solver:
 
     def _pressure(self, old: State, theta: float) -> fem.Function | None:
         """Pressure at the end of the step; the balance of forces has the one at t + theta dt."""
-        if self.equations.pressure is None:
+        if self.equations.pressure is None or self.equations.constraint is None:
             return None
         p = self.equations.pressure.copy()
+        p.x.array[:] *= self.equations.constraint.unit
         if theta < 1 and old.p is not None:
             p.x.array[:] = (p.x.array - (1 - theta) * old.p.x.array) / theta
         return p

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
+from petsc4py import PETSc
 
 from forms.work import Points
 from geometry.domain import Domain
@@ -19,7 +20,8 @@ class Constraint:
     Attributes:
         region: the cells of the meshed layer, or S.
         space: the pressures.
-        G: matrix of int q tr e(v), pressures by displacements.
+        unit: what G is multiplied by; unknown pressures are over it. 1 until `weigh`.
+        G: matrix of int q tr e(v), times the unit, pressures by displacements.
         volume: a vector of its rows.
     """
 
@@ -30,7 +32,18 @@ class Constraint:
         form = q * ufl.tr(points.strain(v)) * points.weight * points.measure
         self.G = dolfinx.fem.petsc.assemble_matrix(fem.form(form, entity_maps=region.maps))
         self.G.assemble()
+        self.unit = 1.0
         self.volume = self.G.createVecLeft()
+
+    def weigh(self, stiffness: float) -> None:
+        """Make the rows of G forces, like those of the balance: residuals of both are of one unit then.
+
+        Args:
+            stiffness: force over displacement that the bodies answer a node with, > 0.
+        """
+        unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
+        self.G.scale(unit)
+        self.unit *= unit
 
     def destroy(self) -> None:
         """Free the matrix."""

@@ -1,0 +1,209 @@
+"""Every state that a solver returns is an equilibrium, found at any scale of the forces, and the only one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, HolonomicCoulomb, Law, LinearElastic, MohrCoulomb, NonMonotone
+from forms.elastic import lame
+from geometry import sandwich
+from thinlayer import Model, SolveError, Surface, ThinLayer, solve
+from thinlayer.contact.solver import ContactSolver
+from thinlayer.equilibrium import Equilibrium
+from thinlayer.uniqueness import pieces
+
+STEEL = LinearElastic.young(E=210e3, nu=0.3)
+PLATES = sandwich(40, 4, 6, h=2.0)
+HELD = {"BOTTOM": 0}
+
+
+@dataclass(frozen=True)
+class Swelling(Law):
+    """A layer with an eigenstrain, written as if it were not linear."""
+
+    lmbda: float
+    mu: float
+    strain: float
+    powers = {"lmbda": 1, "mu": 1}
+
+    def stress(self, step):
+        return lame(self.lmbda, self.mu, step.e - self.strain * ufl.Identity(3))
+
+
+def mean_jump(model, state):
+    surface = Surface(model)
+    w = surface.frame(surface.jump(state))
+    return np.array([surface.integral(w[k]) for k in range(len(w))]) / surface.integral(1)
+
+
+# ---------------------------------------------------------------------------------- scales of the forces
+def flat(scale):
+    """A layer that snaps in a relaxed way; homogeneous: stresses, and so jumps, go with the scale."""
+    return NonMonotone(4e3, 1e3, 30.0 * scale, 0.22 * scale**2, [[0.2, 0.5], [0.5, 1.0]])
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e9])
+def test_flat_laws_at_any_scale(scale):
+    """Loads and stresses times a number: so are the jumps."""
+
+    def found(s):
+        loads = {"TOP": (6 * s, -30 * s), "LEFT/UPPER": (-60 * s, 5 * s)}
+        model = Model.interface(PLATES, layer=ThinLayer(flat(s), 0.4), body=STEEL, supports=HELD, tractions=loads)
+        return mean_jump(model, solve(model)) / s
+
+    assert found(scale) == pytest.approx(found(1.0), rel=1e-9)
+
+
+def test_a_soft_flat_layer_between_stiff_plates():
+    """Plates on displacements, layer 1e11 times softer: residuals hide in the rounding of the plates' forces.
+
+    Rigid plates would give the layer's own answer; rounding leaves 1e-3 of it.
+    """
+    joint = sandwich(10, 4, 4, h=1.0, structured=True)
+
+    def force(soft):
+        law = NonMonotone(0.0, 10.0 * soft, 15.0 * soft, 15.0 * soft, [[0, 0], [0, 1]])
+        top = {"y": lambda x, t: 1.2 * (1 + 0.05 * x[0]), "x": 0}
+        body = LinearElastic.young(E=2e5, nu=0.0)
+        model = Model.interface(joint, layer=ThinLayer(law, 1.0), body=body, supports={"BOTTOM": 0, "TOP": top})
+        surface, state = Surface(model), solve(model)
+        return surface.integral(surface.traction(state)[1]) / soft
+
+    assert force(1e-7) == pytest.approx(force(1e-3), rel=3e-3)
+
+
+@pytest.mark.parametrize("loads", [{}, {"TOP": (0.0, -0.1)}])
+def test_an_eigenstrain_that_ends_without_stress(loads):
+    """A free layer swells by (1 + nu)/(1 - nu) of its eigenstrain, held sideways by the bodies; there is no other force."""
+    nu, strain, eps, E = 0.35, 0.01, 2.0, 3e3
+    law = LinearElastic.young(E=E, nu=nu).per_thickness(eps)
+    model = Model.interface(
+        PLATES, layer=ThinLayer(Swelling(law.lmbda, law.mu, strain), eps), body=STEEL, tractions=loads,
+        supports={"BOTTOM": {"y": 0}, (0, -4): {"x": 0}},
+    )  # fmt: skip
+    pressed = sum(load[1] for load in loads.values()) * eps * (1 + nu) * (1 - 2 * nu) / (E * (1 - nu))
+    expected = strain * eps * (1 + nu) / (1 - nu) + pressed
+    assert mean_jump(model, solve(model))[1] == pytest.approx(expected, rel=1e-9)
+
+
+# ---------------------------------------------------------------------------------- whoever says so
+def yielding():
+    law = MohrCoulomb(120.0, 80.0, C=0.2, Omega=35)
+    return Model.interface(
+        PLATES, layer=ThinLayer(law, 1.0), body=LinearElastic.young(E=20e3, nu=0.2),
+        supports={"BOTTOM": 0, "TOP": {"y": -0.02}}, tractions={"TOP": (0.9, 0)},
+    )  # fmt: skip
+
+
+def contact():
+    law = HolonomicCoulomb(K_N=3e3, K_T=1e3, friction=0.4)
+    supports = {"BOTTOM": 0, "RIGHT": {"x": 0}}
+    loads = {"TOP": (0.3, -2.0), "LEFT/UPPER": (1.0, 0.0)}
+    return Model.interface(PLATES, layer=law, body=STEEL, supports=supports, tractions=loads, element="P1")
+
+
+def linear():
+    law = LinearElastic.young(E=2e3, nu=0.4).per_thickness(0.2)
+    loads = {"TOP": (6.0, -30.0)}
+    return Model.interface(PLATES, layer=ThinLayer(law, 0.2), body=STEEL, supports=HELD, tractions=loads)
+
+
+WEAK = [
+    {"snes_rtol": 0.9}, {"snes_atol": 1e3}, {"snes_stol": 1.0}, {"snes_max_it": 1}, {"snes_type": "ksponly"},
+    {"snes_rtol": 0.5, "snes_linesearch_type": "basic"}, {"snes_linesearch_atol": 1e6},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("options", WEAK, ids=lambda o: "-".join(f"{k}={v}" for k, v in o.items()))
+@pytest.mark.parametrize(("make", "method"), [(yielding, None), (contact, "newton")], ids=["yielding", "contact"])
+def test_options_do_not_weaken_the_check(make, method, options):
+    """An option that ends Newton's method early leads to an error, or to the same state."""
+    model = make()
+    try:
+        found = solve(model, options=options, method=method)
+    except (SolveError, ValueError):
+        return
+    exact = solve(make(), method=method)
+    assert np.abs(found.u.x.array - exact.u.x.array).max() <= 1e-5 * np.abs(exact.u.x.array).max()
+
+
+@pytest.mark.parametrize("solver", ["linear", "newton", "condensed", "multigrid", "relaxation", "contact newton"])
+def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
+    """Whoever finds the unknowns: a thousandth more of them is no equilibrium."""
+    for finder in (Equilibrium, ContactSolver):
+
+        def advance(self, *given, real=finder.advance):
+            x, steps, residual = real(self, *given)
+            x.scale(1.001)
+            return x, steps, residual
+
+        monkeypatch.setattr(finder, "advance", advance)
+    model = linear() if solver == "linear" else yielding() if solver == "newton" else contact()
+    with pytest.raises(SolveError, match="no equilibrium"):
+        solve(model, method=solver.removeprefix("contact "))
+
+
+# ---------------------------------------------------------------------------------- the only one
+SLIDES = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 0.0]), "layer"), 0.1)
+METHODS = ["condensed", "multigrid", "newton", "relaxation"]
+
+
+def loaded(layer, joint=PLATES, supports=HELD, **more):
+    d = joint.dim
+    return Model.interface(
+        joint, layer=layer, body=STEEL, supports=supports, tractions={"TOP": (0, -1.0, 0)[:d]}, **more
+    )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+def test_a_layer_without_tangential_stiffness(angle):
+    """Nothing tells how far the upper plate has slid, whatever the mesh's place; held, its compression is p/K_N."""
+    joint = sandwich(10, 4, 4, h=2.0, structured=True)
+    joint = joint.rotated(angle) if angle else joint
+    with pytest.raises(SolveError, match=r"no unique solution: body 'UPPER' can move along"):
+        solve(loaded(SLIDES, joint))
+    if not angle:
+        model = loaded(SLIDES, joint, {"BOTTOM": 0, "TOP": {"x": 0}})
+        assert mean_jump(model, solve(model)) == pytest.approx([0, -1e-3], rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_frictionless_contact(method):
+    """Pressed without friction, a body may lie anywhere along S."""
+    law = HolonomicCoulomb(K_N=1e3, K_T=500, friction=0.0)
+    with pytest.raises(SolveError, match=r"no unique solution: body 'UPPER' can move along \(1, 0\)"):
+        solve(loaded(law, element="P1"), method=method)
+    held = loaded(law, supports={"BOTTOM": 0, "TOP": {"x": 0}}, element="P1")
+    assert mean_jump(held, solve(held, method=method))[1] == pytest.approx(-1e-3, rel=1e-6)
+
+
+def test_three_dimensions():
+    """A layer that grips along x, not along z."""
+    joint = sandwich(10, 4, 4, h=4.0, depth=8, cell="hexahedron")
+    one_way = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 500.0]), "layer"), 0.1)
+    with pytest.raises(SolveError, match=r"body 'UPPER' can move along \(0, 0, 1\)"):
+        solve(loaded(one_way, joint, element="Q1"))
+    held = {"BOTTOM": 0, "TOP": {"z": 0}}
+    assert mean_jump(model := loaded(one_way, joint, held, element="Q1"), solve(model))[2] == pytest.approx(
+        -1e-3, rel=1e-3
+    )
+
+
+def test_soft_layers_are_not_slippery():
+    """A layer 1e6 times softer than the plates holds them; the same supports."""
+    soft = ThinLayer(LinearElastic.young(E=0.2, nu=0.3), 1.0)
+    model = loaded(soft)
+    M = soft.law.lmbda + 2 * soft.law.mu
+    assert mean_jump(model, solve(model))[1] == pytest.approx(-1.0 / M, rel=1e-4)
+
+
+def test_pieces():
+    """Bodies on both sides of S are two pieces, in the interface model alone; S that ends inside them leaves one."""
+    assert pieces(linear())[1] == 2
+    tip = sandwich(40, 4, 6, h=2.0)
+    full = Model.bonded(tip, body=STEEL, supports=HELD)
+    assert pieces(full)[1] == 1
