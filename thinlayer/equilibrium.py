@@ -13,6 +13,7 @@ from thinlayer.options import PREFIX
 
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov methods
 WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
+UNDETERMINED = 1e-3  # of the displacements, that rounding may change after a direct solve
 OVERSHOOT = 10.0  # residual of a first step over the forces
 FARTHEST = 1e4  # displacements of a first step over the old ones
 
@@ -153,10 +154,17 @@ class Equilibrium:
         assert ksp is not None
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
-        residual = self._relative(r)
+        residual, first = self._relative(r), True
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             ksp.solve(r, d)
+            if first and direct and d.norm() > UNDETERMINED * x.norm():
+                raise SolveError(
+                    "no unique solution: rounding of the forces changes the displacements by "
+                    f"{d.norm() / x.norm():.1e} of themselves",
+                    advice="does something resist every motion of the bodies, and every strain of the layer?",
+                )
+            first = False
             x.axpy(1.0, d)
             equations.residual(x, r)
             refined = self._relative(r)
