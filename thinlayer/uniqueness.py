@@ -15,6 +15,7 @@ from geometry.topology import IntArray
 from thinlayer.failure import SolveError
 from thinlayer.loads import AXES
 from thinlayer.model import Model
+from thinlayer.rigid import rigid_motions
 
 HELD = 1e-10  # of a Gram matrix of supported displacements, over its largest eigenvalue: a motion that supports allow
 # Rounding of forces moves a body by eps (stiffness of the bodies) / (stiffness of what holds it) of the displacements:
@@ -67,30 +68,18 @@ class RigidMotions:
         return motions, allowed
 
     def _motions(self) -> Array:
-        """Translations and rotations of each piece, of size 1, at the displacements of this rank."""
-        model, d = self.model, self.model.joint.dim
-        V, joint = model.V, model.domain.joint
+        """Translations and rotations of each piece, of size 1 for the structure, at the displacements of this rank."""
+        model, joint = self.model, self.model.domain.joint
+        V = model.V
         number, count = pieces(model)
-        owned = V.dofmap.index_map.size_local
+        self._names = [joint.regions[joint.region[np.flatnonzero(number == k)[0]]] for k in range(count)]
+        owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int64)
         dofs = np.asarray(V.dofmap.list)
         of[dofs] = number[model.domain.original_cells[: len(dofs)]][:, None]
-        x, of = V.tabulate_dof_coordinates()[:owned, :d], of[:owned]
-        self._names = [""] * count
-        columns = []
-        for k in range(count):
-            cells = np.flatnonzero(number == k)
-            self._names[k] = joint.regions[joint.region[cells[0]]]
-            corners = joint.points[np.unique(joint.cells[cells])]
-            centre, size = corners.mean(axis=0), np.ptp(corners, axis=0).max()
-            here = (of == k)[:, None]
-            columns += [np.where(here, axis, 0.0) for axis in np.eye(d)]
-            for i in range(d):
-                for j in range(i + 1, d):
-                    turn = np.zeros((owned, d))
-                    turn[:, i], turn[:, j] = -(x[:, j] - centre[j]) / size, (x[:, i] - centre[i]) / size
-                    columns.append(np.where(here, turn, 0.0))
-        return np.stack([c.ravel() for c in columns], axis=1)
+        here = np.repeat(of[:owned], bs)[:, None] == np.arange(count)
+        motions = np.stack([f.x.array[: owned * bs] for f in rigid_motions(V, joint).values()], axis=1)
+        return (here[:, :, None] * motions[:, None, :]).reshape(owned * bs, -1)
 
     def require_resisted(self, A: PETSc.Mat) -> None:
         """Raise SolveError if a tangent, its supports taken in or not, lets a piece move that nothing else holds."""
