@@ -93,7 +93,7 @@ def newton(
     snes.destroy()
     stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
     if reason < 0 and not stalled:
-        failed = f"; the layer's law failed at {equations.laws.failed} points" if equations.laws.failed else ""
+        failed = f"; {equations.laws.failure()}" if equations.laws.failed else ""
         raise SolveError(
             f"Newton's method failed after {steps} steps: {given_up or reason_name(Reason, reason)}"
             + (f" (linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")

@@ -19,6 +19,7 @@ ITERATIONS, SHORTENINGS = 60, 25  # of Newton's method, and of each of its steps
 SMALLEST = 2.0**-10  # part of a step
 FARTHEST = 2.0**25  # that tractions are looked for along a singular tangent, in elastic steps
 EXACT, ENOUGH = 1e-12, 1e-9  # of the tractions: what is asked for, what will do where it cannot be reached
+ROUNDING, STEEP = 1e-15, 1e3  # the least change of a jump; steps are next to nothing up to so many of them
 
 
 class PointState(NamedTuple):
@@ -123,19 +124,47 @@ class Point:
             left = goal[free] - now.traction[free]
             lack = np.abs(left).max(initial=0.0)
             scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
-            rounding = 1e-15 * self.stiffness * np.abs(now.w).max()
-            if lack <= EXACT * scale + rounding:
+            if lack <= EXACT * scale:
                 return now
             slope, found = now.tangent[np.ix_(free, free)], None
             if np.linalg.cond(slope) < 1e13:
                 farther = 1.0
-                found = self._along(old, now, free, goal, np.linalg.solve(slope, left), dt, lack * (1 - 1e-4))
+                step = np.linalg.solve(slope, left)
+                found = self._along(old, now, free, goal, step, dt, lack * (1 - 1e-4))
+                if found is None:
+                    found = self._out_of_rounding(old, now, free, goal, step, dt)
+            if found is now:
+                return now
             if found is None and lack <= ENOUGH * scale:
                 return now
             if found is None:
                 found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, lack)
                 farther *= 2
             now = found
+        return None
+
+    def _out_of_rounding(
+        self, old: PointState, now: PointState, free: Array, goal: Array, step: Array, dt: float
+    ) -> PointState | None:
+        """A closer state where the slope is next to infinite, as a dashpot's at rest: a step is nothing beside the jump.
+
+        Steps grow from the least that changes the jump. `now` if that one changes the tractions by more than they lack:
+        nothing but rounding is left. None if no step helps, or if the slope is not like that.
+        """
+        size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
+        lack = np.abs(goal[free] - now.traction[free]).max()
+        if not 0 < size <= STEEP * least:
+            return None
+        for k in range(SHORTENINGS):
+            w = now.w.copy()
+            w[free] += 4**k * least / size * step
+            found = self._respond(old, w, dt)
+            if found is None:
+                return None
+            if np.abs(goal[free] - found.traction[free]).max() <= lack * (1 - 1e-4):
+                return found
+            if np.abs(found.traction - now.traction)[free].max() > lack:
+                return now if k == 0 else None
         return None
 
     def _along(

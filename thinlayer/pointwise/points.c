@@ -266,7 +266,8 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
     return 1;
 }
 
-/* Run a law over points; returns the number of points where it failed (where the stress is NaN), or -1 without memory.
+/* Run a law over points; returns the number of points where it failed, or -1 without memory. A point that failed has a NaN in
+ * its stress; its tangent is zero where there was no stress, else it has an entry that is not finite.
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
  * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each; parameters: of all points,
@@ -332,16 +333,17 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             new += a->memory;
             for (int j = 0; j < 3; j++) energy[3 * k + j] += a->fraction * energies(a)[j];
         }
-        int finite = isfinite(s[0]);
+        int known = isfinite(s[0]), sloped = 1;
         for (int i = 0; i < m; i++) {
             stress[k * m + i] = s[slots[i]];
-            finite = finite && isfinite(s[slots[i]]);
+            known = known && isfinite(s[slots[i]]);
             for (int j = 0; j < m; j++) {
                 C[(k * m + i) * m + j] = D[slots[i]][slots[j]];
-                finite = finite && isfinite(D[slots[i]][slots[j]]);
+                sloped = sloped && isfinite(D[slots[i]][slots[j]]);
             }
         }
-        if (!finite) failed++, stress[k * m] = NAN;
+        if (!known) memset(C + k * m * m, 0, m * m * sizeof(double));
+        if (!known || !sloped) failed++, stress[k * m] = NAN;
     }
     free(layers), free(numbers);
     return failed;
