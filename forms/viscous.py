@@ -13,7 +13,7 @@ from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr
 from forms.law import Law, Step, positive, require
 
-REST = 1e-12  # strain of a step below which a power-law dashpot is linear
+STIFFEST, REST = 1e7, 1e-12  # of a power-law dashpot in a step: times its spring, or below this strain it is linear
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
@@ -160,8 +160,8 @@ class Norton(SpringBesideDashpot):
     As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
     of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
 
-    For p < 2 the tangent is infinite at rest. Rates so small that a step strains the layer by less than 1e-12 meet a
-    linear dashpot: |rate|^2 stands for |rate|^2 + (1e-12/dt)^2. Below p = 1.2 Newton's method needs more, see `rest`.
+    For p < 2 the tangent is infinite at rest. The dashpot is linear where it would be more than 1e7 times as stiff in a step
+    as the spring, at strains of the step below 1e-12. Below p = 1.2 Newton's method may need more, see `rest`.
 
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
@@ -193,5 +193,7 @@ class Norton(SpringBesideDashpot):
 
     def _viscous(self, step: Step) -> Expr:
         dt: Expr = step.dt
-        rate, least = step.rate, REST / dt
-        return self.eta * (ufl.inner(rate, rate) + self.rest**2 + least**2) ** (self.p / 2 - 1) * rate
+        stiffest = (self.eta / (STIFFEST * self.mu * dt)) ** (1 / (2 - self.p))  # for p < 2: there it is that stiff
+        least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST / dt), 0)
+        q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # at 0 powers have no slope
+        return self.eta * q ** (self.p / 2 - 1) * step.rate
