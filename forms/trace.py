@@ -52,7 +52,7 @@ def _symbols(length: int) -> Expr:
 
 def symbolic(law: Law) -> Symbolic:
     """A law at a point, in a step."""
-    shapes = {name: np.shape(value) for name, value in law.parameters().items()}
+    shapes = {name: _shape(value) for name, value in law.parameters().items()}
     memory = sum(SIZES[shape] for shape in law.internal.values())
     length = 6 + 6 + memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
     numbers = _symbols(length)
@@ -69,6 +69,11 @@ def symbolic(law: Law) -> Symbolic:
     step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
     step = step if law.rate or isinstance(law, TractionLaw) else step.without_rate()
     return Symbolic(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """Of a parameter, a number, an array or a Constant."""
+    return tuple(value.ufl_shape) if isinstance(value, Node) else np.shape(value)
 
 
 def stress_key(law: Law, d: int | None) -> int:

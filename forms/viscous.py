@@ -160,8 +160,8 @@ class Norton(SpringBesideDashpot):
     As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
     of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
 
-    For p < 2 the tangent is infinite at rest. The dashpot is linear where it would be more than 1e7 times as stiff in a step
-    as the spring, at strains of the step below 1e-12. Below p = 1.2 Newton's method may need more, see `rest`.
+    For p < 2 the tangent is infinite at rest. Where it would be more than 1e7 times as stiff in a step as the spring, at
+    strains of the step below 1e-12, the dashpot is linear. Below p = 1.2 Newton's method may need more, see `rest`.
 
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
