@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any
 
@@ -26,6 +26,7 @@ from forms.traction import TractionLaw
 SIZES = {(): 1, (3,): 3, (3, 3): 6}  # of an internal variable
 _DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need one
 _KNOWN: dict[tuple[Any, ...], int] = {}  # parts of expressions that were met, numbered
+_STRESSES: dict[tuple[Any, int | None], int] = {}  # keys of this package's laws
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,30 @@ def _shape(value: Any) -> tuple[int, ...]:
     return tuple(value.ufl_shape) if isinstance(value, Node) else np.shape(value)
 
 
+def named(law: Law) -> tuple[Any, ...] | None:
+    """What tells a law of this package from any other, whatever its numbers; None for laws that may read what changes."""
+    if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
+        return None
+    parameters = law.parameters()
+    choices = [(f.name, getattr(law, f.name)) for f in fields(law) if f.name not in parameters]
+    return (type(law), repr(choices), *map(_shape, parameters.values()))
+
+
 def stress_key(law: Law, d: int | None) -> int:
     """Key of the stress of a law that is a part of a form, told a director of d components (None: in a body).
 
     Raises:
         LawError: a law that fails, or decides by a number.
     """
+    known = named(law)
+    if known is None:
+        return _stress_key(law, d)
+    if (known, d) not in _STRESSES:
+        _STRESSES[known, d] = _stress_key(law, d)
+    return _STRESSES[known, d]
+
+
+def _stress_key(law: Law, d: int | None) -> int:
     point = symbolic(law)
     director: Expr = point.step.n
     n = None if d is None else ufl.as_vector([director[i] for i in range(d)])
@@ -145,15 +164,15 @@ def key(expressions: Iterable[Expr]) -> int:
 
 
 def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
-    def name(counted: Any) -> int:
+    def number(counted: Any) -> int:
         return names.setdefault((type(counted), counted.count()), len(names))
 
     if isinstance(node, MultiIndex):
-        return tuple(("free", name(i)) if isinstance(i, Index) else int(i) for i in node.indices())
+        return tuple(("free", number(i)) if isinstance(i, Index) else int(i) for i in node.indices())
     if isinstance(node, Label):
-        return (name(node),)
+        return (number(node),)
     if isinstance(node, Constant):
-        return (name(node), node.ufl_shape)
+        return (number(node), node.ufl_shape)
     return (repr(node.value()) if isinstance(node, ScalarValue) else repr(node),)
 
 

@@ -13,7 +13,7 @@ from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr
 from forms.law import Law, Step, positive, require
 
-STIFFEST, REST = 1e7, 1e-12  # of a power-law dashpot in a step: times its spring, or below this strain it is linear
+STIFFEST, REST = 1e6, 1e-12  # of a power-law dashpot in a step: times its spring, or below this strain it is linear
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
@@ -160,7 +160,7 @@ class Norton(SpringBesideDashpot):
     As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
     of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
 
-    For p < 2 the tangent is infinite at rest. Where it would be more than 1e7 times as stiff in a step as the spring, at
+    For p < 2 the tangent is infinite at rest. Where it would be more than 1e6 times as stiff in a step as the spring, at
     strains of the step below 1e-12, the dashpot is linear. Below p = 1.2 Newton's method may need more, see `rest`.
 
     Attributes:

@@ -28,8 +28,10 @@ from forms import (
 from forms.declarations import RangeWarning
 from forms.elastic import lame
 from geometry import sandwich
+from tests.own_laws import Slipping
 from tests.test_points import E2, respond, tensor, vector
 from thinlayer import Model, ThinLayer, drive, solve
+from thinlayer.loads import ModelError
 from thinlayer.pointwise.columns import Columns
 
 
@@ -209,3 +211,13 @@ def test_tractions_are_those_prescribed(p, rest):
     assert found.tractions == pytest.approx(np.array([[1.0, -2.0]] * 20), rel=1e-9)
     expected = drive(Norton(5e3, 3e3, 10.0, p), path, dt=0.2)
     assert found.jumps == pytest.approx(expected.jumps, rel=1e-9 if rest != 1e-6 else 0.1)
+
+
+@pytest.mark.parametrize("law", [Norton(5e3, 3e3, 10.0, 1.5), Maxwell(5e3, 3e3, 1.0), Slipping(70.0, 30.0, 12.0, 90.0)])
+def test_laws_that_depend_on_time_need_a_step(law):
+    """No length of a step is meant: one of 1 would be another one in another unit."""
+    step = {"w_T": 0.01, "w_N": 0.02}
+    with pytest.raises(ModelError, match=f"dt is missing: {type(law).__name__} depends on the length of the steps"):
+        drive(law, [step, step])
+    plastic = MohrCoulomb(70.0, 40.0, C=0.3, Omega=30.0)
+    assert (drive(plastic, [step]).tractions == drive(plastic, [step], dt=7.0).tractions).all()

@@ -30,7 +30,7 @@ from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
 from forms.symmetry import require_symmetric_stress
-from forms.trace import SIZES, Symbolic, key, require_numbers_alone, symbolic, undecided
+from forms.trace import SIZES, Symbolic, key, named, require_numbers_alone, symbolic, undecided
 from forms.traction import TractionLaw
 from thinlayer.compiled import SourceError, library
 
@@ -143,10 +143,19 @@ def memory_slots(law: Law, name: str) -> list[tuple[float, Law, int]]:
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED: dict[int, tuple[int, Any]] = {}
+_COMPILED: dict[Any, tuple[int, Any]] = {}  # by what is computed; this package's laws also by name
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
+    known = named(law)
+    if known is None:
+        return _compiled(comm, law)
+    if comm.allreduce(int(known not in _COMPILED)):
+        _COMPILED[known] = _compiled(comm, law)
+    return _COMPILED[known]
+
+
+def _compiled(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
     _memory(law)
     point = symbolic(law)
     outputs = _outputs(law, point)
@@ -285,6 +294,8 @@ def written(thing: Any, names: tuple[str, ...] = (), within: tuple[Any, ...] = (
     thing = getattr(thing, "py_func", thing)  # of what numba has compiled
     if isinstance(thing, np.ndarray):
         return thing.dtype.str, thing.shape, thing.tobytes()
+    if isinstance(thing, (tuple, list)):
+        return type(thing), *map(written, thing)
     if isinstance(thing, ModuleType):
         values = {name: vars(thing)[name] for name in names if name in vars(thing)}
         return thing, *((name, value if callable(value) else written(value)) for name, value in values.items())
@@ -292,12 +303,9 @@ def written(thing: Any, names: tuple[str, ...] = (), within: tuple[Any, ...] = (
     if code is None or thing in within or (thing.__module__ or "").partition(".")[0] in ("numpy", "numba"):
         return thing if callable(thing) else (type(thing), repr(thing))
     names, within = _names(code), (*within, thing)
-    named = [(name, thing.__globals__[name]) for name in names if name in thing.__globals__]
-    enclosed = [
-        (name, cell.cell_contents) for name, cell in zip(code.co_freevars, thing.__closure__ or (), strict=True)
-    ]
-    read = [*named, *enclosed, *enumerate(thing.__defaults__ or ())]
-    return code, *((name, written(value, names, within)) for name, value in read)
+    read = {name: thing.__globals__[name] for name in names if name in thing.__globals__}
+    read |= {name: cell.cell_contents for name, cell in zip(code.co_freevars, thing.__closure__ or (), strict=True)}
+    return code, written(thing.__defaults__), *((name, written(value, names, within)) for name, value in read.items())
 
 
 def _names(code: CodeType) -> tuple[str, ...]:
