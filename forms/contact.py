@@ -58,6 +58,10 @@ class ContactLaw(Law):
             f"of a layer of thickness eps: {type(self).__name__}.of_layer(lmbda / eps, mu / eps, ...)"
         )
 
+    def plane_stress(self) -> Self:
+        """The law itself: jumps and tractions know no plane."""
+        return self
+
     @property
     def has_energy(self) -> bool:
         return self.memory

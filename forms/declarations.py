@@ -15,6 +15,10 @@ class LawError(ValueError):
     """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
 
 
+class RangeWarning(UserWarning):
+    """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy."""
+
+
 def require_dataclass(kind: type) -> None:
     """Raise LawError if a class has parameters of its own and no constructor that takes them."""
     own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]

@@ -95,7 +95,7 @@ class Anisotropic(LinearLaw):
     Attributes:
         C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress (in a
             layer: stress per thickness). Not negative in any direction; as a layer's law its acoustic tensor must be
-            positive definite, as a body's law C itself.
+            positive definite unless supports hold what it does not, as a body's law C itself.
         frame: "global", or "layer": axis 2 is the director n, axes 1 and 3 lie in the layer (`layer_frame`).
 
     Raises:
@@ -118,10 +118,13 @@ class Anisotropic(LinearLaw):
 
     @classmethod
     def springs(cls, K_N: float, K_T: float) -> Anisotropic:
-        """A layer whose only stiffnesses are its normal one K_N > 0 and its tangential one K_T > 0 (stress per length)."""
-        for name, value in {"K_N": K_N, "K_T": K_T}.items():
-            if not (math.isfinite(value) and value > 0):
-                raise LawError(f"Anisotropic.springs: {name} is {value}; allowed: > 0")
+        """A layer whose only stiffnesses are its normal one K_N > 0 and its tangential one K_T >= 0 (stress per length).
+
+        K_T = 0 is a bearing without friction: supports must hold what may slide.
+        """
+        for name, value, allowed in (("K_N", K_N, "> 0"), ("K_T", K_T, ">= 0")):
+            if not (math.isfinite(value) and (value > 0 or (value == 0 and name == "K_T"))):
+                raise LawError(f"Anisotropic.springs: {name} is {value}; allowed: {allowed}")
         return cls(np.diag([0, K_N, 0, K_T, 0, K_T]), "layer")
 
     def parameters(self) -> dict[str, Any]:

@@ -125,7 +125,7 @@ class Law:
                 not isinstance(getattr(self, f.name), ufl.core.expr.Expr), self, f.name, "a UFL expression", allowed
             )
         for f in fields(self):
-            self._check_number(f.name, getattr(self, f.name), f.default is None, str(f.type).startswith("float"))
+            self._check_number(f.name, getattr(self, f.name), f.default is None, _of_numbers(f.type))
         self.check()
         require_declarations(self)
 
@@ -196,7 +196,7 @@ class Law:
 
     def energy(self, step: Step) -> Expr:
         """Stored energy per unit volume of the strain step.e and the internal variables step.q, UFL."""
-        raise NotImplementedError(f"{type(self).__name__} declares no energy")
+        raise LawError(f"{type(self).__name__} declares no energy; a law needs a method energy(step) for it")
 
     def dissipation(self, step: Step) -> Expr:
         """Dissipated power per unit volume over the step, UFL."""
@@ -256,7 +256,14 @@ class Law:
         """The law whose real parameters, in a layer of thickness eps (a length > 0), are this law's."""
         if not (isinstance(eps, Real) and math.isfinite(eps) and eps > 0):
             raise LawError(f"eps is {eps!r}; the thickness must be > 0")
-        return self.mapped(lambda value, power: value * eps**-power)
+        thickness = float(eps)  # whole numbers of numpy have no negative powers
+        return self.mapped(lambda value, power: value * thickness**-power)
+
+
+def _of_numbers(annotation: Any) -> bool:
+    """Whether a field is annotated as a number: "float", float, float | None, also where annotations are no texts."""
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    return text.removeprefix("typing.").removeprefix("Optional[").startswith(("float", "int"))
 
 
 def require(condition: bool, law: Law, name: str, value: object, allowed: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -10,12 +11,14 @@ from typing import Any, ClassVar
 
 import ufl
 
+from forms.declarations import RangeWarning
 from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr, lift
 from forms.law import Law, LawError, Step, require
 from forms.point import PointLaw
 from forms.viscous import isotropic_energy
 
+RADIANS = 1.6  # degrees: smaller friction angles look like radians, which end at pi/2
 LEAST_FRACTION = 1e-6  # that continuation takes before none at all
 
 
@@ -52,6 +55,13 @@ class Plastic(Law):
         require_moduli(self, self.lmbda, self.mu)
         require(math.isfinite(self.C) and self.C >= 0, self, "C", self.C, ">= 0, finite")
         require(0 <= self.Omega < 90, self, "Omega", self.Omega, "0 <= Omega < 90 degrees")
+        if 0 < self.Omega < RADIANS:
+            warnings.warn(
+                f"{type(self).__name__}: Omega is {self.Omega:g} degrees, next to no friction; angles are in degrees: "
+                f"{self.Omega:g} radians would be Omega = {math.degrees(self.Omega):.4g}",
+                RangeWarning,
+                stacklevel=5,
+            )
         require(self.C > 0 or self.Omega > 0, self, "C", self.C, "> 0 where Omega = 0: nothing would resist shear")
         require(0 <= self.h < 1, self, "h", self.h, "0 <= h < 1")
 
@@ -127,7 +137,7 @@ class MohrCoulomb(Plastic):
 
     @property
     def otherwise(self) -> MohrCoulombReturn:  # type: ignore[override]
-        return MohrCoulombReturn(**self.parameters())
+        return MohrCoulombReturn.__new__(MohrCoulombReturn).with_parameters(self.parameters())  # checked already
 
     def holds(self, step: Step) -> Expr:
         trial = self._trial(step)

@@ -1,12 +1,14 @@
 """Whether stresses and tangents of laws written in UFL are as symmetric as the solvers take them to be.
 
 An upper triangle is all that is read of a stress, and of a matrix that is said to be symmetric: what is missing below
-would be lost without a word. Laws are evaluated with numbers, a few milliseconds for each.
+would be lost without a word. Laws are evaluated with numbers, a few milliseconds for each; once for all numbers, where
+other ones than those given do not break the symmetry either.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,18 +22,49 @@ Array = npt.NDArray[np.float64]
 STRESS, TANGENT = 1e-10, 1e-5  # relative differences: rounding, and divided differences
 SIZES = (0.01, 0.3)  # of the strains
 CHANGE = 1e-3  # of the strains, for divided differences
-_FOUND: set[tuple[type[Law], str, str]] = set()  # laws whose stress, or tangent, is as symmetric as they say
+APART = 0.1  # of the numbers given: how far from them others are tried
+_FOUND: set[tuple[Any, ...]] = (
+    set()
+)  # laws whose stress, or tangent, is as symmetric as they say, whatever their numbers
 NOT_SYMMETRIC = (
     "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
     "write symmetric = False in the class, or correct it"
 )
 
 
-def require_symmetric_stress(law: Law) -> None:
-    """Raise LawError if a law in UFL gives a stress that is not symmetric; silent if it cannot be evaluated."""
-    key = (type(law), repr(_Sample(law, 1.0).law), "stress")
+def require_symmetric_stress(law: Law, key: int) -> None:
+    """Raise LawError if a law in UFL gives a stress that is not symmetric; silent if it cannot be evaluated.
+
+    Args:
+        law: with the numbers of this run.
+        key: of what it computes from any numbers, see `forms.trace`.
+    """
+    _for_all_numbers(law, ("stress", key), _stress_is_symmetric)
+
+
+def require_symmetric_tangent(law: Law, key: int) -> None:
+    """Raise LawError if a law in UFL says `symmetric`, and its tangent is not; arguments as above."""
+    if law.symmetric:
+        _for_all_numbers(law, ("tangent", key), _tangent_is_symmetric)
+
+
+def _for_all_numbers(law: Law, key: tuple[Any, ...], require: Callable[[Law], None]) -> None:
+    """Require something of a law with its numbers, unless it has been seen to hold with other ones too."""
+    given = law.mapped(lambda value, _: _number(value))
+    arrays = [value for value in given.parameters().values() if isinstance(value, np.ndarray)]
+    key = (*key, *map(_symmetric, arrays))
     if key in _FOUND:
         return
+    require(given.mapped(lambda value, _: _tensor_of(value)))
+    random = np.random.default_rng(5)
+    try:
+        require(given.mapped(lambda value, _: _tensor_of(_another(value, random))))
+    except LawError:  # it depends on the numbers
+        return
+    _FOUND.add(key)
+
+
+def _stress_is_symmetric(law: Law) -> None:
     for size in SIZES:
         stress = _Sample(law, size).stress()
         if stress is None:
@@ -42,14 +75,9 @@ def require_symmetric_stress(law: Law) -> None:
                 f"{type(law).__name__}.stress is not symmetric: it differs from its transpose by {skew / largest:.1e} of "
                 "its size; use ufl.sym"
             )
-    _FOUND.add(key)
 
 
-def require_symmetric_tangent(law: Law) -> None:
-    """Raise LawError if a law in UFL says `symmetric`, and its tangent is not; silent if it cannot be evaluated."""
-    key = (type(law), repr(_Sample(law, 1.0).law), "tangent")
-    if not law.symmetric or key in _FOUND:
-        return
+def _tangent_is_symmetric(law: Law) -> None:
     for size in SIZES:
         sample = _Sample(law, size)
         one, other = (sample.random_strain() for _ in range(2))
@@ -59,15 +87,13 @@ def require_symmetric_tangent(law: Law) -> None:
         closer = sample.skew(one, other, CHANGE / 2)
         if abs(skew - closer) < 0.1 * abs(skew):  # else a kink is near
             raise LawError(NOT_SYMMETRIC.format(type(law).__name__, abs(closer)))
-    _FOUND.add(key)
 
 
 class _Sample:
     """A law at one point, with numbers that no axis or plane prefers."""
 
     def __init__(self, law: Law, size: float) -> None:
-        self.random, self.size = np.random.default_rng(3), size
-        self.law = law.mapped(lambda value, _: _number(value))
+        self.law, self.random, self.size = law, np.random.default_rng(3), size
         self.e, self.e_old = self.random_strain(), self.random_strain()
         self.n = self.random.normal(size=3)
         self.n /= np.linalg.norm(self.n)
@@ -110,9 +136,28 @@ def _tensor(a: Array) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """A parameter, a number or a Constant, as UFL reads it; what is neither stays."""
+    """A parameter, a number or a Constant, as numbers; what is neither stays."""
     try:
         array = np.asarray(getattr(value, "value", value), float)
     except (TypeError, ValueError):
         return value
-    return ufl.as_tensor(array.tolist()) if array.ndim else float(array)
+    return array if array.ndim else float(array)
+
+
+def _tensor_of(value: Any) -> Any:
+    return ufl.as_tensor(value.tolist()) if isinstance(value, np.ndarray) else value
+
+
+def _symmetric(array: Array) -> bool:
+    return array.ndim == 2 and np.array_equal(array, array.T)
+
+
+def _another(value: Any, random: np.random.Generator) -> Any:
+    """Another number near a parameter, also near 0; of a symmetric array a symmetric one."""
+    if not isinstance(value, (float, np.ndarray)):
+        return value
+    size = APART * (float(np.abs(value).max(initial=0.0)) or 1.0)
+    change = size * random.uniform(0.5, 1.0, np.shape(value))
+    if isinstance(value, np.ndarray):
+        return value + ((change + change.T) / 2 if _symmetric(value) else change)
+    return value + float(change)

@@ -77,7 +77,8 @@ class TractionLaw(Law):
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:
         """Internal variables at the end of the step."""
-        return {}
+        known = ", ".join(self.internal)
+        raise LawError(f"{type(self).__name__} gives no new {known}; a law with internal needs a method evolve(step)")
 
     def stress(self, step: Step) -> Expr:
         """The symmetric tensor T with T n = t and T : sym(v (x) n) = t . v."""
@@ -86,6 +87,10 @@ class TractionLaw(Law):
 
     def advance(self, step: Step) -> dict[str, Expr]:
         return self.evolve(self._jumps(step)) if self.internal else {}
+
+    def plane_stress(self) -> TractionLaw:
+        """The law itself: jumps and tractions know no plane."""
+        return self
 
     def _jumps(self, step: Step) -> JumpStep:
         return JumpStep.of(step) if self.rate else _NoRate(*JumpStep.of(step))

@@ -13,7 +13,7 @@ from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr
 from forms.law import Law, Step, positive, require
 
-REST = 1e-12
+STIFFEST, REST = 1e6, 1e-12  # of a power-law dashpot in a step: times its spring, or below this strain it is linear
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
@@ -29,17 +29,17 @@ class SpringBesideDashpot(Law):
     rate = True
     quadratic = True
 
-    def _viscous(self, rate: Expr) -> Expr:
+    def _viscous(self, step: Step) -> Expr:
         raise NotImplementedError
 
     def stress(self, step: Step) -> Expr:
-        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step.rate)
+        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step)
 
     def energy(self, step: Step) -> Expr:
         return isotropic_energy(self.lmbda, self.mu, step.e)
 
     def dissipation(self, step: Step) -> Expr:
-        return ufl.inner(self._viscous(step.rate), step.rate)
+        return ufl.inner(self._viscous(step), step.rate)
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class KelvinVoigt(SpringBesideDashpot):
         allowed = "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0"
         require(math.isfinite(bulk) and bulk >= 0, self, "theta_lmbda", self.theta_lmbda, allowed)
 
-    def _viscous(self, rate: Expr) -> Expr:
-        return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, rate)
+    def _viscous(self, step: Step) -> Expr:
+        return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
 
 
 @dataclass(frozen=True)
@@ -160,13 +160,16 @@ class Norton(SpringBesideDashpot):
     As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
     of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
 
+    For p < 2 the tangent is infinite at rest. Where it would be more than 1e6 times as stiff in a step as the spring, at
+    strains of the step below 1e-12, the dashpot is linear. Below p = 1.2 Newton's method may need more, see `rest`.
+
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
         eta: viscosity, stress times time^(p - 1) (in a layer: stress (time/length)^(p - 1)); > 0.
         p: exponent > 1. 2: a linear dashpot; near 1: almost rigid below a threshold.
-        rest: rate below which the dashpot is linear, so that its tangent stays finite at rest for p < 2: |rate|^2 stands
-            for |rate|^2 + rest^2. 1/time (in a layer: length/time); > 0. Below p = 1.2 Newton's method needs one that is
-            not much smaller than 1e-4 of the rates.
+        rest: rate below which the dashpot is linear, part of the law: |rate|^2 stands for |rate|^2 + rest^2. 1/time (in a
+            layer: length/time); >= 0. Below p = 1.2 Newton's method needs one that is not much smaller than 1e-4 of the
+            rates.
 
     Raises:
         LawError: a parameter out of range.
@@ -176,7 +179,7 @@ class Norton(SpringBesideDashpot):
     mu: float
     eta: float
     p: float
-    rest: float = REST
+    rest: float = 0.0
 
     @property
     def powers(self) -> Mapping[str, float]:  # type: ignore[override]
@@ -184,8 +187,13 @@ class Norton(SpringBesideDashpot):
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
-        positive(self, "eta", "rest")
+        positive(self, "eta")
+        require(math.isfinite(self.rest) and self.rest >= 0, self, "rest", self.rest, ">= 0")
         require(math.isfinite(self.p) and self.p > 1, self, "p", self.p, "> 1")
 
-    def _viscous(self, rate: Expr) -> Expr:
-        return self.eta * (ufl.inner(rate, rate) + self.rest**2) ** (self.p / 2 - 1) * rate
+    def _viscous(self, step: Step) -> Expr:
+        dt: Expr = step.dt
+        stiffest = (self.eta / (STIFFEST * self.mu * dt)) ** (1 / (2 - self.p))  # for p < 2: there it is that stiff
+        least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST / dt), 0)
+        q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # at 0 powers have no slope
+        return self.eta * q ** (self.p / 2 - 1) * step.rate

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import ufl
+from ufl.classes import Zero
 
 from forms.kinematics import Expr, jump_strain, lift, strain
 from forms.law import Law, Step, explained, shaped
@@ -36,6 +37,15 @@ class Points:
     def step(self, u: Expr) -> Step:
         """What the law is told when the displacement is u."""
         return Step(self.strain(u), self.n)
+
+    @property
+    def proportional(self) -> bool:
+        """Whether the law is linear and has no stress without strain (no eigenstrain): its form is bilinear."""
+        if not self.law.linear:
+            return False
+        with explained(self.law, "stress"):
+            unstrained = shaped(self.law, "stress", self.law.stress(Step(ufl.zero(3, 3), self.n)), (3, 3))
+        return isinstance(unstrained, Zero)
 
 
 @dataclass(frozen=True)

@@ -559,7 +559,7 @@ def test_drive_any_law():
     assert norton.t[-1] == pytest.approx(1.0)
     maxwell = drive(Maxwell(LMBDA, MU, 0.7), [{"t_T": 0.5, "t_N": 1.0}] * 11, dt=[0.0] + 10 * [0.1], theta=0.5)
     assert maxwell.jumps[-1, 1] == pytest.approx(limits.maxwell_creep(1.0, LMBDA + 2 * MU, 0.7, 1.0), rel=1e-9)
-    assert drive(Slipping(70.0, 30.0, 12.0, 90.0), [{"w_T": 0.01, "w_N": -0.01}]).energies == pytest.approx(
+    assert drive(Slipping(70.0, 30.0, 12.0, 90.0), [{"w_T": 0.01, "w_N": -0.01}], dt=1.0).energies == pytest.approx(
         np.full((1, 3), np.nan), nan_ok=True
     )
 

@@ -38,7 +38,7 @@ def require_equilibrium(equations: Equations, x: PETSc.Vec, r: PETSc.Vec) -> Non
     size, scale = free_norm(equations, r), equations.scale
     if size <= max(LARGEST_RESIDUAL * scale, equations.least_residual):
         return
-    failed = f"; the layer's law failed at {equations.laws.failed} points" if equations.laws.failed else ""
+    failed = f"; {equations.laws.failure()}" if equations.laws.failed else ""
     raise SolveError(
         f"what the solver returned is no equilibrium: forces of {size / max(scale, np.finfo(float).tiny):.1e} of the loads "
         f"and stresses are out of balance, allowed: {LARGEST_RESIDUAL:g}{failed}",

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from forms.elastic import LinearElastic
 from forms.symmetry import require_symmetric_stress, require_symmetric_tangent
+from forms.trace import stress_key
 from forms.work import energy, work
 from thinlayer.balance import free_norm, require_equilibrium
 from thinlayer.contact.springs import ContactSprings
@@ -70,10 +71,12 @@ class Equations:
         self.u, self.mid = fem.Function(V), fem.Function(V)
         forms = [p for p in model.points if not p.law.pointwise]
         for p in forms:
-            require_symmetric_stress(p.law)
-            require_symmetric_tangent(p.law)
-        linear = [p for p in forms if p.law.linear]
-        self._curved = [p for p in forms if not p.law.linear]
+            computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
+            require_symmetric_stress(p.law, computed)
+            require_symmetric_tangent(p.law, computed)
+        proportional = [p.proportional for p in forms]
+        linear = [p for p, yes in zip(forms, proportional, strict=True) if yes]
+        self._curved = [p for p, yes in zip(forms, proportional, strict=True) if not yes]
         trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
         pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in model.bodies]
         self.K = dolfinx.fem.petsc.assemble_matrix(fem.form(work(pattern, trial, test)))

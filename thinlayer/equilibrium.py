@@ -71,7 +71,7 @@ class Equilibrium:
         else:
             equations.start(x, r)
         if equations.laws.failed:
-            raise SolveError(f"the layer's law failed at {equations.laws.failed} points at the start of the step")
+            raise SolveError(f"at the start of the step {equations.laws.failure()}")
         forces = equations.scale
         r.scale(-1.0)
         if not self.curved:

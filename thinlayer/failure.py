@@ -8,9 +8,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-
-class RangeWarning(UserWarning):
-    """A model or a result outside the range in which its law is accurate: the message has the number and the remedy."""
+from forms.declarations import RangeWarning as RangeWarning
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:

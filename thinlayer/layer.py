@@ -63,6 +63,11 @@ class ThinLayer:
             )
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
+        if self.profile is not None and isinstance(self.law, TractionLaw):
+            raise LawError(
+                f"{type(self.law).__name__} has no thickness that could vary along S; declare `varies` and `at(x, t)` for "
+                "parameters that vary"
+            )
         if self.order == 1 and self.profile is not None:
             raise LawError("order=1 needs a uniform thickness; use order=0")
 

@@ -81,7 +81,7 @@ class PathEquations:
 
     def _require_law(self) -> None:
         if self.equations.laws.failed:
-            raise SolveError(f"the layer's law failed at {self.equations.laws.failed} points")
+            raise SolveError(self.equations.laws.failure())
 
     def linearise(self, last: State, t: float) -> None:
         """Step and change at the unknowns of the last residual. Derivatives by t are difference quotients.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from forms.work import energy
+from forms.work import Points, energy
 from thinlayer.exchange import carry
 from thinlayer.model import Model
 
@@ -98,21 +99,23 @@ class State:
     def energies(self) -> dict[str, float]:
         """Stored energy of the bodies and of the layer, and the work of the loads (per unit thickness in 2D). Collective.
 
-        For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron). NaN for the layer under a
-        contact law that has no energy.
+        For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron). NaN where a law declares no
+        energy.
         """
         model = self.model
         model.coordinates.t.value = self.t
         at_points = model.contact is not None or any(p.law.pointwise for p in model.layer_points)
         in_forms = [p for p in model.layer_points if not p.law.pointwise]
-        layer = (self.audit.layer if at_points else 0.0) + (
-            self.integral(energy(in_forms, self.u)) if in_forms else 0.0
-        )
         return {
-            "bodies": self.integral(energy(model.bodies, self.u)),
-            "layer": layer,
+            "bodies": self._stored(model.bodies),
+            "layer": (self.audit.layer if at_points else 0.0) + self._stored(in_forms),
             "loads": self.integral(model.external_work(self.u)),
         }
+
+    def _stored(self, points: Sequence[Points]) -> float:
+        if not all(p.law.has_energy for p in points):
+            return math.nan
+        return self.integral(energy(points, self.u)) if points else 0.0
 
 
 def cell_values(f: fem.Function, cells: np.ndarray) -> np.ndarray:

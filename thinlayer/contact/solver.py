@@ -50,7 +50,7 @@ def default_method(model: Model) -> str:
 
     Otherwise condensed to S on one rank while its matrix is small, else multigrid.
     """
-    if model.contact is None or model.contact.numbers is None or not all(p.law.linear for p in model.bodies):
+    if model.contact is None or model.contact.numbers is None or not all(p.proportional for p in model.bodies):
         return "newton"
     vertices = len(np.unique(model.joint.surface))
     sides = 1 if model.joint.rigid_base else 2
@@ -105,8 +105,8 @@ def check_method(model: Model, method: Any) -> None:
         raise ValueError(f"method={method!r} is for contact laws; the model has none")
     if method in ("condensed", "relaxation") and model.comm.size > 1:
         raise ValueError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
-    if method in METHODS and not all(p.law.linear for p in model.bodies):
-        raise ValueError(f"method={method!r} needs linear bodies; use method='newton'")
+    if method in METHODS and not all(p.proportional for p in model.bodies):
+        raise ValueError(f"method={method!r} needs linear bodies without eigenstrains; use method='newton'")
     if method in METHODS and model.contact and model.contact.numbers is None:
         name = type(model.contact).__name__
         raise ValueError(f"method={method!r} needs one of the laws of forms.contact, not {name}; use method='newton'")

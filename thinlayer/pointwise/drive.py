@@ -62,7 +62,7 @@ def drive(
     steps: Sequence[Mapping[str, float]],
     n: Sequence[float] = (0.0, 1.0),
     *,
-    dt: float | Sequence[float] = 1.0,
+    dt: float | Sequence[float] = (),
     theta: float = 1.0,
 ) -> PointHistory:
     """Drive the interface law of a layer, of order 0, from rest along a path.
@@ -76,10 +76,12 @@ def drive(
         steps: the path.
         n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
         dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.
+            May be left out for laws that do not depend on it.
         theta: 1 (backward Euler) down to 1/2 (midpoint rule).
 
     Raises:
-        ModelError: a path that leaves a component free or asks for two things; other input out of range.
+        ModelError: a path that leaves a component free or asks for two things; no dt where the law depends on it; other
+            input out of range.
         SolveError: tractions that the law does not bear; `history` has the steps before.
     """
     if not isinstance(law, Law) or isinstance(law, ContactLaw) or law.constrained:
@@ -95,7 +97,8 @@ def drive(
     normal, axes = _frame(n)
     law.check_dimension(len(normal))
     path = [_read(step, k, len(normal)) for k, step in enumerate(steps)]
-    lengths = _lengths(dt, len(path))
+    no_time = isinstance(dt, tuple) and not dt
+    lengths = _lengths(1.0 if no_time else dt, len(path))
     if not path:
         raise ModelError("a path needs at least one step")
     if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
@@ -106,6 +109,9 @@ def drive(
         raise ModelError(
             f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
         )
+    timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
+    if no_time and law.rate:
+        raise ModelError(timeless)
     point = Point(law, normal, axes, float(theta))
     states, parts = [point.rest()], []
 
@@ -118,6 +124,8 @@ def drive(
         except SolveError as error:
             asked = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
             raise SolveError(f"step {k + 1} of {len(path)} ({asked}): {error}", history()) from None
+        if no_time and point.depends_on_time(states[-1], state):
+            raise ModelError(timeless)
         states.append(state)
         parts.append(taken)
     return history()

@@ -12,13 +12,11 @@ compiled code: a law is compiled once, whatever its parameters and its thickness
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, fields
-from functools import cache
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import CodeType, ModuleType
+from typing import Any, NamedTuple
 
-import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -27,11 +25,12 @@ from mpi4py import MPI
 from ufl.conditional import Condition
 
 from forms.contact import ContactLaw
-from forms.kinematics import Expr, from_mandel, mandel
+from forms.kinematics import Expr, mandel
 from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
 from forms.symmetry import require_symmetric_stress
+from forms.trace import SIZES, Symbolic, key, named, require_numbers_alone, symbolic, undecided
 from forms.traction import TractionLaw
 from thinlayer.compiled import SourceError, library
 
@@ -39,7 +38,6 @@ Array = npt.NDArray[np.float64]
 ARGUMENTS = 7  # of the C functions that FFCx writes; fewer in older releases, which ignore the rest
 FIXED_IN, FIXED_OUT = 6 + 6 + 3 + 2, 6 + 36 + 3
 C_KERNEL = "int{}(double *out, const void *, const double *in)"
-SIZES = {(): 1, (3,): 3, (3, 3): 6}  # of an internal variable
 
 
 @dataclass(frozen=True)
@@ -145,58 +143,79 @@ def memory_slots(law: Law, name: str) -> list[tuple[float, Law, int]]:
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED: dict[Any, tuple[int, Any]] = {}
+_COMPILED: dict[Any, tuple[int, Any]] = {}  # by what is computed; this package's laws also by name
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
-    parameters = law.parameters()
-    choices = [(f.name, getattr(law, f.name)) for f in fields(law) if f.name not in parameters]
-    key = (type(law), repr(choices), tuple(np.shape(value) for value in parameters.values()))
-    if comm.allreduce(int(key not in _COMPILED)):
-        require_symmetric_stress(law)
-        expression, module, _ = jit.ffcx_jit(comm, (point_expression(law), np.zeros((1, 1))))
+    known = named(law)
+    if known is None:
+        return _compiled(comm, law)
+    if comm.allreduce(int(known not in _COMPILED)):
+        _COMPILED[known] = _compiled(comm, law)
+    return _COMPILED[known]
+
+
+def _compiled(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
+    _memory(law)
+    point = symbolic(law)
+    outputs = _outputs(law, point)
+    computed = key(outputs.all)
+    if comm.allreduce(int(computed not in _COMPILED)):
+        require_numbers_alone(law, point.numbers, outputs.all)
+        require_symmetric_stress(law, computed)
+        expression, module, _ = jit.ffcx_jit(comm, (_point_expression(point, outputs), np.zeros((1, 1))))
         address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
-        _COMPILED[key] = address, (expression, module)
-    return _COMPILED[key]
+        _COMPILED[computed] = address, (expression, module)
+    return _COMPILED[computed]
 
 
-def point_expression(law: Law) -> Expr:
-    """The law at one point, UFL: a vector of the outputs, of one Constant with all inputs."""
-    shapes = {name: np.shape(value) for name, value in law.parameters().items()}
-    memory = _memory(law)
-    length = FIXED_IN + memory + sum(math.prod(shape) for shape in shapes.values())
-    domain = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
-    numbers = ufl.Constant(domain, shape=(length,))
-    inputs = iter(numbers[i] for i in range(length))
+class _Outputs(NamedTuple):
+    """What a law answers at a point, UFL: stress (6,), 0 or NaN where it does not hold, internal values, energies (3)."""
 
-    def take(shape: tuple[int, ...]) -> Expr:
-        if shape == ():
-            return next(inputs)
-        return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])])
+    stress: Expr
+    failing: Expr
+    memory: list[Expr]
+    energies: list[Expr]
 
-    end, old = ufl.variable(take((6,))), take((6,))
-    q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
-    n, dt, theta = take((3,)), take(()), take(())
-    symbolic = law.with_parameters({name: take(shape) for name, shape in shapes.items()})
-    step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
-    step = step if law.rate or isinstance(law, TractionLaw) else step.without_rate()
+    @property
+    def all(self) -> list[Expr]:
+        return [self.stress, self.failing, *self.memory, *self.energies]
 
-    with explained(law, "traction" if isinstance(law, TractionLaw) else "stress"):
-        stress = mandel(shaped(law, "stress", symbolic.stress(step), (3, 3)))
-    with explained(law, "advance"):
-        new = symbolic.advance(step)
+
+def _outputs(law: Law, point: Symbolic) -> _Outputs:
+    """What a law answers to symbols.
+
+    Raises:
+        LawError: a law that fails, gives something else than it must, or decides by a number.
+    """
+    one, step = point.law, point.step
+    of_jumps = isinstance(law, TractionLaw)
+    told = "traction" if of_jumps else "stress"
+    with explained(law, told), undecided(law, told):
+        stress = mandel(shaped(law, "stress", one.stress(step), (3, 3)))
+    told = "evolve" if of_jumps else "advance"
+    with explained(law, told), undecided(law, told):
+        new = one.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
         given = sorted(new) if isinstance(new, dict) else repr(new)
-        raise LawError(f"{type(law).__name__}.advance gives {given}; it must give {sorted(law.internal)}")
-    tangent = ufl.diff(stress, end)
-    rows = [stress[i] for i in range(6)]
+        raise LawError(f"{type(law).__name__}.{told} gives {given}; it must give {sorted(law.internal)}")
+    memory = []
     for name, shape in law.internal.items():
-        rows += _packed(shaped(law, f"advance[{name!r}]", new[name], shape), shape)
-    rows += [tangent[i, j] for i in range(6) for j in range(6)]
-    with explained(law, "holds"):
-        rows[0] += _nan_unless(symbolic, step)
-    with explained(law, "energy or dissipation"):
-        return ufl.as_vector([*rows, *_energies(symbolic, step, new)])
+        memory += _packed(shaped(law, f"{told}[{name!r}]", new[name], shape), shape)
+    with explained(law, "holds"), undecided(law, "holds"):
+        failing = ufl.as_ufl(_nan_unless(one, step))
+    with explained(law, "energy or dissipation"), undecided(law, "energy or dissipation"):
+        energies = [ufl.as_ufl(one) for one in _energies(one, step, new)]
+    return _Outputs(stress, failing, memory, energies)
+
+
+def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
+    """A vector of the outputs and the tangent, of one Constant with all inputs."""
+    tangent = ufl.diff(outputs.stress, point.strain)
+    rows = [outputs.stress[i] for i in range(6)]
+    rows[0] += outputs.failing
+    rows += [*outputs.memory, *(tangent[i, j] for i in range(6) for j in range(6))]
+    return ufl.as_vector([*rows, *outputs.energies])
 
 
 def _nan_unless(law: Law, step: Step) -> Expr:
@@ -214,10 +233,6 @@ def _energies(law: Law, step: Step, new: dict[str, Expr]) -> list[Expr]:
     if not law.has_energy:
         return [ufl.as_ufl(0.0)] * 3
     return [law.energy(Step(step.e, step.n, q=new)), law.dissipated(step), law.remainder(step)]
-
-
-def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
-    return {(): lambda: values[0], (3,): lambda: values, (3, 3): lambda: from_mandel(values)}[shape]()
 
 
 def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
@@ -264,8 +279,42 @@ def _rehearse(law: PointLaw, parameters: Array) -> None:
         raise LawError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")
 
 
-@cache
+_BY_NUMBA: dict[Any, tuple[int, Any]] = {}
+
+
 def _compiled_by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
+    source = written(law.kernel), law.memory, n_parameters
+    if source not in _BY_NUMBA:
+        _BY_NUMBA[source] = _by_numba(law, n_parameters)
+    return _BY_NUMBA[source]
+
+
+def written(thing: Any, names: tuple[str, ...] = (), within: tuple[Any, ...] = ()) -> Any:
+    """What a function is made of, hashable: its code, and the values of what it names, which numba takes for constants."""
+    thing = getattr(thing, "py_func", thing)  # of what numba has compiled
+    if isinstance(thing, np.ndarray):
+        return thing.dtype.str, thing.shape, thing.tobytes()
+    if isinstance(thing, (tuple, list)):
+        return type(thing), *map(written, thing)
+    if isinstance(thing, ModuleType):
+        values = {name: vars(thing)[name] for name in names if name in vars(thing)}
+        return thing, *((name, value if callable(value) else written(value)) for name, value in values.items())
+    code = getattr(thing, "__code__", None)
+    if code is None or thing in within or (thing.__module__ or "").partition(".")[0] in ("numpy", "numba"):
+        return thing if callable(thing) else (type(thing), repr(thing))
+    names, within = _names(code), (*within, thing)
+    read = {name: thing.__globals__[name] for name in names if name in thing.__globals__}
+    read |= {name: cell.cell_contents for name, cell in zip(code.co_freevars, thing.__closure__ or (), strict=True)}
+    return code, written(thing.__defaults__), *((name, written(value, names, within)) for name, value in read.items())
+
+
+def _names(code: CodeType) -> tuple[str, ...]:
+    """Names of globals and attributes in a function, and in those that it defines."""
+    inner = [name for part in code.co_consts if isinstance(part, CodeType) for name in _names(part)]
+    return *code.co_names, *inner
+
+
+def _by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
     import numba  # takes half a second
 
     inner, memory = numba.njit(law.kernel, error_model="numpy"), law.memory

@@ -92,6 +92,12 @@ class PointLaws:
         ]
         self.failed = self.comm.allreduce(sum(r.failed for r in self._responses)) if self.points else 0
 
+    def failure(self) -> str:
+        """At how many points laws failed in the last response, and of the first one what and where."""
+        own = [p.failure(r) for p, r in zip(self.points, self._responses, strict=True)]
+        every = [text for texts in self.comm.allgather(own) for text in texts if text]
+        return f"the layer's law failed at {self.failed} points: {every[0]}" if every else ""
+
     def add_forces(self, forces: PETSc.Vec) -> None:
         """Add the nodal forces of the last response's stresses."""
         for p, r in zip(self.points, self._responses, strict=True):

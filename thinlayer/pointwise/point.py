@@ -19,6 +19,7 @@ ITERATIONS, SHORTENINGS = 60, 25  # of Newton's method, and of each of its steps
 SMALLEST = 2.0**-10  # part of a step
 FARTHEST = 2.0**25  # that tractions are looked for along a singular tangent, in elastic steps
 EXACT, ENOUGH = 1e-12, 1e-9  # of the tractions: what is asked for, what will do where it cannot be reached
+ROUNDING, STEEP = 1e-15, 1e3  # the least change of a jump; steps are next to nothing up to so many of them
 
 
 class PointState(NamedTuple):
@@ -64,6 +65,13 @@ class Point:
         tangent = self.E.T @ C[0] @ self.E
         self.stiffness = max(self.stiffness, np.abs(tangent).max())
         return PointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
+
+    def depends_on_time(self, old: PointState, now: PointState) -> bool:
+        """Whether a step from one state to the jump of another has other answers if it takes longer."""
+        short, long = (self._respond(old, now.w, dt) for dt in (1.0, 2.0))
+        if short is None or long is None:
+            return short is not long
+        return not (np.array_equal(short.stress, long.stress) and np.array_equal(short.memory, long.memory))
 
     def advance(self, old: PointState, held: Array, goal: Array, dt: float) -> tuple[PointState, int]:
         """The state after a step, and the number of parts it was taken in; energies are those of all parts."""
@@ -123,19 +131,47 @@ class Point:
             left = goal[free] - now.traction[free]
             lack = np.abs(left).max(initial=0.0)
             scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
-            rounding = 1e-15 * self.stiffness * np.abs(now.w).max()
-            if lack <= EXACT * scale + rounding:
+            if lack <= EXACT * scale:
                 return now
             slope, found = now.tangent[np.ix_(free, free)], None
             if np.linalg.cond(slope) < 1e13:
                 farther = 1.0
-                found = self._along(old, now, free, goal, np.linalg.solve(slope, left), dt, lack * (1 - 1e-4))
+                step = np.linalg.solve(slope, left)
+                found = self._along(old, now, free, goal, step, dt, lack * (1 - 1e-4))
+                if found is None:
+                    found = self._out_of_rounding(old, now, free, goal, step, dt)
+            if found is now:
+                return now
             if found is None and lack <= ENOUGH * scale:
                 return now
             if found is None:
                 found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, lack)
                 farther *= 2
             now = found
+        return None
+
+    def _out_of_rounding(
+        self, old: PointState, now: PointState, free: Array, goal: Array, step: Array, dt: float
+    ) -> PointState | None:
+        """A closer state where the slope is next to infinite, as a dashpot's at rest: a step is nothing beside the jump.
+
+        Steps grow from the least that changes the jump. `now` if that one changes the tractions by more than they lack:
+        nothing but rounding is left. None if no step helps, or if the slope is not like that.
+        """
+        size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
+        lack = np.abs(goal[free] - now.traction[free]).max()
+        if not 0 < size <= STEEP * least:
+            return None
+        for k in range(SHORTENINGS):
+            w = now.w.copy()
+            w[free] += 4**k * least / size * step
+            found = self._respond(old, w, dt)
+            if found is None:
+                return None
+            if np.abs(goal[free] - found.traction[free]).max() <= lack * (1 - 1e-4):
+                return found
+            if np.abs(found.traction - now.traction)[free].max() > lack:
+                return now if k == 0 else None
         return None
 
     def _along(

@@ -15,11 +15,12 @@ typedef struct {
     int memory, n_parameters;
     double fraction;
     double *in, *out;
-    double across[6][3];     /* n . tangent, for each component of strain */
+    double across[6][3];       /* n . tangent, for each component of strain */
+    double K[3][3], stiffness; /* n . tangent . n, and its largest entry */
     double t[3], g[3], step[3];
 } sublayer;
 
-static const double root2 = 1.4142135623730951, FARTHEST = 1e3;
+static const double root2 = 1.4142135623730951, FARTHEST = 1e3, NO_STRAIN = 1e-13, LIGHT = 1e-6;
 
 static void call(function *law, sublayer *a)
 {
@@ -54,6 +55,19 @@ static void traction(const double *s, int stride, const double *n, double *t)
     t[2] = s[2 * stride] * n[2] + s4 * n[0] + s5 * n[1];
 }
 
+/* The vector g with e n = sym(g (x) n) n; where e is sym(g (x) n) but for rounding, what is left is none. */
+static void across_and_along(const double *e, const double *n, double *g, double *along)
+{
+    double largest = 0, left = 0, back[3];
+    traction(e, 1, n, g);
+    const double normal = g[0] * n[0] + g[1] * n[1] + g[2] * n[2];
+    for (int j = 0; j < 3; j++) g[j] = 2 * g[j] - normal * n[j], back[j] = -g[j];
+    memcpy(along, e, 6 * sizeof(double));
+    add_share(along, back, n);
+    for (int k = 0; k < 6; k++) largest = fmax(largest, fabs(e[k])), left = fmax(left, fabs(along[k]));
+    if (left <= NO_STRAIN * largest) memset(along, 0, 6 * sizeof(double));
+}
+
 /* Solve A x = b in place for `columns` right-hand sides, rows of A and b `stride` apart; returns whether A, whose entries are
  * about 1, is regular. */
 static int solve(double *A, int size, int stride, int columns)
@@ -84,48 +98,58 @@ static int solve(double *A, int size, int stride, int columns)
     return 1;
 }
 
-/* Tractions of all sublayers for a strain e of the whole; returns whether the laws succeeded. */
-static int tractions(sublayer *layers, int count, const double *e, const double *n)
+/* Tractions of all sublayers, whose strains are along + sym(g (x) n); returns whether the laws succeeded. */
+static int tractions(sublayer *layers, int count, const double *along, const double *n)
 {
     int finite = 1;
     for (int i = 0; i < count; i++) {
         sublayer *a = &layers[i];
-        memcpy(a->in, e, 6 * sizeof(double));
+        memcpy(a->in, along, 6 * sizeof(double));
         add_share(a->in, a->g, n);
         evaluate(a);
         traction(a->out, 1, n, a->t);
+        a->stiffness = 0;
         for (int k = 0; k < 6; k++) traction(tangent(a) + k, 6, n, a->across[k]);
+        for (int k = 0; k < 3; k++) {
+            traction(&a->across[0][k], 3, n, a->K[k]);
+            for (int j = 0; j < 3; j++) a->stiffness = fmax(a->stiffness, fabs(a->K[k][j]));
+        }
         for (int j = 0; j < 3; j++) finite = finite && isfinite(a->t[j]);
     }
     return finite;
 }
 
-/* Steps of the shares and the common traction t: K_i dg_i - t = -t_i, sum a_i dg_i = 0; with `columns` 7, their slopes
- * along the components of strain as well. A singular K_i (a sublayer that yields) is allowed. Of several nothing tells the
- * shares: `added` to each K_i, a part of its largest entry, does. Rows are scaled by that entry, t by the smallest of them. */
+/* Steps of the sublayers' jumps and the common traction t: K_i dg_i - t = -t_i, sum a_i dg_i = 0; with `columns` 7, the
+ * slopes of both along the components of strain as well. A singular K_i (a sublayer that yields) is allowed. Of several
+ * nothing tells the jumps: `added` to each K_i, a part of its largest entry, does. Rows are scaled by that entry, t by the
+ * smallest of them; the last rows are light, so that none of them is the pivot of a jump that its own sublayer can tell. */
 static int linearised(sublayer *layers, int count, const double *n, double *A, int columns, double added)
 {
     const int size = 3 * count + 3, stride = size + 7;
-    double softest = INFINITY;
+    double softest = INFINITY, along[6][6];
     memset(A, 0, size * stride * sizeof(double));
+    for (int i = 0; i < count; i++)
+        if (layers[i].stiffness > 0) softest = fmin(softest, layers[i].stiffness);
+    if (!isfinite(softest)) softest = 1; /* nothing has a stiffness */
+    for (int k = 0; k < 6 && columns > 1; k++) {
+        double unit[6] = {0}, g[3];
+        unit[k] = 1;
+        across_and_along(unit, n, g, along[k]);
+        for (int j = 0; j < 3; j++) A[(3 * count + j) * stride + size + 1 + k] = LIGHT * g[j];
+    }
     for (int i = 0; i < count; i++) {
         const sublayer *a = &layers[i];
-        double K[3][3], largest = 0;
-        for (int k = 0; k < 3; k++) traction(&a->across[0][k], 3, n, K[k]);
-        for (int k = 0; k < 9; k++) largest = fmax(largest, fabs(K[k / 3][k % 3]));
-        largest = largest > 0 ? largest : 1;
-        softest = fmin(softest, largest);
+        const double largest = a->stiffness > 0 ? a->stiffness : softest;
         for (int j = 0; j < 3; j++) {
             double *row = A + (3 * i + j) * stride;
-            for (int k = 0; k < 3; k++) row[3 * i + k] = K[j][k] / largest + (j == k ? added : 0);
-            row[3 * count + j] = -1 / largest;
-            A[(3 * count + j) * stride + 3 * i + j] = a->fraction;
+            for (int k = 0; k < 3; k++) row[3 * i + k] = a->K[j][k] / largest + (j == k ? added : 0);
+            row[3 * count + j] = -softest / largest;
+            A[(3 * count + j) * stride + 3 * i + j] = LIGHT * a->fraction;
             row[size] = -a->t[j] / largest;
-            for (int k = 0; k < 6; k++) row[size + 1 + k] = -a->across[k][j] / largest;
+            for (int k = 0; k < 6 && columns > 1; k++)
+                for (int m = 0; m < 6; m++) row[size + 1 + k] -= a->across[m][j] * along[k][m] / largest;
         }
     }
-    for (int k = 0; k < 3 * count; k++)
-        for (int j = 0; j < 3; j++) A[k * stride + 3 * count + j] *= softest;
     if (!solve(A, size, stride, columns)) return 0;
     for (int j = 0; j < 3; j++) A[(3 * count + j) * stride + size] *= softest;
     return 1;
@@ -138,31 +162,42 @@ static int step_of(sublayer *layers, int count, const double *n, double *A, int 
     return linearised(layers, count, n, A, columns, 1e-8) ? 2 : 0;
 }
 
-static void without_mean(sublayer *layers, int count)
+/* Let the sublayers' jumps add up to that of the whole: what rounding has left goes to each in proportion to its own. */
+static void add_up(sublayer *layers, int count, const double *whole)
 {
-    double mean[3] = {0};
-    for (int i = 0; i < count; i++)
-        for (int j = 0; j < 3; j++) mean[j] += layers[i].fraction * layers[i].g[j];
-    for (int i = 0; i < count; i++)
-        for (int j = 0; j < 3; j++) layers[i].g[j] -= mean[j];
+    double lack[3], sizes = 0;
+    memcpy(lack, whole, sizeof lack);
+    for (int i = 0; i < count; i++) {
+        const sublayer *a = &layers[i];
+        sizes += a->fraction * (fabs(a->g[0]) + fabs(a->g[1]) + fabs(a->g[2]));
+        for (int j = 0; j < 3; j++) lack[j] -= a->fraction * a->g[j];
+    }
+    for (int i = 0; i < count; i++) {
+        double *g = layers[i].g;
+        const double share = sizes > 0 ? (fabs(g[0]) + fabs(g[1]) + fabs(g[2])) / sizes : 1;
+        for (int j = 0; j < 3; j++) g[j] += share * lack[j];
+    }
 }
 
-/* Newton for the sublayers' shares g_i of the jump: equal tractions, sum a_i g_i = 0. Fills stress and tangent.
+/* Newton for the sublayers' jumps g_i per thickness: equal tractions, sum a_i g_i = g. Fills stress and tangent; begins with
+ * the shares g_i - g of the beginning of the step, and leaves those of its end in g_i. Jumps, not shares, are the unknowns: the
+ * strain of a stiff sublayer would be lost in their rounding.
  * A step is halved while the work of the tractions along it, which grows with its length if the laws are monotone, is more
- * than half of that at its beginning. Converged: shares to 1e-9 and tractions to 1e-8, or nothing but rounding is left of
- * either: along null vectors of several K_i shares stay where they are. Steps end at FARTHEST times the strains. */
+ * than half of that at its beginning. Converged: jumps to 1e-9 and tractions to 1e-8, or nothing but rounding is left of
+ * either: along null vectors of several K_i jumps stay where they are. Steps end at FARTHEST times the strains. */
 static int in_series(sublayer *layers, int count, const double *e, const double *n, double *A, double *s, double C[6][6])
 {
     const int size = 3 * count + 3, stride = size + 7;
-    double slope = 0, length = 0, strains = 0;
+    double slope = 0, length = 0, strains = 0, g[3], along[6];
     int converged = 0, iteration = 0;
+    across_and_along(e, n, g, along);
     for (int i = 0; i < count; i++)
         for (int k = 0; k < 6; k++) strains = fmax(strains, fmax(fabs(e[k]), fabs(layers[i].in[6 + k])));
     for (int i = 0; i < count; i++)
-        for (int j = 0; j < 3; j++) strains = fmax(strains, fabs(layers[i].g[j]));
-    without_mean(layers, count);
+        for (int j = 0; j < 3; j++) strains = fmax(strains, fabs(layers[i].g[j])), layers[i].g[j] += g[j];
+    add_up(layers, count, g);
     for (; iteration < 300; iteration++) {
-        if (!tractions(layers, count, e, n)) return 0;
+        if (!tractions(layers, count, along, n)) return 0;
         if (converged) break;
         if (length > 1e-9 && slope < 0) {
             double now = 0;
@@ -177,16 +212,20 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
         }
         const int kind = step_of(layers, count, n, A, 1);
         if (!kind) return 0;
-        double whole = 0, largest = 0, force = 0, lack = 0, stiffest = 0;
+        double whole = 0, largest = 0, force = 0, apart = 0, rounding = 0;
         for (int k = 0; k < 6; k++) whole = fmax(whole, fabs(e[k]));
-        for (int i = 0; i < count; i++)
+        for (int i = 0; i < count; i++) {
+            const sublayer *a = &layers[i];
+            double strain = 0, stiffest = 0;
+            for (int k = 0; k < 6; k++) strain = fmax(strain, fabs(a->in[k]));
             for (int j = 0; j < 3; j++) {
-                const sublayer *a = &layers[i];
                 force = fmax(force, fabs(a->t[j])), whole = fmax(whole, fabs(a->g[j]));
-                lack = fmax(lack, fabs(a->t[j] - A[(3 * count + j) * stride + size]));
+                apart = fmax(apart, fabs(a->t[j] - A[(3 * count + j) * stride + size]));
                 for (int k = 0; k < 6; k++) stiffest = fmax(stiffest, fabs(a->across[k][j]));
             }
-        converged = lack <= 1e-14 * force + 1e-16 * stiffest * whole;
+            rounding = fmax(rounding, stiffest * strain);
+        }
+        converged = apart <= 1e-14 * force + 1e-16 * rounding;
         if (converged) break;
         for (int i = 0; i < count; i++)
             for (int j = 0; j < 3; j++) largest = fmax(largest, fabs(layers[i].step[j] = A[(3 * i + j) * stride + size]));
@@ -201,27 +240,34 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
                 whole = fmax(whole, fabs(a->g[j]));
             }
         if (whole > 10 * FARTHEST * strains) return 0;
-        without_mean(layers, count);
-        converged = largest <= 1e-15 * whole || (largest <= 1e-9 * whole && lack <= 1e-8 * force);
+        add_up(layers, count, g);
+        const int close = apart <= 1e-8 * force + 1e-14 * rounding;
+        converged = close && largest <= 1e-9 * whole;
     }
     if (!converged || !step_of(layers, count, n, A, 7)) return 0;
     memset(s, 0, 6 * sizeof(double));
     memset(C, 0, 36 * sizeof(double));
-    for (int k = 0; k < 6; k++)
+    for (int k = 0; k < 6; k++) {
+        double unit[6] = {0}, across[3], strain[6];
+        unit[k] = 1;
         for (int i = 0; i < count; i++) {
             const sublayer *a = &layers[i];
-            double change[3], strain[6] = {0};
+            double change[3];
+            across_and_along(unit, n, across, strain);
             for (int j = 0; j < 3; j++) change[j] = A[(3 * i + j) * stride + size + 1 + k];
-            strain[k] = 1;
             add_share(strain, change, n);
             s[k] += a->fraction * a->out[k];
             for (int j = 0; j < 6; j++)
                 for (int m = 0; m < 6; m++) C[j][k] += a->fraction * tangent(a)[6 * j + m] * strain[m];
         }
+    }
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < 3; j++) layers[i].g[j] -= g[j];
     return 1;
 }
 
-/* Run a law over points; returns the number of points where it failed (where the stress is NaN), or -1 without memory.
+/* Run a law over points; returns the number of points where it failed, or -1 without memory. A point that failed has a NaN in
+ * its stress; its tangent is zero where there was no stress, else it has an entry that is not finite.
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
  * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each; parameters: of all points,
@@ -287,16 +333,17 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             new += a->memory;
             for (int j = 0; j < 3; j++) energy[3 * k + j] += a->fraction * energies(a)[j];
         }
-        int finite = isfinite(s[0]);
+        int known = isfinite(s[0]), sloped = 1;
         for (int i = 0; i < m; i++) {
             stress[k * m + i] = s[slots[i]];
-            finite = finite && isfinite(s[slots[i]]);
+            known = known && isfinite(s[slots[i]]);
             for (int j = 0; j < m; j++) {
                 C[(k * m + i) * m + j] = D[slots[i]][slots[j]];
-                finite = finite && isfinite(D[slots[i]][slots[j]]);
+                sloped = sloped && isfinite(D[slots[i]][slots[j]]);
             }
         }
-        if (!finite) failed++, stress[k * m] = NAN;
+        if (!known) memset(C + k * m * m, 0, m * m * sizeof(double));
+        if (!known || !sloped) failed++, stress[k * m] = NAN;
     }
     free(layers), free(numbers);
     return failed;

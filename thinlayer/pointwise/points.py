@@ -95,6 +95,15 @@ class LawPoints(Quadrature):
         total = self.weights @ energies if self.points.law.has_energy else np.full(3, np.nan)
         return Response(s, C, new, total, failed)
 
+    def failure(self, response: Response) -> str:
+        """What is not finite at the first point of this rank where the law failed, and where that is; "" if it did not."""
+        at = np.flatnonzero(np.isnan(response.stress[:, 0]))[:1]
+        if not len(at):
+            return ""
+        k, name = int(at[0]), type(self.points.law).__name__
+        what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
+        return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])})"
+
     def ease(self, ease: float) -> None:
         """Let the law answer from now on with an ease, see `Law.eased`; 0: the law itself."""
         self.material.take(self.points.law.eased(ease) if ease else self.points.law)

@@ -1,0 +1,193 @@
+"""Laws called once with symbols in place of all numbers: what they compute, and a key that tells it from anything else.
+
+Code that is compiled for a law, and what is found out about it, belong to what it computes: a class says too little, for
+its methods may read globals, attributes and other functions, which change.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import ufl
+from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue
+from ufl.core.expr import Expr as Node
+
+from forms.kinematics import Expr, from_mandel
+from forms.law import Law, LawError, Step, explained, shaped
+from forms.traction import TractionLaw
+
+SIZES = {(): 1, (3,): 3, (3, 3): 6}  # of an internal variable
+_DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need one
+_KNOWN: dict[tuple[Any, ...], int] = {}  # parts of expressions that were met, numbered
+_STRESSES: dict[tuple[Any, int | None], int] = {}  # keys of this package's laws
+
+
+@dataclass(frozen=True)
+class Symbolic:
+    """A law whose parameters are symbols, and a step of symbols.
+
+    Attributes:
+        law: the law.
+        step: what it is told.
+        strain: the strain at the end of the step, (6,), a variable.
+        numbers: all inputs: e (6), e_old (6), internal values, n (3), dt, theta, parameters; in Mandel's order.
+    """
+
+    law: Law
+    step: Step
+    strain: Expr
+    numbers: Expr
+
+
+@cache
+def _symbols(length: int) -> Expr:
+    return ufl.Constant(_DOMAIN, shape=(length,))
+
+
+def symbolic(law: Law) -> Symbolic:
+    """A law at a point, in a step."""
+    shapes = {name: _shape(value) for name, value in law.parameters().items()}
+    memory = sum(SIZES[shape] for shape in law.internal.values())
+    length = 6 + 6 + memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
+    numbers = _symbols(length)
+    inputs = iter(numbers[i] for i in range(length))
+
+    def take(shape: tuple[int, ...]) -> Expr:
+        if shape == ():
+            return next(inputs)
+        return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])])
+
+    end, old = ufl.variable(take((6,))), take((6,))
+    q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
+    n, dt, theta = take((3,)), take(()), take(())
+    step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
+    step = step if law.rate or isinstance(law, TractionLaw) else step.without_rate()
+    return Symbolic(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """Of a parameter, a number, an array or a Constant."""
+    return tuple(value.ufl_shape) if isinstance(value, Node) else np.shape(value)
+
+
+def named(law: Law) -> tuple[Any, ...] | None:
+    """What tells a law of this package from any other, whatever its numbers; None for laws that may read what changes."""
+    if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
+        return None
+    parameters = law.parameters()
+    choices = [(f.name, getattr(law, f.name)) for f in fields(law) if f.name not in parameters]
+    return (type(law), repr(choices), *map(_shape, parameters.values()))
+
+
+def stress_key(law: Law, d: int | None) -> int:
+    """Key of the stress of a law that is a part of a form, told a director of d components (None: in a body).
+
+    Raises:
+        LawError: a law that fails, or decides by a number.
+    """
+    known = named(law)
+    if known is None:
+        return _stress_key(law, d)
+    if (known, d) not in _STRESSES:
+        _STRESSES[known, d] = _stress_key(law, d)
+    return _STRESSES[known, d]
+
+
+def _stress_key(law: Law, d: int | None) -> int:
+    point = symbolic(law)
+    director: Expr = point.step.n
+    n = None if d is None else ufl.as_vector([director[i] for i in range(d)])
+    with explained(law, "stress"), undecided(law, "stress"):
+        return key([shaped(law, "stress", point.law.stress(Step(point.step.e, n)), (3, 3))])
+
+
+def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
+    return {(): lambda: values[0], (3,): lambda: values, (3, 3): lambda: from_mandel(values)}[shape]()
+
+
+# ---------------------------------------------------------------- decisions
+@contextmanager
+def undecided(law: Law, method: str) -> Iterator[None]:
+    """Make ==, != and truth of symbols a LawError in what a law does; UFL itself goes on comparing expressions.
+
+    Python would compare how expressions are written, which is False for every number: a branch is never taken.
+    """
+    message = (
+        f"{type(law).__name__}.{method}: a parameter, or what is computed from it, is compared or taken for true or false "
+        "in Python; laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
+    )
+
+    def guarded(original: Callable[..., Any]) -> Callable[..., Any]:
+        def asked(*arguments: Any) -> Any:
+            if sys._getframe(1).f_globals.get("__name__", "").partition(".")[0] != "ufl":
+                raise LawError(message)
+            return original(*arguments)
+
+        return asked
+
+    kept = {name: getattr(Node, name) for name in ("__eq__", "__ne__", "__bool__")}
+    try:
+        for name, original in kept.items():
+            setattr(Node, name, guarded(original))
+        yield
+    finally:
+        for name, original in kept.items():
+            setattr(Node, name, original)
+
+
+# ---------------------------------------------------------------- keys
+def key(expressions: Iterable[Expr]) -> int:
+    """A number for what expressions compute: equal if they are built alike, whatever their symbols are called."""
+    names: dict[tuple[type, int], int] = {}  # of symbols and free indices, in the order in which they are met
+    found: dict[int, int] = {}  # of parts, by identity: what is shared is looked at once
+    whole = list(expressions)
+    stack = list(whole)
+    while stack:
+        node = stack[-1]
+        left = [part for part in node.ufl_operands if id(part) not in found]
+        if left:
+            stack += left
+            continue
+        stack.pop()
+        if id(node) not in found:
+            kind = type(node)
+            own = _terminal(node, names) if node._ufl_is_terminal_ else tuple(found[id(p)] for p in node.ufl_operands)
+            found[id(node)] = _KNOWN.setdefault((kind, *own), len(_KNOWN))
+    return _KNOWN.setdefault(("all", *(found[id(node)] for node in whole)), len(_KNOWN))
+
+
+def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
+    def number(counted: Any) -> int:
+        return names.setdefault((type(counted), counted.count()), len(names))
+
+    if isinstance(node, MultiIndex):
+        return tuple(("free", number(i)) if isinstance(i, Index) else int(i) for i in node.indices())
+    if isinstance(node, Label):
+        return (number(node),)
+    if isinstance(node, Constant):
+        return (number(node), node.ufl_shape)
+    return (repr(node.value()) if isinstance(node, ScalarValue) else repr(node),)
+
+
+def require_numbers_alone(law: Law, numbers: Expr, expressions: Iterable[Expr]) -> None:
+    """Raise LawError if expressions contain something else than what the law is told."""
+    seen: set[int] = set()
+    stack = list(expressions)
+    while stack:
+        node = stack.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        stack += node.ufl_operands
+        if node._ufl_is_terminal_ and node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
+            raise LawError(
+                f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; a law that acts at points knows "
+                "its parameters and its step alone: declare a parameter, or `varies` and `at`"
+            )

@@ -1,0 +1,223 @@
+"""Laws at points where small mistakes hide: energies in tension, planes, contrasts, coinciding stresses, angles, drives."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+from scipy.optimize import minimize
+
+from forms import (
+    Anisotropic,
+    KelvinVoigt,
+    Law,
+    LawError,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    MohrCoulombMonodirectional,
+    MohrCoulombReturn,
+    Norton,
+    Stack,
+)
+from forms.declarations import RangeWarning
+from forms.elastic import lame
+from geometry import sandwich
+from tests.own_laws import Slipping
+from tests.test_points import E2, respond, tensor, vector
+from thinlayer import Model, ThinLayer, drive, solve
+from thinlayer.loads import ModelError
+from thinlayer.pointwise.columns import Columns
+
+
+# ---------------------------------------------------------------- energies
+@pytest.mark.parametrize("theta", [1.0, 0.7])
+@pytest.mark.parametrize("h", [0.0, 0.3])
+def test_stress_is_the_slope_of_the_stored_energy(h, theta):
+    """Where nothing flows, pressed and pulled alike; differences are exact but for rounding, the energy is quadratic."""
+    law = MohrCoulombMonodirectional(70.0, 40.0, C=5.0, Omega=30.0, h=h, unilateral=True)
+    random, points = np.random.default_rng(3), 200
+    n = random.normal(size=(points, 3))
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    e, direction = (0.01 * random.normal(size=(points, 6)) for _ in range(2))
+    q = np.zeros((points, 6))
+    now = respond(law, e, e, q, n, theta=theta)
+    t_N = np.einsum("ki,kij,kj->k", n, tensor(now.stress - h * respond(ELASTIC, e, e, q[:, :0], n).stress), n)
+    pulled = np.abs(t_N) < 1e-9
+    assert now.failed == 0
+    assert not now.dissipated.any()
+    assert 50 < pulled.sum() < 150
+    up, down = (respond(law, e + sign * 1e-4 * direction, e, q, n).stored for sign in (1, -1))
+    slope = (up - down) / 2e-4
+    expected = np.sum(now.stress * direction, axis=1)
+    close = np.abs(slope - expected) < 1e-9 * np.abs(expected).max()
+    assert close.mean() > 0.95  # others change from pulled to pressed
+    assert close[pulled].mean() > 0.95
+
+
+ELASTIC = LinearElastic(70.0, 40.0)
+
+
+# ---------------------------------------------------------------- planes
+def test_plane_stress_of_a_triclinic_law():
+    """The energy is the least over all strains out of the plane, which are sheared by those in it."""
+    random = np.random.default_rng(5)
+    A = random.normal(size=(6, 6))
+    C = A @ A.T + 2 * np.eye(6)
+    condensed = Anisotropic(C).plane_stress().C
+    for _ in range(5):
+        in_plane = random.normal(size=3)  # 11, 22 and 2 * 12, in Voigt's order 0, 1, 5
+
+        def energy(out: np.ndarray, part: np.ndarray = in_plane) -> float:
+            e = np.array([part[0], part[1], *out, part[2]])
+            return float(e @ C @ e) / 2
+
+        e = np.array([in_plane[0], in_plane[1], 0, 0, 0, in_plane[2]])
+        assert e @ condensed @ e / 2 == pytest.approx(minimize(energy, np.zeros(3), tol=1e-12).fun, rel=1e-9)
+    alone = C[1, 1] - C[1, 2] ** 2 / C[2, 2]  # with 33 condensed, 23 and 13 held
+    assert condensed[1, 1] < 0.95 * alone
+
+
+def test_bearings_without_friction():
+    """A layer that slides freely between bodies that are held along S."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
+    setup = {
+        "layer": ThinLayer(Anisotropic.springs(5.0, 0.0), 0.1),
+        "body": LinearElastic.young(100.0, 0.0),
+        "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}},
+        "tractions": {"TOP": (0.0, 0.3)},
+    }
+    state = solve(Model.interface(joint, element="Q1", **setup))
+    assert np.abs(state.u.x.array).max() == pytest.approx(0.3 / 5.0 + 0.3 / 100.0, rel=1e-9)
+    for wrong in (-1.0, np.nan):
+        with pytest.raises(LawError, match=r"K_T is .*; allowed: >= 0"):
+            Anisotropic.springs(5.0, wrong)
+
+
+# ---------------------------------------------------------------- Mohr-Coulomb
+@pytest.mark.parametrize("pair", [(0, 1), (1, 2)])
+@pytest.mark.parametrize("gap", [1e-1, 1e-3, 1e-4, 1e-6])
+def test_tangents_next_to_coinciding_stresses(pair, gap):
+    """A turn of the principal axes turns the stress: C : (W e - e W) = W s - s W, also just beyond first yield."""
+    law = MohrCoulombReturn(70.0, 40.0, C=0.3, Omega=30.0, psi=12.0)
+    angle, n = np.radians(30.0), E2[None]
+    shape = np.array([1.0, 0.3, -1.0])
+    shape[1] = shape[pair[0] if pair == (0, 1) else 2] + (-gap if pair == (0, 1) else gap)
+    trial = np.diag(shape)
+    strain = (trial - 70.0 / (3 * 70.0 + 80.0) * np.trace(trial) * np.eye(3)) / 80.0
+    yields = 0.3 * np.cos(angle) / ((shape[0] - shape[2]) / 2 + (shape[0] + shape[2]) / 2 * np.sin(angle))
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    W = np.zeros((3, 3))
+    W[pair], W[pair[::-1]] = 1.0, -1.0
+    W = turn @ W @ turn.T
+    for beyond in (1 - 0.01 * gap, 1 + 0.01 * gap, 1 + 0.1 * gap):
+        e = turn @ strain @ turn.T * yields * beyond
+        answer = respond(law, vector(e[None]), np.zeros((1, 6)), np.zeros((1, 6)), n)
+        s = tensor(answer.stress)[0]
+        turned = vector((W @ e - e @ W)[None])[0]
+        found = answer.tangent[0] @ turned
+        assert (answer.dissipated[0] > 0) == (beyond > 1)
+        assert found == pytest.approx(vector((W @ s - s @ W)[None])[0], abs=1e-6 * 80.0 * np.abs(turned).max())
+
+
+@pytest.mark.parametrize("law", [MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn])
+def test_angles_that_look_like_radians(law):
+    with pytest.warns(RangeWarning, match=rf"^{law.__name__}: Omega is 0\.6 degrees.*Omega = 34\.38$") as caught:
+        found = law(70.0, 40.0, C=0.3, Omega=0.6)
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        drive(found, [{"w_T": 0.01, "w_N": -0.01}])  # has been said
+        for Omega in (0.0, 2.0, 30.0):
+            law(70.0, 40.0, C=0.3, Omega=Omega)
+
+
+# ---------------------------------------------------------------- columns
+def test_means_of_columns_are_weighted():
+    of, weights = np.array([1, 0, 1, 0, 1]), np.array([1.0, 3.0, 2.0, 1.0, 5.0])
+    columns = Columns(MPI.COMM_SELF, of, np.zeros((2, 2)), weights)
+    assert columns.mean(np.array([1.0, 2.0, 3.0, 4.0, 5.0])) == pytest.approx([10 / 4, 32 / 8], rel=1e-15)
+
+
+# ---------------------------------------------------------------- sublayers of any contrast
+@pytest.mark.parametrize("n", [(0.0, 1.0), (0.6, 0.8), (0.3, 0.5, -0.7)])
+@pytest.mark.parametrize("stiffer", [1e3, 1e6, 1e9, 1e12, 1e14, 1e16])
+def test_elastic_sublayers_of_any_contrast(stiffer, n):
+    """The compliances add, to rounding; of prescribed tractions to the 1e-12 that `drive` asks for."""
+    stack = Stack((0.4, LinearElastic(60.0, 40.0)), (0.6, LinearElastic(70.0 * stiffer, 30.0 * stiffer)))
+    K_T = 1 / (0.4 / 40.0 + 0.6 / (30.0 * stiffer))
+    K_N = 1 / (0.4 / 140.0 + 0.6 / (130.0 * stiffer))
+    tangential = {"T": 1.0} if len(n) == 2 else {"T1": 0.6, "T2": 0.8}
+    for law in (stack, Stack(*reversed(stack.sublayers))):
+        held = drive(law, [{f"w_{c}": 0.01 * a for c, a in tangential.items()} | {"w_N": 0.02}] * 2, n)
+        t = held.tractions[-1]
+        assert [np.linalg.norm(t[:-1]), t[-1]] == pytest.approx([0.01 * K_T, 0.02 * K_N], rel=1e-12)
+        pulled = drive(law, [{f"t_{c}": a for c, a in tangential.items()} | {"t_N": 2.0}], n)
+        w = pulled.jumps[-1]
+        assert [np.linalg.norm(w[:-1]), w[-1]] == pytest.approx([1 / K_T, 2 / K_N], rel=1e-10)
+
+
+@pytest.mark.parametrize("stiffer", [1e12, 1e16])
+@pytest.mark.parametrize("theta", [1.0, 0.6])
+def test_rigid_sublayers_in_time(theta, stiffer):
+    """Beside a rigid sublayer the soft one has all of the jump; what the rigid one remembers is rounding, and harmless."""
+    soft, n = KelvinVoigt(60.0, 40.0, 0.3, 0.5), (0.6, 0.8)
+    path = [{"w_T": 0.01 * k, "w_N": 0.02 * np.sin(k)} for k in range(1, 5)]
+    alone = KelvinVoigt(60.0 / 0.4, 40.0 / 0.4, 0.3, 0.5)
+    expected = drive(alone, path, n, dt=0.1, theta=theta).tractions
+    one = [60.0 * stiffer, 40.0 * stiffer]
+    for rigid in (LinearElastic(*one), KelvinVoigt(*one, 0.3, 0.5), Maxwell(*one, 1e3)):
+        found = drive(Stack((0.4, soft), (0.6, rigid)), path, n, dt=0.1, theta=theta).tractions
+        assert found == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
+
+
+def test_a_torn_sublayer_under_an_elastic_one_in_pascals_per_metre():
+    """Nothing is stiff where it opens: it takes all of the jump, in any unit."""
+    torn = MohrCoulombMonodirectional(7e13, 4e13, C=0.0, Omega=30.0, unilateral=True)
+    history = drive(Stack((0.5, torn), (0.5, LinearElastic(7e13, 4e13))), [{"w_T": 1e-6, "w_N": 2e-6}])
+    assert history.tractions == pytest.approx(0.0, abs=1e-12 * 4e13 * 2e-6)
+
+
+# ---------------------------------------------------------------- prescribed tractions
+@dataclass(frozen=True)
+class Dashpot(Law):
+    """A power-law dashpot beside a spring, next to rigid at rest, as a user would write it."""
+
+    lmbda: float
+    mu: float
+    eta: float
+    p: float
+    rest: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    rate: ClassVar = True
+
+    def stress(self, step):
+        q = ufl.inner(step.rate, step.rate) + self.rest**2
+        return lame(self.lmbda, self.mu, step.mid) + self.eta * q ** (self.p / 2 - 1) * step.rate
+
+
+@pytest.mark.parametrize("p", [1.2, 1.5])
+@pytest.mark.parametrize("rest", [None, 1e-6, 1e-12, 1e-18, 1e-20, 1e-30])
+def test_tractions_are_those_prescribed(p, rest):
+    """However steep the law once was; a rest that is much smaller than the rates changes nothing."""
+    law = Norton(5e3, 3e3, 10.0, p) if rest is None else Dashpot(5e3, 3e3, 10.0, p, rest)
+    path = [{"t_N": -2.0, "t_T": 1.0}] * 20
+    found = drive(law, path, dt=0.2)
+    assert found.tractions == pytest.approx(np.array([[1.0, -2.0]] * 20), rel=1e-9)
+    expected = drive(Norton(5e3, 3e3, 10.0, p), path, dt=0.2)
+    assert found.jumps == pytest.approx(expected.jumps, rel=1e-9 if rest != 1e-6 else 0.1)
+
+
+@pytest.mark.parametrize("law", [Norton(5e3, 3e3, 10.0, 1.5), Maxwell(5e3, 3e3, 1.0), Slipping(70.0, 30.0, 12.0, 90.0)])
+def test_laws_that_depend_on_time_need_a_step(law):
+    """No length of a step is meant: one of 1 would be another one in another unit."""
+    step = {"w_T": 0.01, "w_N": 0.02}
+    with pytest.raises(ModelError, match=f"dt is missing: {type(law).__name__} depends on the length of the steps"):
+        drive(law, [step, step])
+    plastic = MohrCoulomb(70.0, 40.0, C=0.3, Omega=30.0)
+    assert (drive(plastic, [step]).tractions == drive(plastic, [step], dt=7.0).tractions).all()

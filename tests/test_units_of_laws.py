@@ -1,0 +1,155 @@
+"""Every law at a point in other units, and under loads of any size: the same numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from forms import (
+    Anisotropic,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    MohrCoulombMonodirectional,
+    MohrCoulombReturn,
+    NonMonotone,
+    NonMonotoneUnrelaxed,
+    Norton,
+    Stack,
+)
+from tests.own_laws import Mises, Slipping, StandardSolid
+from thinlayer import drive
+
+EQUAL = 1e-9  # of the largest jump and traction: rounding, and tractions that `drive` finds to 1e-12
+CHI = np.array([[0.2, 0.5], [0.5, 1.0]])
+TRICLINIC = np.diag([90.0, 120.0, 80.0, 30.0, 25.0, 40.0]) + 5 * (np.ones((6, 6)) - np.eye(6))
+
+
+class Units(NamedTuple):
+    """What a millimetre, a megapascal and an hour are in the units, and the size of loads and strains."""
+
+    L: float = 1.0
+    P: float = 1.0
+    T: float = 1.0
+    size: float = 1.0
+
+
+UNITS = {
+    "m, Pa, s": Units(1e-3, 1e6, 3600.0),
+    "micrometre, MPa, s": Units(1e3, 1.0, 3600.0),
+    "km, GPa, year": Units(1e-6, 1e-3, 1 / 8766),
+    "m, N/km^2, ns": Units(1e-3, 1e12, 3.6e12),
+}
+SIZES = {"loads 1e-9": Units(size=1e-9), "loads 1e9": Units(size=1e9), "Pa, loads 1e-9": Units(1e-3, 1e6, 1.0, 1e-9)}
+
+
+def moduli(u: Units, factor: float = 1.0) -> dict[str, float]:
+    """lmbda and mu of a layer, stress over length."""
+    return {"lmbda": 70.0 * factor * u.P / u.L, "mu": 40.0 * factor * u.P / u.L}
+
+
+def norton(u: Units, p: float, **more: float) -> Norton:
+    return Norton(**moduli(u), eta=3.0 * u.P * (u.T / u.L) ** (p - 1) * u.size ** (2 - p), p=p, **more)
+
+
+def non_monotone(u: Units, law: type, **more: float) -> NonMonotone | NonMonotoneUnrelaxed:
+    """Energy per area of S, C, of the size of that of the jumps."""
+    stress = u.P * u.size
+    return law(**moduli(u), alpha=1.2 * stress, C=0.05 * stress * u.L * u.size, chi=CHI, **more)
+
+
+def mohr_coulomb(u: Units, law: type = MohrCoulomb, C: float = 0.3, **more: float) -> MohrCoulomb:
+    return law(**moduli(u), C=C * u.P * u.size, Omega=30.0, h=0.02, **more)
+
+
+LAWS = {
+    "elastic": lambda u: LinearElastic(**moduli(u)),
+    "anisotropic": lambda u: Anisotropic(TRICLINIC * u.P / u.L),
+    "anisotropic, of the layer": lambda u: Anisotropic(TRICLINIC * u.P / u.L, "layer"),
+    "springs": lambda u: Anisotropic.springs(90.0 * u.P / u.L, 20.0 * u.P / u.L),
+    "Kelvin-Voigt": lambda u: KelvinVoigt(**moduli(u), theta_lmbda=0.3 * u.T, theta_mu=0.7 * u.T),
+    "Maxwell": lambda u: Maxwell(**moduli(u), t1=0.6 * u.T, t2=1.1 * u.T),
+    "Norton 1.5": lambda u: norton(u, 1.5),
+    "Norton 3": lambda u: norton(u, 3.0),
+    "Norton 1.2, rest": lambda u: norton(u, 1.2, rest=1e-4 * u.L / u.T * u.size),
+    "Mohr-Coulomb": mohr_coulomb,
+    "Mohr-Coulomb, C = 0": lambda u: mohr_coulomb(u, C=0.0),
+    "Mohr-Coulomb, dilatant": lambda u: mohr_coulomb(u, psi=12.0),
+    "Mohr-Coulomb, return": lambda u: mohr_coulomb(u, MohrCoulombReturn),
+    "monodirectional": lambda u: mohr_coulomb(u, MohrCoulombMonodirectional),
+    "unilateral": lambda u: mohr_coulomb(u, MohrCoulombMonodirectional, unilateral=True),
+    "non-monotone": lambda u: non_monotone(u, NonMonotone),
+    "non-monotone, pure": lambda u: non_monotone(u, NonMonotoneUnrelaxed),
+    "stack, elastic": lambda u: Stack((0.3, LinearElastic(**moduli(u))), (0.7, LinearElastic(**moduli(u, 1e9)))),
+    "stack, elastic and torn": lambda u: Stack(
+        (0.4, LinearElastic(**moduli(u, 3.0))), (0.6, mohr_coulomb(u, MohrCoulombMonodirectional, unilateral=True))
+    ),
+    "stack, in time": lambda u: Stack(
+        (0.2, KelvinVoigt(**moduli(u), theta_lmbda=0.3 * u.T, theta_mu=0.7 * u.T)),
+        (0.5, Maxwell(**moduli(u), t1=0.6 * u.T)),
+        (0.3, norton(u, 1.5)),
+    ),
+    "stack, Mohr-Coulomb": lambda u: Stack((0.4, LinearElastic(**moduli(u))), (0.6, mohr_coulomb(u))),
+    "user": lambda u: StandardSolid(**moduli(u), mu_1=25.0 * u.P / u.L, t_1=0.4 * u.T),
+    "user, return": lambda u: Mises(**moduli(u), limit=0.8 * u.P * u.size),
+    "user, jumps": lambda u: Slipping(
+        70.0 * u.P / u.L, 30.0 * u.P / u.L, 12.0 * u.P * u.T / u.L, 90.0 * u.P / u.L**2 / u.size
+    ),
+}
+
+
+def followed(name: str, u: Units) -> tuple[np.ndarray, np.ndarray]:
+    """Jumps and tractions in mm and MPa along a path that prescribes both, opens, slips, and turns; n is inclined."""
+    jumps = [(0.004, -0.006), (0.02, -0.01), (0.03, 0.02), (-0.03, -0.01)]
+    path: list[dict[str, float]] = [{"w_T": a * u.L * u.size, "w_N": b * u.L * u.size} for a, b in jumps]
+    path += [
+        {"w_T": 0.01 * u.L * u.size, "t_N": -0.6 * u.P * u.size},
+        {"t_T": 0.2 * u.P * u.size, "t_N": -0.5 * u.P * u.size},
+    ]
+    found = drive(LAWS[name](u), path, n=(0.6, 0.8), dt=0.1 * u.T)
+    return found.jumps / (u.L * u.size), found.tractions / (u.P * u.size)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_units(name):
+    same_numbers(name, UNITS)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_loads_of_any_size(name):
+    same_numbers(name, SIZES)
+
+
+def same_numbers(name: str, others: dict[str, Units]) -> None:
+    expected = followed(name, Units())
+    for units, u in others.items():
+        for found, right in zip(followed(name, u), expected, strict=True):
+            assert found == pytest.approx(right, abs=EQUAL * np.abs(right).max()), units
+
+
+@pytest.mark.parametrize(("p", "eta"), [(1.5, 1e3), (3.0, 5e10)])
+def test_norton_creeps_for_a_year(p, eta):
+    """Rates of 1e-12 m/s, of which nothing may depend on the unit."""
+
+    def slip(u: Units) -> float:
+        law = Norton(50.0 * u.P / u.L, 10.0 * u.P / u.L, eta * u.P * (u.T / u.L) ** (p - 1), p)
+        return float(drive(law, [{"t_N": 0.0, "t_T": 1.0 * u.P}] * 50, dt=8766.0 * u.T / 50).jumps[-1, 0]) / u.L
+
+    assert [slip(u) for u in UNITS.values()] == pytest.approx([slip(Units())] * len(UNITS), rel=1e-9)
+
+
+@pytest.mark.parametrize("p", [1.5, 3.0])
+def test_rest_of_the_size_of_the_rates(p):
+    """A layer's rest is a rate of the jump, length over time: the interface law is the same at two thicknesses."""
+    law, v, w = Norton(7.0, 4.0, eta=5.0, p=p, rest=0.02), np.array([0.03, -0.01]), np.array([0.003, -0.001])
+    q = v[1] ** 2 + v[0] ** 2 / 2 + 0.02**2
+    expected = np.array([4.0, 15.0]) * w + 5.0 * q ** (p / 2 - 1) * v * [0.5, 1.0]
+    found = drive(law, [{"w_T": w[0], "w_N": w[1]}], dt=0.1).tractions[0]
+    assert found == pytest.approx(expected, rel=1e-12)
+    for eps in (0.5, 0.02):
+        real = law.mapped(lambda value, power, eps=eps: value * eps**power)
+        strains = drive(real, [{"w_T": w[0] / eps, "w_N": w[1] / eps}], dt=0.1).tractions[0]
+        assert strains == pytest.approx(expected, rel=1e-12)
