@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from forms.contact import ContactLaw
+from forms.declarations import is_number
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
+from forms.temperature import real
 from thinlayer.failure import SolveError
 from thinlayer.loads import ModelError
 from thinlayer.pointwise.kernels import Array
@@ -76,7 +77,8 @@ def drive(
         steps: the path.
         n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
         dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.
-        theta: 1 (backward Euler) down to 1/2 (midpoint rule).
+        theta: 1 (backward Euler) down to 1/2 (midpoint rule): for laws that creep or relax. With others the tractions hold
+            within the steps, and jumps at their ends swing about the path; `march` refuses that.
 
     Raises:
         ModelError: a path that leaves a component free or asks for two things; other input out of range.
@@ -98,7 +100,7 @@ def drive(
     lengths = _lengths(dt, len(path))
     if not path:
         raise ModelError("a path needs at least one step")
-    if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
+    if not (is_number(theta) and 0.5 <= theta <= 1):
         raise ModelError(f"theta is {theta!r}; allowed: 0.5 to 1")
     if law.switches and theta != 1:
         raise ModelError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
@@ -107,7 +109,8 @@ def drive(
             f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
         )
     point = Point(law, normal, axes, float(theta))
-    states, parts = [point.rest()], []
+    states = [point.rest()]
+    parts: list[int] = []
 
     def history() -> PointHistory:
         return _history(law, normal, point.material.memory, states, parts)
@@ -126,7 +129,7 @@ def drive(
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
     try:
-        normal = np.array(n, float)
+        normal = real(n)
     except (TypeError, ValueError):
         normal = np.empty(0)
     if normal.shape not in ((2,), (3,)) or not np.isfinite(normal).all() or not normal.any():
@@ -151,7 +154,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     for name, value in step.items():
         if name not in [f"{kind}_{c}" for kind in "wt" for c in names]:
             raise ModelError(f"step {k + 1} has {name!r}; allowed in {d}D: {allowed}")
-        if not (isinstance(value, Real) and math.isfinite(value)):
+        if not (is_number(value) and math.isfinite(value)):
             raise ModelError(f"step {k + 1}: {name} is {value!r}; it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
@@ -163,7 +166,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
 
 def _lengths(dt: float | Sequence[float], count: int) -> Array:
     try:
-        lengths = np.array(dt, float)
+        lengths = real(dt)
     except (TypeError, ValueError):
         lengths = np.array(np.nan)
     if lengths.shape not in ((), (count,)) or not np.isfinite(lengths).all() or (lengths < 0).any():
