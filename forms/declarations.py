@@ -19,6 +19,11 @@ class RangeWarning(UserWarning):
     """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy."""
 
 
+def is_number(value: Any) -> bool:
+    """Whether a value is a real number; True and False are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
 def require_dataclass(kind: type) -> None:
     """Raise LawError if a class has parameters of its own and no constructor that takes them."""
     own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
@@ -35,7 +40,7 @@ def require_declarations(law: Any) -> None:
     for name, power in law.powers.items():
         if name not in known:
             raise LawError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
-        if not isinstance(power, Real) or not math.isfinite(power):
+        if not is_number(power) or not math.isfinite(power):
             raise LawError(f"{kind.__name__}: the power of {name} is {power!r}; allowed: a finite number")
     for name in law.functions:
         if callable(known.get(name)):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.declarations import is_number
 from forms.kinematics import Expr, layer_frame
 from forms.law import Law, LawError, Step, require
 
@@ -66,16 +66,16 @@ class LinearElastic(LinearLaw):
     @classmethod
     def young(cls, E: float, nu: float) -> LinearElastic:
         """From Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
-        if not (isinstance(E, Real) and math.isfinite(E) and E > 0):
+        if not (is_number(E) and math.isfinite(E) and E > 0):
             raise LawError(f"LinearElastic: E is {E!r}; allowed: > 0")
-        if not (isinstance(nu, Real) and -1 < nu < 0.5):
+        if not (is_number(nu) and -1 < nu < 0.5):
             raise LawError(f"LinearElastic: nu is {nu!r}; allowed: -1 < nu < 0.5")
         return cls(E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu)))
 
     @classmethod
     def shear(cls, mu: float, nu: float) -> LinearElastic:
         """From the shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
-        if not (isinstance(mu, Real) and isinstance(nu, Real)):
+        if not (is_number(mu) and is_number(nu)):
             raise LawError(f"LinearElastic: mu is {mu!r}, nu is {nu!r}; allowed: numbers")
         return cls.young(2 * mu * (1 + nu), nu)
 

@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from numbers import Real
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy.typing as npt
 import ufl
 
 from forms.declarations import LawError as LawError
-from forms.declarations import require_dataclass, require_declarations
+from forms.declarations import is_number, require_dataclass, require_declarations
 from forms.kinematics import Expr
 
 
@@ -254,7 +253,7 @@ class Law:
 
     def per_thickness(self, eps: float) -> Self:
         """The law whose real parameters, in a layer of thickness eps (a length > 0), are this law's."""
-        if not (isinstance(eps, Real) and math.isfinite(eps) and eps > 0):
+        if not (is_number(eps) and math.isfinite(eps) and eps > 0):
             raise LawError(f"eps is {eps!r}; the thickness must be > 0")
         thickness = float(eps)  # whole numbers of numpy have no negative powers
         return self.mapped(lambda value, power: value * thickness**-power)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from forms.declarations import is_number
 from forms.limits_non_monotone import ROUNDING, Array, fraction, mixed_share, phase_energy, require_pure
 
 
@@ -72,7 +72,7 @@ class Bar:
     def __post_init__(self) -> None:
         for name in (f.name for f in fields(self)):
             value, allowed = getattr(self, name), "0 <= eps < 1" if name == "eps" else "> 0"
-            number = float(value) if isinstance(value, Real) else math.nan
+            number = float(value) if is_number(value) else math.nan
             if not (0 <= number < 1 if name == "eps" else 0 < number < math.inf):
                 raise ValueError(f"Bar: {name} is {value!r}; allowed: {allowed}")
         bound = self.alpha**2 / (2 * self.kbar)

@@ -8,10 +8,11 @@ eta < 1" of Eq. (41). The models never use these formulas, tests and studies com
 from __future__ import annotations
 
 import math
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
+
+from forms.declarations import is_number
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # relative, of bounds that parameters may meet exactly
@@ -170,6 +171,6 @@ def phase_energy(x: Array, C: float, g: float, phase: Array) -> Array:
 
 def mixed_share(mixing: float) -> float:
     """The share itself; raises ValueError unless it is in [0, 1]."""
-    if not (isinstance(mixing, Real) and 0 <= mixing <= 1):
+    if not (is_number(mixing) and 0 <= mixing <= 1):
         raise ValueError(f"mixing = {mixing!r}; allowed: 0 <= mixing <= 1")
     return mixing

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.declarations import is_number
 from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
 from forms.law import Law, LawError, Step, require
@@ -90,7 +90,7 @@ class Phases(Law):
                     f"{type(self).__name__}: {name} is a function of T; give T, a number or a function (x, t)"
                 )
         if not (self.T is None or callable(self.T)):
-            require(isinstance(self.T, Real) and math.isfinite(self.T), self, "T", repr(self.T), "a number, a function")
+            require(is_number(self.T) and math.isfinite(self.T), self, "T", repr(self.T), "a number, a function")
         if not self.varies:
             numbers = self.parameters()
             self._check_phases(numbers["alpha"], numbers["C"], lambda k: "")
@@ -116,7 +116,7 @@ class Phases(Law):
             return values | dict.fromkeys(("alpha", "C", "T"), math.nan)
         if self.T is None:
             return values | {"T": 0.0}
-        if not isinstance(self.T, Real):
+        if not is_number(self.T):
             return values
         functions, T = [name for name in ("alpha", "C") if callable(values[name])], np.array([self.T], float)
         return values | {name: float(evaluated(self, name, values[name], T)[0]) for name in functions}

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
 import ufl
 
-from forms.declarations import RangeWarning
+from forms.declarations import RangeWarning, is_number
 from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr, lift
 from forms.law import Law, LawError, Step, require
@@ -67,7 +66,7 @@ class Plastic(Law):
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
-        if not (isinstance(ease, Real) and 0 <= ease <= 1):
+        if not (is_number(ease) and 0 <= ease <= 1):
             raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
         return self.with_parameters({"h": max(self.h, LEAST_FRACTION) ** (1 - ease) if ease else self.h})
 

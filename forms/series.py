@@ -6,7 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from forms.declarations import is_number
 from forms.law import Law, LawError, require
+
+
+def _fraction(a: Any) -> float:
+    if not is_number(a):
+        raise TypeError(f"a fraction is {a!r}; it must be a number")
+    return float(a)
+
+
+def parts(law: Law) -> tuple[Law, ...]:
+    """The laws of a Stack, from the lower to the upper face; of another law itself alone."""
+    return law.laws if isinstance(law, Stack) else (law,)
 
 
 @dataclass(frozen=True)
@@ -31,7 +43,7 @@ class Stack(Law):
 
     def __init__(self, *sublayers: tuple[float, Law]) -> None:
         try:
-            given = [(float(a), law) for a, law in sublayers]
+            given = [(_fraction(a), law) for a, law in sublayers]
         except (TypeError, ValueError) as error:
             raise LawError(f"Stack needs pairs (fraction, law): {error}") from error
         flat: list[tuple[float, Law]] = []

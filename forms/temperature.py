@@ -30,12 +30,12 @@ class Tabulated:
 
     def __init__(self, values: Iterable[tuple[float, float]]) -> None:
         try:
-            rows = np.array([(float(T), float(value)) for T, value in values])
+            rows = real([(T, value) for T, value in values])
         except (TypeError, ValueError) as error:
             raise LawError(f"Tabulated needs pairs (T, value), not {values!r}: {error}") from error
         if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
             raise LawError(f"Tabulated needs two or more finite pairs (T, value) with T increasing, not {values!r}")
-        object.__setattr__(self, "values", tuple(map(tuple, rows.tolist())))
+        object.__setattr__(self, "values", tuple((float(T), float(value)) for T, value in rows))
 
     def __call__(self, T: Any) -> npt.NDArray[np.float64]:
         """Values (n,) at temperatures (n,)."""
@@ -54,6 +54,10 @@ def real(values: Any) -> npt.NDArray[np.float64]:
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
+    if isinstance(values, (list, tuple)) and any(
+        isinstance(v, (bool, np.bool_)) for v in np.array(values, object).flat
+    ):
+        raise TypeError("it gives True or False among its values, which are no numbers")
     return array.astype(float)
 
 

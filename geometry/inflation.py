@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from numbers import Real
 
 import basix
 import numpy as np
@@ -20,6 +19,7 @@ from geometry.joint import (
     Joint,
     Profile,
     S,
+    is_number,
     place,
     unknown,
 )
@@ -134,7 +134,7 @@ def check_layering(layers: int, bodies: str) -> None:
     """Raise GeometryError if the number of cells through the thickness or the way to make room is out of range."""
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
-    if not isinstance(layers, Real) or not np.isfinite(layers) or int(layers) != layers or layers < 1:
+    if not is_number(layers) or not np.isfinite(layers) or int(layers) != layers or layers < 1:
         raise GeometryError(f"layers is {layers!r}; the layer needs a whole number >= 1 of cells through its thickness")
 
 
@@ -142,8 +142,8 @@ def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodie
     check_layering(layers, bodies)
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    if not np.isfinite(eps) or eps <= 0:
-        raise GeometryError(f"the layer's thickness eps is {eps}; it must be > 0")
+    if not is_number(eps) or not np.isfinite(eps) or eps <= 0:
+        raise GeometryError(f"the layer's thickness eps is {eps!r}; it must be a number > 0")
     if len(strata) and (min(strata) <= 0 or abs(sum(strata) - 1) > 1e-12):
         raise GeometryError(f"the strata's fractions {tuple(strata)} must be > 0 and add up to 1")
     if len(joint.bonded):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from numbers import Real
 from pathlib import Path
 
 import meshio
@@ -13,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.joint import GeometryError, Joint, S, place, unknown
+from geometry.joint import GeometryError, Joint, S, is_number, place, unknown
 from geometry.meshfile import Cells, load
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
@@ -67,7 +66,7 @@ def read(
 def _read(
     path: Path, s: str | None, upper: Names | None, lower: Names | None, way: tuple[float, ...] | None, scale: float
 ) -> Joint:
-    if not (isinstance(scale, Real) and np.isfinite(float(scale)) and scale > 0):
+    if not (is_number(scale) and np.isfinite(float(scale)) and scale > 0):
         raise GeometryError(f"scale is {scale!r}; it must be a number > 0")
     try:
         mesh = load(path, scale)

@@ -390,6 +390,17 @@ class Equations:
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         return b
 
+    def body_forces(self, u: PETSc.Vec) -> npt.NDArray[np.float64]:
+        """Nodal forces on this rank of the stresses that no compiled law answers for, those of the bodies."""
+        self.K.mult(u, self._forces)
+        if self._curved:
+            u.copy(self.mid.x.petsc_vec)
+            self.mid.x.scatter_forward()
+            b = self._curved_forces()
+            self._forces.axpy(1.0, b)
+            b.destroy()
+        return np.array(self._forces.array_r)
+
     def _curved_work(self, change: PETSc.Vec) -> float:
         """Their work, at the last residual's displacements."""
         if not self._curved:

@@ -40,6 +40,8 @@ class Forces:
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
+        if tractions is not None and not isinstance(tractions, Mapping):
+            raise ModelError(f"tractions is {tractions!r}; it must be {{facet name: traction}}")
         for name, load in (tractions or {}).items():
             values = self._outer(name)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
@@ -55,6 +57,11 @@ class Forces:
 
     def _outer(self, name: str) -> tuple[int, ...]:
         """Facet values of a traction's place; none for the side of a layer that is not there."""
+        if not isinstance(name, str):
+            raise ModelError(
+                f"traction on {name!r}: tractions act on facet sets, given by their name; known: "
+                + ", ".join(sorted(self.domain.joint.facets.keys() - {S}))
+            )
         if name.split("/")[0] == S:
             raise ModelError("a traction on S is what the model computes; load another facet set")
         values = self.domain.values(name)

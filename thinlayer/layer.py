@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from forms.contact import ContactLaw
-from forms.declarations import require_declarations
+from forms.declarations import is_number, require_declarations
 from forms.law import Law, LawError
 from forms.series import Stack
 from forms.traction import TractionLaw
@@ -46,9 +46,9 @@ class ThinLayer:
         if not isinstance(self.law, Law):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
         require_declarations(self.law)
-        if not (isinstance(self.eps, (int, float, np.floating)) and math.isfinite(self.eps) and self.eps > 0):
+        if not (is_number(self.eps) and math.isfinite(self.eps) and self.eps > 0):
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
-        if self.order not in (0, 1):
+        if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and isinstance(self.law, Stack):
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,17 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.conditional import Condition
-from ufl.constantvalue import RealValue
+from ufl.constantvalue import ComplexValue, RealValue
+from ufl.corealg.traversal import unique_pre_traversal
 
+from forms.declarations import is_number
 from forms.kinematics import Expr
+from forms.temperature import real
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
 from thinlayer.compat import interpolation_points
 from thinlayer.joint_fields import shift
+from thinlayer.load_curves import LoadCurve, Time, symbols
 
 AXES = "xyz"
 Place = str | tuple[float, ...]
@@ -40,18 +43,18 @@ class Coordinates:
     Attributes:
         mesh: the mesh.
         x: (d,) UFL coordinates.
-        t: UFL constant, the time.
+        t: the time, a UFL constant.
     """
 
     mesh: Mesh
     x: Expr
-    t: fem.Constant
+    t: Time
 
     @classmethod
     def of(cls, domain: Domain) -> Coordinates:
         """Coordinates on a domain. In kept geometry the bodies' rigid shifts are taken back."""
         mesh, band = domain.mesh, domain.joint.band
-        x, t = ufl.SpatialCoordinate(mesh), fem.Constant(mesh, 0.0)
+        x, t = ufl.SpatialCoordinate(mesh), Time(mesh)
         if band is None or band.bodies == "extended":
             return cls(mesh, x, t)
         return cls(mesh, x - shift(domain), t)
@@ -61,7 +64,7 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
     """A traction or body force as a UFL vector (d,); raises ModelError if it is not a vector of d finite components."""
     if not callable(load):
         try:
-            values = np.asarray(load, float)
+            values = real(load)
         except (TypeError, ValueError):
             values = np.full(0, np.nan)
         if values.shape != (dim,) or not np.isfinite(values).all():
@@ -76,54 +79,54 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
         raise ModelError(
             f"{what} gives {components!r}; it needs {dim} components, ufl.conditional(c, 1, 0) for a condition c"
         )
-    if not all(_is_finite(ufl.as_ufl(c)) for c in components):
-        raise ModelError(f"{what} gives {components!r}; it needs {dim} finite components")
+    if not all(_is_finite(c) for c in components):
+        raise ModelError(f"{what} gives {components!r}; it needs {dim} finite components, real numbers")
     return vector
 
 
-def _is_finite(value: Expr) -> bool:
-    """Whether a UFL scalar is finite, where it is a plain number."""
-    return not isinstance(value, RealValue) or math.isfinite(float(value))
+def _is_finite(value: Any) -> bool:
+    """Whether a UFL scalar is finite, where it is a plain number, and real; booleans are no numbers."""
+    if isinstance(value, (bool, np.bool_)):
+        return False
+    found = ufl.as_ufl(value)
+    if isinstance(found, RealValue):
+        return math.isfinite(float(found))
+    return not any(isinstance(node, ComplexValue) for node in unique_pre_traversal(found))
 
 
-def piecewise(values: Mapping[float, Value | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
+def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
     """A load or a prescribed displacement that is linear in time between given ones, not defined before and after.
+
+    The values are looked up as time goes on: a table may have thousands, `piecewise(dict(zip(times, forces)))`. It may be
+    a part of a function, `lambda x, t: (0, x[0] * table(x, t))`, be asked for another time than t, `table(x, t / 3600)`,
+    and serve as a law's temperature. Steps of a layer with memory end where it breaks.
 
     Args:
         values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.
 
     Returns:
-        A function (x, t) for the data of a model.
+        A function (x, t) for the data of a model; of a t that is a number it gives numbers.
 
     Raises:
         ModelError: less than two times, values that are no numbers or of different lengths.
     """
     try:
-        if not all(isinstance(t, Real) for t in values):
+        if not all(is_number(t) for t in values):
             raise TypeError("times are numbers")
         times = sorted(values)
-        rows = np.array([values[t] for t in times], float)
+        rows = real([values[t] for t in times])
         whole = np.isfinite(rows).all() and np.isfinite(np.array(times, float)).all()
     except (TypeError, ValueError, LookupError) as error:
         raise ModelError(f"piecewise needs {{time: number or components}}: {error}") from error
     if len(times) < 2 or rows.ndim > 2 or not whole:
         raise ModelError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
+    curve = LoadCurve(np.array(times, float), rows)
 
-    def at(_: Expr, t: Expr) -> Any:
-        lines = [_line(times, column, t) for column in rows.reshape(len(times), -1).T]
-        return lines if rows.ndim == 2 else lines[0]
+    def at(_: Any, t: Any) -> Any:
+        return curve(t)
 
-    at.times = tuple(times)  # type: ignore[attr-defined]
+    at.times = curve.breaks  # type: ignore[attr-defined]
     return at
-
-
-def _line(times: Sequence[float], values: npt.NDArray[np.float64], t: Expr) -> Expr:
-    """The straight lines through (times, values); NaN outside."""
-    nowhere = ufl.sqrt(-1 - t * t)
-    line = nowhere
-    for a, b, u, v in reversed(list(zip(times[:-1], times[1:], values[:-1], values[1:], strict=True))):
-        line = ufl.conditional(ufl.le(t, b), u + (t - a) * ((v - u) / (b - a)), line)
-    return ufl.conditional(ufl.lt(t, times[0]), nowhere, line)
 
 
 def _scalar(value: Any, what: str) -> Expr:
@@ -133,17 +136,19 @@ def _scalar(value: Any, what: str) -> Expr:
         raise ModelError(f"{what}: a component gives {value!r}; it must be a number: {error}") from error
     if found.ufl_shape:
         raise ModelError(f"{what}: a component gives a tensor of shape {found.ufl_shape}; it must be a number")
-    if not _is_finite(found):
-        raise ModelError(f"{what}: a component gives {value!r}; it must be a finite number")
+    if isinstance(found, Condition) or not _is_finite(value):
+        raise ModelError(f"{what}: a component gives {value!r}; it must be a finite number, real")
     return found
 
 
 def _call(function: Callable[[Expr, Expr], Any], at: Coordinates, what: str) -> Any:
     try:
-        return function(at.x, at.t)
+        with symbols():
+            return function(at.x, at.t)
     except Exception as error:
         raise ModelError(
-            f"{what} is no function (x, t) of UFL coordinates: {error}; use ufl.sin, ufl.conditional, ..."
+            f"{what} is no function (x, t) of UFL coordinates: {error.__cause__ or error}; use ufl.sin(t), "
+            "ufl.conditional(ufl.gt(t, 1), a, b), ..., and piecewise({time: value, ...}) for a table"
         ) from error
 
 
@@ -178,9 +183,17 @@ class Supports:
                 if not domain.values(place) and not place.endswith(f"/{LAYER}"):
                     raise ModelError(f"support on {place!r}: this facet set is empty")
             else:
+                self._require_point(place)
                 domain.joint.nearest_point(place)
             self.entries.append((place, self._components(place, support)))
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
+
+    def _require_point(self, place: Any) -> None:
+        d = len(self.axes)
+        if not isinstance(place, tuple) or len(place) != d or not all(is_number(c) for c in place):
+            raise ModelError(
+                f"support on {place!r}; a place is the name of a facet set, or the {d} coordinates of a vertex"
+            )
 
     def _components(self, place: Place, support: Support) -> dict[str, Value]:
         if callable(support) or support is None:
@@ -192,9 +205,10 @@ class Supports:
         for axis, value in components.items():
             if axis not in self.axes:
                 raise ModelError(f"support on {place!r}: {unknown('component', axis, self.axes)}")
-            if not callable(value) and not (isinstance(value, Real) and np.isfinite(float(value))):
+            if not callable(value) and not (is_number(value) and np.isfinite(float(value))):
                 raise ModelError(
                     f"support on {place!r}: component {axis} is {value!r}; allowed: a finite number or a function (x, t)"
+                    + ", 0 where it is held" * isinstance(value, (bool, np.bool_))
                 )
         return components
 

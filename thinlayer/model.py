@@ -19,7 +19,7 @@ from forms import work as forms
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
-from forms.series import Stack
+from forms.series import Stack, parts
 from forms.traction import TractionLaw
 from geometry.domain import Domain
 from geometry.inflation import check_layering, inflate
@@ -315,9 +315,10 @@ class Model:
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which piecewise loads and supports break."""
-        given = [*self.forces.given.values(), *(v for _, entry in self.supports.entries for v in entry.values())]
-        return {t for function in given for t in getattr(function, "times", ())}
+        """Times at which piecewise loads, supports and temperatures break."""
+        laws = [law for p in self.layer_points for law in parts(p.law)]
+        given = [getattr(law, name) for law in laws for name in law.functions]
+        return self.coordinates.t.breaks.union(*(getattr(function, "times", ()) for function in given))
 
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""

@@ -92,7 +92,6 @@ def newton(
     ksp_reason = snes.getKSP().getConvergedReason()
     snes.destroy()
     stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
-    stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
     stopped = own_test and reason >= 0 and not last < LARGEST_RESIDUAL  # by a test other than ours
     if stopped or (reason < 0 and not stalled):
         failed = f"; {equations.laws.failure()}" if equations.laws.failed else ""

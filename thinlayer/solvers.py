@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from numbers import Real
 from typing import Any
 
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.declarations import is_number
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
 from thinlayer.continuation import Continuation
 from thinlayer.equations import Equations, Interval
@@ -55,7 +55,7 @@ def solve(
     slow = [type(p.law).__name__ for p in model.points if p.law.rate]
     if slow:
         raise ModelError(f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)")
-    if not isinstance(t, Real) or not math.isfinite(t):
+    if not is_number(t) or not math.isfinite(t):
         raise ModelError(f"t is {t!r}; it must be a finite number")
     require_hardening(model, "solve")
     with Solver(model, options=options, method=method, like=like) as solver:

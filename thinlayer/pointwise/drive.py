@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from forms.contact import ContactLaw
+from forms.declarations import is_number
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
+from forms.temperature import real
 from thinlayer.failure import SolveError
 from thinlayer.loads import ModelError
 from thinlayer.pointwise.kernels import Array
@@ -77,7 +78,8 @@ def drive(
         n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
         dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.
             May be left out for laws that do not depend on it.
-        theta: 1 (backward Euler) down to 1/2 (midpoint rule).
+        theta: 1 (backward Euler) down to 1/2 (midpoint rule): for laws that creep or relax. With others the tractions hold
+            within the steps, and jumps at their ends swing about the path; `march` refuses that.
 
     Raises:
         ModelError: a path that leaves a component free or asks for two things; no dt where the law depends on it; other
@@ -101,7 +103,7 @@ def drive(
     lengths = _lengths(1.0 if no_time else dt, len(path))
     if not path:
         raise ModelError("a path needs at least one step")
-    if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
+    if not (is_number(theta) and 0.5 <= theta <= 1):
         raise ModelError(f"theta is {theta!r}; allowed: 0.5 to 1")
     if law.switches and theta != 1:
         raise ModelError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
@@ -113,7 +115,8 @@ def drive(
     if no_time and law.rate:
         raise ModelError(timeless)
     point = Point(law, normal, axes, float(theta))
-    states, parts = [point.rest()], []
+    states = [point.rest()]
+    parts: list[int] = []
 
     def history() -> PointHistory:
         return _history(law, normal, point.material.memory, states, parts)
@@ -134,7 +137,7 @@ def drive(
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
     try:
-        normal = np.array(n, float)
+        normal = real(n)
     except (TypeError, ValueError):
         normal = np.empty(0)
     if normal.shape not in ((2,), (3,)) or not np.isfinite(normal).all() or not normal.any():
@@ -159,7 +162,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     for name, value in step.items():
         if name not in [f"{kind}_{c}" for kind in "wt" for c in names]:
             raise ModelError(f"step {k + 1} has {name!r}; allowed in {d}D: {allowed}")
-        if not (isinstance(value, Real) and math.isfinite(value)):
+        if not (is_number(value) and math.isfinite(value)):
             raise ModelError(f"step {k + 1}: {name} is {value!r}; it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
@@ -171,7 +174,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
 
 def _lengths(dt: float | Sequence[float], count: int) -> Array:
     try:
-        lengths = np.array(dt, float)
+        lengths = real(dt)
     except (TypeError, ValueError):
         lengths = np.array(np.nan)
     if lengths.shape not in ((), (count,)) or not np.isfinite(lengths).all() or (lengths < 0).any():

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.law import Law, LawError
-from forms.series import Stack
+from forms.series import parts
 from thinlayer.compiled import library
 from thinlayer.pointwise.kernels import Array, kernels
 
@@ -65,7 +65,7 @@ class Material:
             LawError: parameters out of range at one of them, or that the law gives in another form.
         """
         columns = []
-        for law in _sublayers(self._current):
+        for law in parts(self._current):
             varying = _varying(law, x, t) if law.varies else {}
             for name, value in law.parameters().items():
                 fixed = np.broadcast_to(np.ravel(np.asarray(value, float)), (x.shape[1], np.size(value)))
@@ -137,14 +137,10 @@ def _varying(law: Law, x: Array, t: float) -> dict[str, Array]:
 
 
 def _kinds(law: Law) -> list[type[Law]]:
-    return [type(one) for one in _sublayers(law)]
+    return [type(one) for one in parts(law)]
 
 
 def _numbers(law: Law) -> list[Array]:
     """Parameters of each sublayer, one after the other."""
-    values = [[np.ravel(np.asarray(v, float)) for v in one.parameters().values()] for one in _sublayers(law)]
+    values = [[np.ravel(np.asarray(v, float)) for v in one.parameters().values()] for one in parts(law)]
     return [np.concatenate([np.empty(0), *numbers]) for numbers in values]
-
-
-def _sublayers(law: Law) -> tuple[Law, ...]:
-    return law.laws if isinstance(law, Stack) else (law,)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 
+from forms.declarations import is_number
 from thinlayer.equations import Equations
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
@@ -53,7 +54,7 @@ class ArcLength:
             if value is None and name == "back":
                 continue
             signed = name in ("end", "back")
-            number = float(value) if isinstance(value, Real) else math.nan
+            number = float(value) if is_number(value) else math.nan
             if not (math.isfinite(number) or (name == "largest" and number > 0)) or not (signed or number > 0):
                 raise ModelError(f"ArcLength: {name} is {value!r}; allowed: a number" + " > 0" * (not signed))
         if not isinstance(self.steps, Integral) or isinstance(self.steps, bool) or self.steps < 1:

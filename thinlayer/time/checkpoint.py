@@ -6,7 +6,7 @@ import hashlib
 import inspect
 import json
 import zipfile
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -81,12 +81,12 @@ class Pace:
 
     Attributes:
         step: longest that the next step may be; None if nothing limits it.
-        largest: norm of the largest displacements so far.
+        largest: what the error of adaptive steps is measured against: the largest displacements, jumps and forces so far.
         weight: of displacements in the arc length of a path; 0 before its first step.
     """
 
     step: float | None
-    largest: float = 0.0
+    largest: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     weight: float = 0.0
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
 
+from forms.declarations import is_number
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.state import State
@@ -79,7 +79,7 @@ class History:
 
     def at(self, t: float) -> State:
         """The state at a time, the last of several; raises ModelError if no step ended there or its state was not kept."""
-        if not isinstance(t, Real) or not math.isfinite(t):
+        if not is_number(t) or not math.isfinite(t):
             raise ModelError(f"t is {t!r}; it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
         rows = [row for row in self.states if abs(self.states[row].t - t) <= near]

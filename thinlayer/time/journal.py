@@ -97,7 +97,6 @@ class Journal:
         if self._keep == "last":
             self.history.states.clear()
         self.history.states[len(self.history) - 1] = state
-        self.pace.largest = max(self.pace.largest, float(state.u.x.petsc_vec.norm()))
 
     def write_table(self) -> None:
         """Write table.csv into the folder, if there is one."""

@@ -19,6 +19,7 @@ from thinlayer.time.following import PathFollowing
 from thinlayer.time.history import History
 from thinlayer.time.journal import COLUMNS, PHASE_COLUMNS, Journal, Observe
 from thinlayer.time.plan import Adaptive, Plan
+from thinlayer.time.scheme import remembers, require_ends, require_time_scale
 from thinlayer.time.stepping import TimeStepping
 
 
@@ -39,14 +40,15 @@ def march(
 
     The loads may be sudden at `start`. If every law of the layer answers at once (elastic, Maxwell), the first accepted
     state is this response, at `start`. With a law that has a rate (Kelvin-Voigt, Norton, a stack with one of them) the
-    first state is the one at rest, and what jumps does so within the first step. A step that fails is halved.
+    first state is the one at rest, and what jumps does so within the first step. A step that fails is halved. Where the
+    layer's law has a memory steps also end where `piecewise` data break, and the table has a row for it.
 
     A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows the local minimum of the energy that it is in, until the
     phase of one of its columns is that of lowest energy no more. The march stops there, and notes the state before and
-    the one after the column and all that follow it have switched, at the same t (`History.snaps`). It stops where piecewise
-    loads break as well. Where loads or temperatures are no linear functions of time within a step, it looks at seven times
-    within the step: what columns pass through and leave between two of them is not seen. What a sudden load at `start`
-    switches is no snap: the first state comes after it. Let loads grow from zero to see it.
+    the one after the column and all that follow it have switched, at the same t (`History.snaps`). Where loads or
+    temperatures are no linear functions of time within a step, it looks at seven times within the step: what columns pass
+    through and leave between two of them is not seen. What a sudden load at `start` switches is no snap: the first state
+    comes after it. Let loads grow from zero to see it.
 
     Args:
         model: the model.
@@ -54,7 +56,8 @@ def march(
             t is the parameter of loads and supports alone, and may go back. It starts from the sudden load at `start`.
         start: time of the first state.
         theta: the balance of forces holds at t + theta dt: 1 is backward Euler, order 1; 1/2 the midpoint rule, order 2
-            (from rest its first step is made of two of backward Euler, which damp what the sudden load excites).
+            (from rest its first step is made of two of backward Euler, which damp what the sudden load excites). Below 1
+            for laws that creep or relax alone, those whose answer to a sudden strain, if they have one, is linear.
         observe: name of a column -> function of a state that gives a number, the same on all ranks; evaluated at every
             accepted state.
         keep: "all" states, or "last" alone.
@@ -64,7 +67,9 @@ def march(
         options, method: of the solver, see `solve`.
 
     Raises:
-        ModelError: times, theta, names or loads out of range, before anything is solved; a checkpoint that does not fit.
+        ModelError: times, theta, names or loads out of range, before anything is solved; theta < 1 with a law whose state
+            within a step says nothing of its ends (that yields, has phases, is not linear and answers at once, contact); a
+            checkpoint that does not fit.
         SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
         LimitLoad: the same with a layer that yields, as loads change; it tells the last loads with an equilibrium.
     """
@@ -73,13 +78,14 @@ def march(
     if isinstance(times, ArcLength):
         return _follow(model, times, start, theta, observe, keep, out, resume, options, method)
     require_hardening(model, "march in time")
-    plan = Plan.of(times, start, model.break_times, switching=any(p.law.switches for p in model.layer_points))
-    _check_switching(model, plan, theta)
+    plan = Plan.of(times, start, model.break_times if remembers(model) or isinstance(times, Adaptive) else set())
+    _check_switching(model, plan)
     adaptive, folder = plan.adaptive, Path(out) if out else None
     pace = Pace(adaptive.first if adaptive else None)
     choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
     with Solver(model, options=options, method=method) as solver:
         solver.equations.check_times([start, *plan.targets])
+        require_time_scale(solver.equations, theta)
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
         return TimeStepping(solver, journal, plan, start, theta).run(resume)
 
@@ -120,8 +126,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
             raise ModelError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
-    if model.contact and theta != 1:
-        raise ModelError(f"theta is {theta}; contact laws hold at the ends of steps: theta = 1")
+    require_ends(model, theta)
     if keep not in ("all", "last"):
         raise ModelError(f"keep is {keep!r}; allowed: 'all', 'last'")
     if resume and out is None:
@@ -130,11 +135,9 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
         _check_folder(model, out)
 
 
-def _check_switching(model: Model, plan: Plan, theta: float) -> None:
+def _check_switching(model: Model, plan: Plan) -> None:
     """Raise ModelError where phases that switch at one moment are asked for something that has no such moment."""
     names = [type(p.law).__name__ for p in model.layer_points if p.law.switches]
-    if names and theta != 1:
-        raise ModelError(f"theta is {theta}; {names[0]} holds at the ends of steps: theta = 1")
     if names and plan.adaptive:
         raise ModelError(
             f"Adaptive is for laws that depend on time; steps of {names[0]} have no error: give the times to stop at"

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 
+from forms.declarations import is_number
+from forms.temperature import real
 from thinlayer.loads import ModelError
 from thinlayer.time.history import SAME_TIME
 
@@ -19,15 +20,16 @@ HALVINGS = 10
 class Adaptive:
     """Steps whose length follows an estimate of their error.
 
-    Each step is taken once as a whole and once as two halves; the halves are accepted if the displacements differ by no
-    more than the tolerance. What happens between these three times is not seen: loads that are functions and jump do so at
-    times in `at`; those of `piecewise` loads are added to them.
+    Each step is taken once as a whole and once as two halves; the halves are accepted if displacements, the layer's jumps
+    and the bodies' forces differ by no more than the tolerance. What happens between these three times is not seen: loads
+    that are functions and jump do so at times in `at`; those of `piecewise` loads are added to them.
 
     Attributes:
         end: last time.
         first: length of the first step.
-        tolerance: of the estimated error of a step's displacements, relative to the largest displacements so far (L2
-            norms of nodal values).
+        tolerance: of the estimated error of a step, relative to the largest values so far: of the displacements of nodes,
+            of the jumps (in a meshed layer its strains), and of the nodal forces of the bodies' stresses, those of
+            tractions on the layer and of reactions included; in L2 norms, the largest of the three counts.
         at: times between start and end that a step must end at.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
@@ -48,14 +50,10 @@ class Adaptive:
             value = getattr(self, name)
             if value is None and name == "smallest":
                 continue
-            good = isinstance(value, Real) and (float(value) > 0 or (name == "end" and math.isfinite(float(value))))
+            good = is_number(value) and (float(value) > 0 or (name == "end" and math.isfinite(float(value))))
             if not good:
                 raise ModelError(f"Adaptive: {name} is {value!r}; allowed: a number" + " > 0" * (name != "end"))
-        if (
-            isinstance(self.at, str)
-            or not isinstance(self.at, Iterable)
-            or not all(isinstance(t, Real) for t in self.at)
-        ):
+        if isinstance(self.at, str) or not isinstance(self.at, Iterable) or not all(is_number(t) for t in self.at):
             raise ModelError(f"Adaptive: at is {self.at!r}; allowed: a sequence of times")
         object.__setattr__(self, "at", tuple(map(float, self.at)))
         if self.at and max(self.at) > self.end:
@@ -76,13 +74,16 @@ class Plan:
     smallest: float
 
     @classmethod
-    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float], switching: bool = False) -> Plan:
-        """The plan for `times`; adaptive steps, and those of a layer that switches phases, also end where loads break."""
+    def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> Plan:
+        """The plan for `times`; steps also end at breaks between them."""
         adaptive = times if isinstance(times, Adaptive) else None
         if isinstance(times, str):
             raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
         try:
-            targets = [float(t) for t in (adaptive.targets if adaptive else times)]  # type: ignore[union-attr]
+            given = real([*(adaptive.targets if adaptive else times)])  # type: ignore[misc]
+            if given.ndim != 1:
+                raise TypeError("it has rows")
+            targets = [float(t) for t in given]
         except (TypeError, ValueError) as error:
             raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
         whole = np.array([start, *targets])
@@ -91,13 +92,22 @@ class Plan:
                 f"times is {targets} from start = {start:g}; they must be finite, increase, "
                 "and come after start, which is not one of them"
             )
-        if adaptive or switching:
-            targets = sorted({*targets, *(t for t in breaks if start < t < targets[-1])})
+        targets = _with_breaks(start, targets, breaks)
         if adaptive:
             return cls(targets, adaptive, adaptive.smallest or adaptive.first / 1e6)
-        return cls(targets, None, float(np.diff(whole).min()) / 2**HALVINGS)
+        return cls(targets, None, float(np.diff([start, *targets]).min()) / 2**HALVINGS)
 
     def after(self, t: float) -> list[float]:
         """Targets still to reach."""
         near = min(SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0])), self.smallest)
         return [target for target in self.targets if target > t + near]
+
+
+def _with_breaks(start: float, targets: list[float], breaks: set[float]) -> list[float]:
+    """Targets and the breaks before the last; not those that differ from another one by rounding."""
+    near = SAME_TIME * max(abs(start), abs(targets[-1]))
+    found = np.array([start, *targets])
+    for t in sorted(t for t in breaks if start < t < targets[-1]):
+        if np.abs(found - t).min() > near:
+            found = np.append(found, t)
+    return [float(t) for t in np.sort(found)[1:]]

@@ -12,6 +12,7 @@ from thinlayer.progress import track
 from thinlayer.rigid import rigid_motions
 from thinlayer.solvers import Solver
 from thinlayer.state import State
+from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
 from thinlayer.time.plan import Plan
@@ -37,6 +38,7 @@ class TimeStepping:
         self._journal = journal
         self._failed_at: float | None = None  # earliest end of a step that failed, still ahead
         self._shortest = False  # whether the step cannot be shortened further
+        self._estimate = ErrorEstimate(solver.equations) if plan.adaptive else None
 
     @property
     def _history(self) -> History:
@@ -67,7 +69,7 @@ class TimeStepping:
             self._journal.note(rest)
             return
         try:
-            self._journal.accept([self.solver.step(rest, self.start)])
+            self._accept([self.solver.step(rest, self.start)])
         except SolveError as error:
             advice = "let the loads grow from less, as functions (x, t) or piecewise" if self.solver.yields else None
             reason = error.reason if advice else str(error)
@@ -104,7 +106,15 @@ class TimeStepping:
             if passed:
                 self._failed_at = None
             self._shortest = False
-            self._journal.accept(states)
+            self._accept(states)
+
+    def _accept(self, states: list[State]) -> None:
+        """Note states, and how large what errors are measured against has become."""
+        if self._estimate:
+            pace = self._journal.pace
+            for state in states:
+                pace.largest = [*map(float, np.maximum(pace.largest, self._estimate.sizes(state)))]
+        self._journal.accept(states)
 
     @property
     def _smallest(self) -> float:
@@ -157,19 +167,16 @@ class TimeStepping:
         """States of a step, none if its error is too large, and by how much the next step may be longer or shorter."""
         theta = 1.0 if len(self._history) == 1 and not self._sudden else self.theta
         middle = (old.t + end) / 2
-        adaptive = self.plan.adaptive
+        adaptive, estimate = self.plan.adaptive, self._estimate
         if self.solver.equations.laws.switches:
             return [*steps(self.solver, old, end)], 1.0
-        if not adaptive:
+        if adaptive is None or estimate is None:
             ends = [middle, end] if theta != self.theta else [end]
             return [*self._chain(old, ends, theta)], 1.0
         whole = self.solver.step(old, end, theta, self._thorough)
         halves = [*self._chain(old, [middle, end], theta)]
         order = 2 if theta == 0.5 else 1
-        size = max(float(halves[-1].u.x.petsc_vec.norm()), self._journal.pace.largest)
-        difference = halves[-1].u.x.petsc_vec.copy()
-        difference.axpy(-1.0, whole.u.x.petsc_vec)
-        error = difference.norm() / (2**order - 1) / size if size else 0.0
+        error = estimate.error(whole, halves[-1], order, self._journal.pace.largest)
         ratio = (adaptive.tolerance / error) ** (1 / (order + 1)) if error else MOST
         factor = float(np.clip(SAFETY * ratio, LEAST, MOST))
         return (halves if error <= adaptive.tolerance else []), factor

@@ -1,0 +1,249 @@
+"""Loads, supports and temperatures: what functions of place and time may do, tables of values, what is no number."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import LinearElastic, Maxwell, NonMonotone, Stack, Tabulated
+from forms.law import LawError
+from geometry import GeometryError, block, disc, sandwich
+from thinlayer import Adaptive, ArcLength, Model, ModelError, ThinLayer, drive, march, piecewise, solve
+from thinlayer.equations import Equations
+
+GLUE = LinearElastic(lmbda=60.0, mu=40.0)
+JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
+SIDES = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+CHI = [[0.0, 0.5], [0.5, 1.0]]
+
+
+def model(load=(0.0, 1.0), law=GLUE, kind=Model.interface, **change):
+    setup = {"body": LinearElastic.young(100.0, 0.3), "supports": SIDES, "tractions": {"TOP": load}}
+    return kind(JOINT, layer=ThinLayer(law, 0.1), **(setup | change))
+
+
+def pulled(one, *times):
+    """Resultants of the loads along y at some times."""
+    equations, out = Equations(one), []
+    for t in times:
+        b = equations.loads_at(t)
+        out.append(float(b.array_r[1::2].sum()))
+    return out
+
+
+# ---------------------------------------------------------------- functions of x and t
+@pytest.mark.parametrize(
+    "used",
+    [
+        lambda x, t: float(t),
+        lambda x, t: round(t),
+        lambda x, t: int(t),
+        lambda x, t: complex(t).real,
+        lambda x, t: t.value,
+        lambda x, t: math.sin(t),
+        lambda x, t: math.floor(t),
+        lambda x, t: np.interp(t, [0, 1], [0, 2]),
+        lambda x, t: np.array([t, 0], float)[0],
+        lambda x, t: np.floor(t),
+        lambda x, t: np.where(t == 1, 1.0, 2.0),
+        lambda x, t: 1.0 if t == 1 else 2.0,
+        lambda x, t: 1.0 if t != 1 else 2.0,
+        lambda x, t: 1.0 if 2 * t == 2 else 2.0,
+        lambda x, t: 1.0 if t in (1, 2) else 2.0,
+        lambda x, t: 1.0 if t else 2.0,
+        lambda x, t: 1.0 if not t - 1 else 2.0,
+        lambda x, t: max(t, 1.0),
+        lambda x, t: sorted([t, 1.0])[0],
+        lambda x, t: 1.0 if x[0] == 0 else 2.0,
+        lambda x, t: 1.0 if x[0] in (0, 1) else 2.0,
+        lambda x, t: 2.0 * (x[1] != 0),
+        lambda x, t: 1.0 if x[1] else 2.0,
+        lambda x, t: np.maximum(x[0], 0.5),
+        lambda x, t: np.where(x[0] > 0.5, 1.0, 2.0),
+        lambda x, t: np.sin(x[0]),
+        lambda x, t: float(x[0]),
+    ],
+)
+def test_x_and_t_are_no_numbers(used):
+    """Each would be found once, when the model is built, and stay as it is."""
+    remedy = r"is no function \(x, t\) .*ufl\.conditional\(.*piecewise\(\{time: value"
+    with pytest.raises(ModelError, match=f"traction on 'TOP' {remedy}"):
+        model(lambda x, t: (0.0, used(x, t)))
+    with pytest.raises(ModelError, match=f"support on 'TOP' {remedy}"):
+        model(tractions={}, supports=SIDES | {"TOP": {"y": used}})
+    with pytest.raises(ModelError, match=f"body force in 'LOWER' {remedy}"):
+        model(tractions={}, body_force={"LOWER": lambda x, t: (used(x, t), 0.0)})
+
+
+def test_what_ufl_does_with_x_and_t_is_right():
+    """Comparisons of expressions with each other, of conditions, and what numpy hands on to them; x and t mean no more."""
+    load = lambda x, t: np.array([0 * x[0], np.abs(-t) * ufl.conditional(ufl.And(ufl.ne(t, 1), t > x[0]), 1.0, 3.0)])
+    assert pulled(model(load), 1.0, 2.0) == pytest.approx([3.0, 2.0], rel=1e-12)
+    many = lambda x, t: (
+        ufl.det(ufl.as_matrix([[t, 1], [0, t]])) * ufl.sign(t) + abs(t - x[0]) ** 2 + ufl.atan2(t, x[0] + 1),
+        ufl.inner(ufl.outer(x, x), ufl.Identity(2)) + t * t / ufl.max_value(t, 1) + ufl.bessel_J(0, t) + ufl.dot(x, x),
+    )
+    assert np.isfinite(pulled(model(many), 0.5)).all()
+    x = ufl.SpatialCoordinate(model().domain.mesh)
+    assert (x[0] == 0) is False  # UFL is left as it was
+    assert bool(x[0])
+
+
+# ---------------------------------------------------------------- tables
+def test_tables_of_any_length():
+    """The same form for all of them, looked up as time goes on; in a function, for another argument, of the place too."""
+    times = np.linspace(0.0, 2.0, 20_001)
+    table = piecewise(dict(zip(times, np.sin(3 * times), strict=True)))
+    short = piecewise({0.0: 0.0, 0.5: 2.0, 2.0: -1.0})
+    loads = {
+        "alone": (piecewise({0.0: (0.0, 0.0), 0.5: (0.0, 2.0), 2.0: (0.0, -1.0)}), 1.0),
+        "in a function": (lambda x, t: (0.0, 3 * short(x, t)), 3.0),
+        "in minutes": (lambda x, t: (0.0, short(x, (120 * t - 60) / 60 / 2 + 0.5)), 1.0),
+        "of the place": (lambda x, t: (0.0, short(x, t + 0 * x[0])), 1.0),
+    }
+    for load, factor in loads.values():
+        expected = factor * np.interp([0.3, 1.7], [0.0, 0.5, 2.0], [0.0, 2.0, -1.0])
+        assert pulled(model(load), 0.3, 1.7) == pytest.approx(expected, rel=1e-12)
+    long = model(lambda x, t: (0.0, table(x, t)))
+    assert pulled(long, 0.3, 1.7) == pytest.approx(np.sin([0.9, 5.1]), abs=1e-8)
+    assert len(long.break_times) == 20_001
+    wave = model(lambda x, t: (0.0, short(x, ufl.min_value(t + x[0], 2.0))))  # it runs along S
+    assert pulled(wave, 1.0) == pytest.approx([0.0], abs=1e-12)
+    assert table(None, 0.5) == pytest.approx(math.sin(1.5), abs=1e-8)
+    assert piecewise({0: (1, 2), 1: (3, 5)})(None, 0.5) == [2.0, 3.5]
+
+
+def test_breaks_are_where_slopes_change():
+    table = piecewise({0: 0.0, 1: 2.0, 2: 4.0, 3: 5.0, 6: 8.0, 9: 0.0})
+    assert model(lambda x, t: (0.0, table(x, t))).break_times == {0.0, 2.0, 6.0, 9.0}
+    assert model(lambda x, t: (0.0, table(x, 3 * t - 3))).break_times == {1.0, 5 / 3, 3.0, 4.0}
+    assert model(supports=SIDES | {"TOP": {"y": table}}, tractions={}).break_times == {0.0, 2.0, 6.0, 9.0}
+    for argument in (lambda t: t * t, lambda t: ufl.conditional(ufl.gt(t, 100), 2 * t, t), lambda t: 1 / t):
+        assert model(lambda x, t, f=argument: (0.0, table(x, f(t)))).break_times == set()
+
+
+def test_tables_have_ends():
+    """With an error beyond them, but for the rounding of a sum of steps."""
+    one = model(piecewise({0.1: (0.0, 1.0), 0.3: (0.0, 2.0)}))
+    assert pulled(one, 0.1 + 0.1 + 0.1) == pytest.approx([2.0])
+    for t in (0.099, 0.301):
+        with pytest.raises(ModelError, match=rf"not finite at t = {t}: traction on 'TOP'"):
+            pulled(one, t)
+
+
+def test_a_temperature_from_a_table():
+    """Linear between its times, in a layer that forgets; steps end where it breaks."""
+    alpha, T = Tabulated([(0.0, 0.5), (100.0, 1.5)]), piecewise({0: 0.0, 0.4: 100.0, 1: 50.0})
+    law = NonMonotone(60.0, 40.0, alpha, 0.15, CHI, T=T)
+    laws = Equations(model(law=law)).laws.points[0]
+    for t, expected in ((0.2, 1.0), (0.7, 1.25)):
+        laws.at_time(t)
+        assert laws.material.parameters[:, 2] == pytest.approx(expected, rel=1e-12)
+    assert model(law=law).break_times == model(law=Stack((0.5, GLUE), (0.5, law))).break_times == {0.0, 0.4, 1.0}
+    with pytest.raises(LawError, match="T is nan"):
+        laws.at_time(1.1)
+
+
+# ---------------------------------------------------------------- temperatures and supports
+@pytest.mark.parametrize(("bodies", "across"), [("kept", 0.0), ("extended", 0.05)])
+def test_temperatures_are_asked_for_in_the_joint_before_inflating(bodies, across):
+    """Kept bodies are moved apart to make room: all the layer is at the height of S. Others give up half of it each."""
+    seen = []
+
+    def T(x, t):
+        seen.append(x)
+        return 20 + 100 * x[1]
+
+    law = NonMonotone(60.0, 40.0, Tabulated([(0.0, 0.5), (100.0, 1.5)]), 0.15, CHI, T=T)
+    Equations(model(law=law, kind=Model.full, bodies=bodies)).laws.at_time(0.0)
+    assert np.abs(seen[-1][1]).max() == pytest.approx(across, rel=0.2, abs=1e-12)
+    assert np.ptp(seen[-1][0]) > 0.8
+
+
+def test_a_rigid_base_does_not_move_with_a_side():
+    """Where the side of the layer meets the base two supports overlap."""
+    sides = {"LEFT": {"x": 0.01, "y": 0.02}, "RIGHT": {"x": 0.0}}
+    setup = {"body": LinearElastic.young(100.0, 0.3), "supports": sides, "tractions": {"TOP": (0.0, -1.0)}}
+    one = Model.full(block(1.0, 0.5, 0.25), layer=ThinLayer(GLUE, 0.1), **setup)
+    x, u = one.V.tabulate_dof_coordinates(), solve(one).u.x.array.reshape(-1, 2)
+    base, left = np.isclose(x[:, 1], x[:, 1].min()), np.isclose(x[:, 0], 0.0)
+    assert (base & left).sum() == 1
+    assert not u[base].any()
+    assert u[left & ~base] == pytest.approx(np.tile([0.01, 0.02], (np.count_nonzero(left & ~base), 1)), rel=1e-12)
+
+
+# ---------------------------------------------------------------- what is no number
+MARCHED = Maxwell(60.0, 40.0, t1=0.7)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: model((True, 0.0)), "needs 2 finite components"),
+        (lambda: model(np.array([True, False])), "needs 2 finite components"),
+        (lambda: model((1j, 0.0)), "needs 2 finite components"),
+        (lambda: model(np.array([1 + 1j, 0.0])), "needs 2 finite components"),
+        (lambda: model(lambda x, t: (True, 0.0)), "real numbers"),
+        (lambda: model(lambda x, t: (1j * t, 0.0)), "real numbers"),
+        (lambda: model(tractions={}, body_force=(False, 0.0)), "needs 2 finite components"),
+        (lambda: model(supports=SIDES | {"BOTTOM": True}), "True; allowed: a finite number .*, 0 where it is held"),
+        (lambda: model(supports=SIDES | {"BOTTOM": {"y": np.False_}}), "0 where it is held"),
+        (lambda: model(supports=SIDES | {"BOTTOM": {"y": 1j}}), "allowed: a finite number"),
+        (lambda: model(supports=SIDES | {"BOTTOM": {"y": lambda x, t: True}}), "must be a finite number"),
+        (lambda: model(supports=SIDES | {"BOTTOM": {"y": lambda x, t: 1j * t}}), "must be a finite number"),
+        (lambda: model(supports=SIDES | {"BOTTOM": {"y": lambda x, t: t > 1}}), "must be a finite number"),
+        (lambda: piecewise({0: True, 1: 2.0}), "True or False"),
+        (lambda: piecewise({0: (True, 1.0), 1: (2.0, 2.0)}), "True or False"),
+        (lambda: piecewise({False: 1.0, True: 2.0}), "times are numbers"),
+        (lambda: piecewise({0: 1j, 1: 2.0}), "not real numbers"),
+        (lambda: ThinLayer(GLUE, True), "eps is True"),
+        (lambda: ThinLayer(GLUE, np.True_), "eps is "),
+        (lambda: ThinLayer(GLUE, 0.1, order=True), "order of the interface law is True"),
+        (lambda: GLUE.per_thickness(True), "eps is True"),
+        (lambda: LinearElastic.young(True, 0.3), "E is True"),
+        (lambda: Stack((True, GLUE)), "a fraction is True"),
+        (lambda: Tabulated([(0, True), (1, 2.0)]), "Tabulated needs pairs"),
+        (lambda: NonMonotone(60.0, 40.0, Tabulated([(0, 1.0), (9, 2.0)]), 0.15, CHI, T=True), "T is True"),
+        (lambda: model(law=GLUE, kind=Model.full, sublayers=True), "layers is True"),
+        (lambda: sandwich(1.0, True, 0.5), "is True; it must be a number"),
+        (lambda: sandwich(1.0, 0.5, 0.5, h=True), "h is True"),
+        (lambda: block(1.0, 0.5, depth=np.True_), "depth is "),
+        (lambda: disc(1.0, 1.0, 1.0, degree=True), "degree is True"),
+        (lambda: march(model(law=MARCHED), [True]), "times is"),
+        (lambda: march(model(law=MARCHED), [[1.0]]), "times is"),
+        (lambda: march(model(law=MARCHED), [1.0 + 0j]), "times is"),
+        (lambda: march(model(law=MARCHED), [2.0], start=True), "start is True"),
+        (lambda: march(model(law=MARCHED), [2.0], theta=True), "theta is True"),
+        (lambda: Adaptive(True, 0.1), "end is True"),
+        (lambda: Adaptive(2.0, 0.1, at=[True]), "at is"),
+        (lambda: ArcLength(1.0, True), "first is True"),
+        (lambda: solve(model(), True), "t is True"),
+        (lambda: drive(GLUE, [{"w_T": True, "w_N": 0.0}]), "w_T is True"),
+        (lambda: drive(GLUE, [{"w_T": 0.1, "w_N": 0.0}], dt=[True]), "dt is"),
+        (lambda: drive(GLUE, [{"w_T": 0.1, "w_N": 0.0}], n=(False, True)), "normal n is"),
+    ],
+)
+def test_booleans_and_complex_numbers_are_refused(wrong, message):
+    """True would be 1: a displacement of 1 where a support was meant to hold."""
+    with pytest.raises((ModelError, LawError, GeometryError), match=message):
+        wrong()
+
+
+def test_a_profile_of_booleans():
+    with pytest.raises(GeometryError, match="it returns bool"):
+        Model.interface(JOINT, layer=ThinLayer(GLUE, 0.1, profile=lambda x: x[0] >= 0), body=GLUE, supports=SIDES)
+
+
+def test_places_are_names_or_points():
+    with pytest.raises(
+        ModelError, match=r"traction on \(1\.0, 0\.5\): tractions act on facet sets.*BOTTOM, LEFT, RIGHT, TOP"
+    ):
+        model(tractions={(1.0, 0.5): (1.0, 0.0)})
+    with pytest.raises(ModelError, match=r"tractions is .*must be \{facet name: traction\}"):
+        model(tractions=[(1.0, 0.0)])
+    for place in (5, None, (1.0,), (1.0, "a"), (True, 0.0)):
+        with pytest.raises(ModelError, match="a place is the name of a facet set, or the 2 coordinates of a vertex"):
+            model(supports=SIDES | {place: 0.0})

@@ -1,0 +1,146 @@
+"""The midpoint rule: of second order with laws that creep or relax, refused with those that it says nothing of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import (
+    HolonomicCoulomb,
+    Incompressible,
+    IncrementalCoulomb,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    MohrCoulombMonodirectional,
+    MohrCoulombReturn,
+    NonMonotone,
+    NonMonotoneUnrelaxed,
+    Norton,
+    Stack,
+)
+from forms.law import Law
+from forms.traction import TractionLaw
+from geometry import sandwich
+from tests.own_laws import Hardening, Mises, Slipping, StandardSolid
+from thinlayer import Model, ModelError, ThinLayer, march, piecewise
+
+JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
+BODY = LinearElastic.young(100.0, 0.3)
+SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+ELASTIC, CREEP = LinearElastic(60.0, 40.0), KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
+RELAXING = Maxwell(60.0, 40.0, t1=0.7, t2=0.9)
+LOAD = piecewise({0.0: 0.1, 0.5: 1.7, 1.0: 1.7, 1.5: -0.4})  # up, held, turned back
+ENDS = (0.5, 1.0, 1.5)
+
+
+def model(law, kind=Model.interface, **change):
+    setup = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": lambda x, t: (LOAD(x, t), 0.0)}} | change
+    return kind(JOINT, layer=ThinLayer(law, 0.1), **setup)
+
+
+def path(one, parts, theta):
+    """Displacements at the times where the load turns, each of which ends that many steps."""
+    times = [0.5 * (k + 1) / parts for k in range(3 * parts)]
+    history = march(one, times, theta=theta)
+    return np.array([history.at(t).u.x.array for t in ENDS])
+
+
+SECOND_ORDER = {
+    "KelvinVoigt": CREEP,
+    "Maxwell": RELAXING,
+    "Norton, p = 3": Norton(60.0, 40.0, eta=90.0, p=3.0),
+    "Norton, p = 1.5": Norton(60.0, 40.0, eta=9.0, p=1.5),
+    "StandardSolid": StandardSolid(60.0, 40.0, 50.0, 0.6),
+    "Stack of two times": Stack((0.3, RELAXING), (0.7, CREEP)),
+    "Stack with Norton": Stack((0.4, ELASTIC), (0.6, Norton(60.0, 40.0, eta=9.0, p=1.5))),
+    "Slipping": Slipping(1400.0, 400.0, 300.0, 0.0),  # a TractionLaw that does not declare it is linear
+}
+
+
+@pytest.mark.parametrize("name", SECOND_ORDER)
+def test_second_order(name):
+    """Against backward Euler with many steps, extrapolated; no error at all where creep is a straight line."""
+    one = model(SECOND_ORDER[name])
+    coarse, fine = (path(one, parts, 1.0) for parts in (24, 48))
+    exact = 2 * fine - coarse
+    first, second = (np.abs(path(one, parts, 0.5) - exact).max() / np.abs(exact).max() for parts in (4, 8))
+    euler = np.abs(path(one, 8, 1.0) - exact).max() / np.abs(exact).max()
+    assert second < 1e-9 or first > 3.2 * second  # 4 as steps become short
+    assert second < 0.4 * euler
+
+
+@pytest.mark.parametrize("law", [ELASTIC, Incompressible(40.0)], ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("kind", [Model.interface, Model.full], ids=["interface", "full"])
+def test_elastic_layers_have_no_error(law, kind):
+    """Equilibria within steps and at their ends are the same ones, pressures too."""
+    one = model(law, kind)
+    midpoint, euler = (march(one, [0.2, 0.5, 0.9, 1.0], theta=theta).last for theta in (0.5, 1.0))
+    assert midpoint.u.x.array == pytest.approx(euler.u.x.array, rel=1e-8, abs=1e-12)
+    if law.constrained:
+        assert midpoint.p.x.array == pytest.approx(euler.p.x.array, rel=1e-7, abs=1e-9)
+
+
+@dataclass(frozen=True)
+class Stiffening(Law):
+    """Elastic, without memory: it answers at once."""
+
+    k: float
+    c: float
+    powers = {"k": 1, "c": 3}
+
+    def stress(self, step):
+        return 2 * self.k * step.e + self.c * ufl.inner(step.e, step.e) * step.e
+
+
+@dataclass(frozen=True)
+class Cohesive(TractionLaw):
+    """Jumps alone, in any unit."""
+
+    k: float
+    w_0: float
+
+    def traction(self, step):
+        return self.k * step.mid * ufl.exp(-ufl.inner(step.mid, step.mid) / self.w_0**2)
+
+
+CHI = [[0.0, 0.5], [0.5, 1.0]]
+YIELDING = (60.0, 40.0, 0.3, 30.0)
+REFUSED = {
+    "MohrCoulomb": (MohrCoulomb(*YIELDING), "MohrCoulomb bounds stresses"),
+    "Return": (MohrCoulombReturn(*YIELDING), "MohrCoulombReturn bounds stresses"),
+    "Monodirectional": (MohrCoulombMonodirectional(*YIELDING), "MohrCoulombMonodirectional bounds stresses"),
+    "stacked": (Stack((0.5, CREEP), (0.5, MohrCoulomb(*YIELDING))), "MohrCoulomb bounds stresses"),
+    "NonMonotone": (NonMonotone(60.0, 40.0, 1.5, 0.15, CHI), "NonMonotone answers at once, and not linearly"),
+    "pure phases": (NonMonotoneUnrelaxed(60.0, 40.0, 1.5, 0.15, CHI), "NonMonotoneUnrelaxed holds at the ends"),
+    "elastic": (Stiffening(20.0, 50.0), "Stiffening answers at once, and not linearly"),
+    "stacked elastic": (Stack((0.5, CREEP), (0.5, Stiffening(20.0, 50.0))), "Stiffening answers at once"),
+    "with memory": (Hardening(60.0, 40.0), "Hardening answers at once, and not linearly"),
+    "plasticity of one's own": (Mises(60.0, 40.0, 0.6), "Mises answers at once, and not linearly"),
+    "jumps": (Cohesive(20.0, 1e-7), "Cohesive answers at once, and not linearly"),
+    "jumps with memory": (Slipping(1400.0, 400.0, 300.0, 9.0), "Slipping answers at once, and not linearly"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(name, tmp_path):
+    """Before anything is solved; limit loads would come out too high, and steps beyond them find states that are none."""
+    law, reason = REFUSED[name]
+    with pytest.raises(ModelError, match=rf"theta is 0\.75; {reason}.*theta = 1"):
+        march(model(law), [0.5, 1.0], theta=0.75, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_bodies_that_are_not_linear_are_refused():
+    with pytest.raises(ModelError, match=r"Stiffening answers at once.* \(body 'UPPER'\)"):
+        march(model(CREEP, body={"LOWER": BODY, "UPPER": Stiffening(100.0, 50.0)}), [1.0], theta=0.5)
+
+
+@pytest.mark.parametrize("law", [HolonomicCoulomb(100.0, 80.0, 0.3), IncrementalCoulomb(100.0, 80.0, 0.3)])
+def test_contact_is_refused(law):
+    with pytest.raises(ModelError, match="contact laws hold at the ends of steps: theta = 1"):
+        march(model(law, element="P1"), [1.0], theta=0.5)

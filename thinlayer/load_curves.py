@@ -1,0 +1,193 @@
+"""The time that loads depend on, and load curves, tables of values that follow it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from ufl.algebra import Division, Product, Sum
+from ufl.constantvalue import ConstantValue
+from ufl.core.multiindex import MultiIndex
+from ufl.core.terminal import Terminal
+from ufl.corealg.traversal import unique_pre_traversal
+
+from forms.declarations import is_number
+from forms.kinematics import Expr
+
+Array = npt.NDArray[np.float64]
+ROUNDING = 1e-12  # of times, relative: a sum of steps that ends where the curve does; of slopes that are the same
+RATIONAL = (Sum, Product, Division)
+SAMPLES = (-2.5, 0.0, 1.0, 7.0)  # where it is seen whether a rational argument is linear in t
+
+
+def _refuse(done: str) -> NoReturn:
+    raise TypeError(f"x and t stand for all places and times, they are no numbers: {done} would be found once, for all")
+
+
+class Time(fem.Constant):
+    """The time: in UFL a constant, to Python no number, for functions are called once, when the model is built.
+
+    Setting `value` sets the load curves that depend on it too.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        super().__init__(mesh, 0.0)
+        self._followers: list[tuple[Expr, LoadCurve, fem.Constant]] = []
+
+    @property
+    def value(self) -> Any:
+        """Not to be read; raises TypeError."""
+        _refuse("t.value")
+
+    @value.setter
+    def value(self, t: float) -> None:
+        fem.Constant.value.fset(self, t)
+        for argument, curve, constant in self._followers:
+            constant.value = curve.at(_value(argument, self, t))
+
+    def follow(self, argument: Expr, curve: LoadCurve) -> fem.Constant:
+        """The values of a curve at an argument that depends on the time alone, (columns,)."""
+        constant = fem.Constant(self.ufl_domain(), np.zeros(curve.columns.shape[1]))
+        self._followers.append((argument, curve, constant))
+        constant.value = curve.at(_value(argument, self, float(self._cpp_object.value)))
+        return constant
+
+    @property
+    def breaks(self) -> set[float]:
+        """Times at which curves break whose argument is linear in the time."""
+        found: set[float] = set()
+        for argument, curve, _ in self._followers:
+            rate, start = _linear(argument, self)
+            found |= {(t - start) / rate for t in curve.breaks} if rate else set()
+        return found
+
+    def __str__(self) -> str:
+        return "t"
+
+    def __float__(self) -> float:
+        _refuse("float(t)")
+
+    def __complex__(self) -> complex:
+        _refuse("complex(t)")
+
+    def __round__(self, n: int | None = None) -> Any:
+        _refuse("round(t)")
+
+    def __bool__(self) -> bool:
+        _refuse("whether t is true")
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ufl.core.expr.Expr):
+            _refuse(f"t == {other!r}")
+        return bool(super().__eq__(other))
+
+    __hash__ = fem.Constant.__hash__
+
+
+@contextmanager
+def symbols() -> Iterator[None]:
+    """Within it expressions of x and t raise TypeError where Python would compare them with numbers, or take them for true.
+
+    UFL compares the expressions themselves: x[0] == 0 is False, everywhere.
+    """
+    kind = ufl.core.expr.Expr
+    same, true = kind.__eq__, kind.__bool__
+
+    def compared(self: Any, other: object) -> bool:
+        if not isinstance(other, kind):
+            _refuse(f"whether {self} == {other!r}")
+        return bool(same(self, other))
+
+    def truth(self: Any) -> bool:
+        _refuse(f"whether {self} is true")
+
+    kind.__eq__, kind.__bool__ = compared, truth
+    try:
+        yield
+    finally:
+        kind.__eq__, kind.__bool__ = same, true
+
+
+class LoadCurve:
+    """Values at given times, linear in between; NaN before and after.
+
+    Attributes:
+        times: (n,) increasing.
+        columns: (n, columns) values.
+        scalar: whether a value is a number, not components.
+        breaks: the first and the last time, and those between at which the slope changes.
+    """
+
+    def __init__(self, times: Array, values: Array) -> None:
+        self.times, self.columns, self.scalar = times, values.reshape(len(times), -1), values.ndim == 1
+        slopes = np.diff(self.columns, axis=0) / np.diff(times)[:, None]
+        changes = np.abs(np.diff(slopes, axis=0)) > ROUNDING * np.abs(slopes).max(axis=0)
+        self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
+
+    def __call__(self, t: Any) -> Any:
+        """The value at t, a number or a UFL expression; a list of components unless the curve is of numbers."""
+        if is_number(t):
+            found = [*map(float, self.at(float(t)))]
+        else:
+            t = ufl.as_ufl(t)
+            clock = _clock(t)
+            found = (
+                [*clock.follow(t, self)] if clock is not None else [self._lines(column, t) for column in self.columns.T]
+            )
+        return found[0] if self.scalar else found
+
+    def at(self, t: float) -> Array:
+        """Values (columns,) at a time."""
+        first, last = self.times[[0, -1]]
+        near = ROUNDING * max(abs(first), abs(last))
+        if not first - near <= t <= last + near:
+            return np.full(self.columns.shape[1], np.nan)
+        return np.array([np.interp(t, self.times, column) for column in self.columns.T])
+
+    def _lines(self, column: Array, t: Expr) -> Expr:
+        """One column at an expression that depends on the place too, UFL."""
+        times, column = [*map(float, self.times)], [*map(float, column)]  # type: ignore[assignment]
+
+        def between(a: int, b: int) -> Expr:
+            if b - a == 1:
+                return column[a] + (t - times[a]) * ((column[b] - column[a]) / (times[b] - times[a]))
+            middle = (a + b) // 2
+            return ufl.conditional(ufl.le(t, times[middle]), between(a, middle), between(middle, b))
+
+        inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
+        return ufl.conditional(inside, between(0, len(times) - 1), ufl.sqrt(-1 - t * t))
+
+
+def _clock(expression: Expr) -> Time | None:
+    """The time, if an expression depends on it alone."""
+    terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
+    clocks = [node for node in terminals if isinstance(node, Time)]
+    others = [node for node in terminals if not isinstance(node, (Time, ConstantValue, MultiIndex))]
+    return clocks[0] if len(clocks) == 1 and not others else None
+
+
+def _value(expression: Expr, clock: Time, t: float) -> float:
+    """An expression of the time alone at a time; NaN where it has no value."""
+    try:
+        return float(t if expression is clock else expression((), {clock: float(t)}))
+    except (ArithmeticError, ValueError, TypeError):
+        return math.nan
+
+
+def _linear(expression: Expr, clock: Time) -> tuple[float, float]:
+    """Rate and value at 0 of an expression that is linear in the time; a rate of 0 if it is not."""
+    if expression is clock:
+        return 1.0, 0.0
+    if not all(isinstance(node, (Terminal, *RATIONAL)) for node in unique_pre_traversal(expression)):
+        return 0.0, 0.0
+    y = np.array([_value(expression, clock, t) for t in SAMPLES])
+    rate, start = float(y[2] - y[1]), float(y[1])
+    straight = np.abs(start + rate * np.array(SAMPLES) - y).max() <= ROUNDING * np.abs(y).max()  # False for NaN
+    return (rate, start) if straight else (0.0, 0.0)
