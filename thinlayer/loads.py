@@ -159,6 +159,9 @@ class Supports:
         at: coordinates for these functions.
         clamped: facet names where nothing moves.
 
+    Attributes:
+        given: (place, components) as given; `entries` has the clamped ones too.
+
     Raises:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
     """
@@ -180,6 +183,7 @@ class Supports:
             else:
                 domain.joint.nearest_point(place)
             self.entries.append((place, self._components(place, support)))
+        self.given = tuple(self.entries)
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
 
     def _components(self, place: Place, support: Support) -> dict[str, Value]:

@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from geometry.parallel import on_root
 from thinlayer.equations import Equations
+from thinlayer.identity import code_of
 from thinlayer.loads import ModelError
 from thinlayer.phases import PhaseReport
 from thinlayer.state import State
@@ -54,9 +56,14 @@ class Journal:
         self._directed = directed
         self.before: State | None = None
         self._checkpoint = Checkpoint(out, equations, 2 if directed else 1) if out else None
-        self._mark = fingerprint(self.model, observe=sorted(observe), **choices) if out else ""
+        self._mark = self._identity(choices) if out else ""
         self._written = 0
         self.history, self.pace = History(self.model), pace
+
+    def _identity(self, choices: Mapping[str, Any]) -> str:
+        """What tells the march from others. Of what is observed the code counts, not what it may collect as it goes."""
+        observed = {name: code_of(function) for name, function in self._observe.items()}
+        return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
 
     def read(self, resume: bool) -> bool:
         """Take over the march that is in the folder; False if there is none, or it is not to be resumed.
@@ -81,10 +88,7 @@ class Journal:
         for state in states:
             self.note(state)
         if self._checkpoint:
-            if self._written == 0:
-                self._checkpoint.forget()
             self._checkpoint.write(self._mark, self.history, self.pace, self._written, self.before)
-            self.write_table()
             self._written = len(self.history)
         self._equations.collect()
 
@@ -98,11 +102,6 @@ class Journal:
             self.history.states.clear()
         self.history.states[len(self.history) - 1] = state
         self.pace.largest = max(self.pace.largest, float(state.u.x.petsc_vec.norm()))
-
-    def write_table(self) -> None:
-        """Write table.csv into the folder, if there is one."""
-        if self.out and self.model.comm.rank == 0:
-            self.history.table.write(self.out / "table.csv")
 
     def _row(self, state: State, dt: float) -> Row:
         values: dict[str, Any] = {"t": state.t, "dt": dt}
