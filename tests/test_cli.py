@@ -136,7 +136,7 @@ def test_limits_and_drawing_again(tmp_path):
     assert "run the study first" in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
     other = thinlayer("draw", "sweep_mohr_coulomb", "--out", tmp_path)
     assert other.returncode == 2
-    assert "is not a whole run of sweep_mohr_coulomb: there is no " in other.stderr
+    assert f"the run in {tmp_path} is of the study limits, not sweep_mohr_coulomb" in other.stderr
 
 
 @pytest.mark.parametrize(
