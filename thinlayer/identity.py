@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 import sys
 import sysconfig
 import types
@@ -65,7 +66,7 @@ class _Describer:
         if value is None or isinstance(value, (str, bool)):
             return value
         if isinstance(value, Real):
-            return float(value)
+            return float(value) if math.isfinite(value) else str(float(value))  # NaN is not equal to itself
         if isinstance(value, (bytes, bytearray)):
             return f"bytes {digest(bytes(value))}"
         if isinstance(value, (complex, np.generic, PurePath)):
@@ -95,7 +96,7 @@ class _Describer:
     def _array(self, array: np.ndarray) -> Any:
         if array.dtype.kind not in "biuf":
             return [self.of(one) for one in array.ravel().tolist()]
-        if array.size <= FEW:
+        if array.size <= FEW and np.isfinite(array).all():
             return array.astype(float).tolist()
         return f"{array.dtype.name} {array.shape}, {digest(np.ascontiguousarray(array).tobytes())}"
 

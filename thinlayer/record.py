@@ -207,7 +207,7 @@ class Record:
             names = [name for name in names if Path(name).name == name]
         except (OSError, ValueError, LookupError, TypeError):
             names = [path.name for path in self.out.iterdir() if path.suffix in (".csv", ".png")]
-        return [RUN, MARCHES, *names]
+        return [*names, MARCHES, RUN]  # run.json last: who is killed amid moving them leaves it with the others
 
     def identity(self) -> list[Any]:
         """What tells the run from others, wherever its folder is."""
