@@ -21,7 +21,7 @@ import thinlayer.table
 from forms.laws import LinearElastic
 from studies import sweep_elastic
 from tests.test_marching import JOINT, SETUP, SLOW, SUDDEN, interface
-from tests.test_parallel import mpirun
+from tests.test_parallel import CLONE, mpirun
 from thinlayer import Model, ModelError, Table, ThinLayer, cli, march, piecewise, plotting, sweep
 from thinlayer.folder import owned
 from thinlayer.identity import code_of, described, referred
@@ -326,7 +326,10 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(sweep_elastic, "run", writes_too_much)
     words = ["run", "sweep_elastic", "--out", str(tmp_path / "a")]
     assert cli.main(words) == 5
-    assert "No space left on device\nwhat was done is kept in" in capsys.readouterr().err
+    assert (
+        "more.csv' could not be written or read: No space left on device\nwhat was done is kept in"
+        in capsys.readouterr().err
+    )
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["run.json", "table.csv", "table.csv.json"]
     monkeypatch.undo()
     monkeypatch.setattr(sweep_elastic, "run", lambda *_, **__: 1 / 0)
@@ -340,13 +343,34 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     assert "ZeroDivisionError" in json.loads((tmp_path / "b" / "run.json").read_text())["error"]
 
 
-def test_nobody_reads(tmp_path):
-    """A pipe that is closed early, an interrupt before anything has begun: no traceback, no report by PETSc."""
+def test_nobody_reads():
+    """A pipe that is closed early: no traceback, no report by PETSc."""
     words = [sys.executable, "-m", "thinlayer", "info"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as one:
         one.stdout.close()
         assert one.stderr.read() == ""
     assert one.returncode == 0
+
+
+def test_an_interrupt_before_anything_has_begun():
+    program = (
+        "import os, signal\n"
+        "from thinlayer import cli\n"
+        "cli.main = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        "cli.start()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 130
+    assert done.stderr == "thinlayer: interrupted; nothing was done\n"
+
+
+def test_texts_are_read_whatever_the_locale():
+    environment = os.environ | {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    program = "from thinlayer.catalogue import studies; print(len(studies()))"
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, cwd=CLONE, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 20
 
 
 # ---------------------------------------------------------------- damage
@@ -362,6 +386,7 @@ def damaged(arrays):
     yield arrays | {"t": np.array([0.1, 0.2])}
     yield arrays | {"t": np.array("now")}
     yield arrays | {"layer": np.zeros(0)}
+    yield arrays | {"march": np.array("0123456789ab")}
     yield arrays | {"memory0": arrays["memory0"][:, :4]}
     yield arrays | {"memory0": arrays["memory0"][::2]}
 
@@ -374,7 +399,7 @@ def test_damaged_marches(tmp_path):
     whole = path.read_bytes()
     for spoilt in damaged(arrays):
         np.savez(path, **spoilt)
-        with pytest.raises(ModelError, match=r"000002\.npz (is damaged|cannot be read)"):
+        with pytest.raises(ModelError, match=r"000002\.npz (is damaged|cannot be read|is of another march)"):
             march(interface(SUDDEN), [0.3], out=tmp_path, resume=True)
     path.write_bytes(whole)
     rows = content["rows"]

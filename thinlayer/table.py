@@ -34,9 +34,11 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-    except BaseException:
+    except BaseException as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(path)
         raise
     folder = os.open(path.parent, os.O_RDONLY)
     try:
@@ -147,6 +149,9 @@ class Table:
     def columns(self) -> list[str]:
         """Names of the columns."""
         return list(self.rows[0]) if self.rows else []
+
+    def __repr__(self) -> str:
+        return f"Table({len(self)} rows of {', '.join(self.columns) or 'nothing'})"
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -15,6 +15,7 @@ from dolfinx import fem
 from geometry.parallel import on_root
 from thinlayer.equations import Equations
 from thinlayer.exchange import carry
+from thinlayer.identity import digest
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.pointwise.points import LawPoints
@@ -58,11 +59,18 @@ class Checkpoint:
     Args:
         folder: where the files are.
         equations: of the model.
+        mark: what tells the march from others, see `fingerprint`.
         needed: number of states, the last ones, that a march resumes from.
     """
 
-    def __init__(self, folder: Path, equations: Equations, needed: int = 1) -> None:
-        self.folder, self.model, self.comm, self.needed = folder, equations.model, equations.comm, needed
+    def __init__(self, folder: Path, equations: Equations, mark: str, needed: int = 1) -> None:
+        self.mark, self.folder, self.model, self.comm, self.needed = (
+            mark,
+            folder,
+            equations.model,
+            equations.comm,
+            needed,
+        )
         self.path = folder / "march.json"
         mesh = self.model.domain.mesh
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
@@ -80,7 +88,7 @@ class Checkpoint:
         return list((self.folder / "states").glob("[0-9]" * 6 + ".npz"))
 
     # ---------------------------------------------------------------- writing
-    def write(self, mark: str, history: History, pace: Pace, first: int, before: State | None = None) -> None:
+    def write(self, history: History, pace: Pace, first: int, before: State | None = None) -> None:
         """Add the states of the rows from `first` on, and replace the table; states that the history does not keep go.
 
         But for the one `before` the last, if it is given. With the first rows the files of an earlier march go.
@@ -95,16 +103,16 @@ class Checkpoint:
         for row in range(first, len(history)):
             if row in states:
                 self._write_state(row, states[row])
-        on_root(self.comm, lambda: self._write_table(mark, history, pace, states.keys()))
+        on_root(self.comm, lambda: self._write_table(history, pace, states.keys()))
 
     def _forget(self) -> None:
         """Remove the files of an earlier march, the table first: without march.json nobody knows what it is of."""
         for file in (self.folder / TABLE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
-    def _write_table(self, mark: str, history: History, pace: Pace, kept: Collection[int]) -> None:
+    def _write_table(self, history: History, pace: Pace, kept: Collection[int]) -> None:
         rows = [list(row.values()) for row in history.table.rows]
-        content = {"mark": mark, "pace": asdict(pace), "columns": history.table.columns, "rows": rows}
+        content = {"mark": self.mark, "pace": asdict(pace), "columns": history.table.columns, "rows": rows}
         with replaced(self.path) as file:
             file.write(json.dumps(content).encode())
         for stale in self._files():
@@ -120,6 +128,7 @@ class Checkpoint:
         for k, (places, values) in enumerate(zip(self._points, state.memory, strict=True)):
             arrays[f"memory{k}"] = self._gather(places.numbers, places.ordered(values))
         arrays["t"], arrays["layer"] = np.array(state.t), np.array(state.audit.layer)
+        arrays["march"] = np.array(digest(self.mark))
 
         def write() -> None:
             with replaced(self._file(row)) as file:
@@ -128,13 +137,13 @@ class Checkpoint:
         on_root(self.comm, write)
 
     # ---------------------------------------------------------------- reading
-    def read(self, mark: str, keep: str, resume: bool) -> tuple[History, Pace] | None:
+    def read(self, keep: str, resume: bool) -> tuple[History, Pace] | None:
         """History and pace of the march; None if there is none, or it is not to be resumed.
 
         Raises:
             ModelError: the files are of another march, or, to be resumed, damaged.
         """
-        found = on_root(self.comm, lambda: self._content(mark, resume))
+        found = on_root(self.comm, lambda: self._content(resume))
         if found is None:
             return None
         table, pace = found
@@ -145,7 +154,7 @@ class Checkpoint:
         on_root(self.comm, lambda: table.put(self.folder / TABLE))
         return History(self.model, table, states), pace
 
-    def _content(self, mark: str, resume: bool) -> tuple[Table, Pace] | None:
+    def _content(self, resume: bool) -> tuple[Table, Pace] | None:
         """What march.json says; on rank 0."""
         if not self.path.exists():
             if (self.folder / TABLE).exists():
@@ -154,7 +163,7 @@ class Checkpoint:
             return None
         try:
             content = json.loads(self.path.read_text(encoding="utf-8"))
-            there, here = dict(json.loads(content["mark"])), json.loads(mark)
+            there, here = dict(json.loads(content["mark"])), json.loads(self.mark)
             pace = Pace(**content["pace"])
             step, numbers = pace.step, (pace.largest, pace.weight)
             table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
@@ -211,7 +220,7 @@ class Checkpoint:
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays = dict(file)
             wanted = {"u", "t", "layer", *(f"memory{k}" for k in range(len(self._points)))}
-            if lacking := wanted - arrays.keys():
+            if lacking := (wanted | {"march"}) - arrays.keys():
                 raise ValueError(f"no {', '.join(sorted(lacking))} in it")
             for name in wanted | (arrays.keys() & {"p"}):
                 array, single = arrays[name], name in ("t", "layer")
@@ -219,6 +228,8 @@ class Checkpoint:
                     raise ValueError(f"{name} in it is damaged")
                 if not single and not np.isfinite(array[:, :1]).all():
                     raise ValueError(f"{name} in it is damaged")
+            if str(arrays["march"]) != digest(self.mark):
+                raise ModelError(self._damaged(row, f"is of another march than {self.path}"))
             if float(arrays["t"]) != table.rows[row]["t"]:
                 raise ModelError(self._damaged(row, f"is of another time than row {row} of {self.path}"))
         except ModelError:

@@ -55,12 +55,11 @@ class Journal:
         self._observe, self._keep, self.out = observe, keep, out
         self._directed = directed
         self.before: State | None = None
-        self._checkpoint = Checkpoint(out, equations, 2 if directed else 1) if out else None
-        self._mark = self._identity(choices) if out else ""
+        self._checkpoint = Checkpoint(out, equations, self._mark(choices), 2 if directed else 1) if out else None
         self._written = 0
         self.history, self.pace = History(self.model), pace
 
-    def _identity(self, choices: Mapping[str, Any]) -> str:
+    def _mark(self, choices: Mapping[str, Any]) -> str:
         """What tells the march from others. Of what is observed the code counts, not what it may collect as it goes."""
         observed = {name: code_of(function) for name, function in self._observe.items()}
         return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
@@ -71,7 +70,7 @@ class Journal:
         Raises:
             ModelError: the folder has another march, or, to be resumed, a damaged one.
         """
-        found = self._checkpoint.read(self._mark, self._keep, resume) if self._checkpoint else None
+        found = self._checkpoint.read(self._keep, resume) if self._checkpoint else None
         if not found:
             return False
         self.history, self.pace = found
@@ -88,7 +87,7 @@ class Journal:
         for state in states:
             self.note(state)
         if self._checkpoint:
-            self._checkpoint.write(self._mark, self.history, self.pace, self._written, self.before)
+            self._checkpoint.write(self.history, self.pace, self._written, self.before)
             self._written = len(self.history)
         self._equations.collect()
 
