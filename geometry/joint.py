@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +53,12 @@ def is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
+def _digest(*arrays: IntArray) -> str:
+    """Twelve digits that stand for arrays of integers."""
+    content = b"".join(np.ascontiguousarray(array, np.int64).tobytes() for array in arrays)
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
 def place(x: FloatArray) -> str:
     """Coordinates for a message, short."""
     return f"({', '.join(f'{c:.6g}' for c in x)})"
@@ -73,12 +81,12 @@ class Band:
     eps: float
     bodies: str
     regions: tuple[str, ...]
-    base: Joint
-    reference: FloatArray
-    director: FloatArray
+    base: Joint = field(repr=False)
+    reference: FloatArray = field(repr=False)
+    director: FloatArray = field(repr=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Joint:
     """Bodies meeting on S, the same on every MPI rank until it is distributed.
 
@@ -336,6 +344,23 @@ class Joint:
     def _direction(self, turn: FloatArray) -> tuple[float, ...] | None:
         """The direction of the upper side, turned."""
         return None if self.direction is None else tuple(float(c) for c in turn @ np.array(self.direction))
+
+    def identity(self) -> dict[str, Any]:
+        """What tells the joint from others, as JSON: numbers and digests of its cells, places, regions and named facets."""
+        weights = np.cos(np.arange(self.points.size)).reshape(self.points.shape)
+        return {
+            "cells": len(self.cells),
+            "coordinates": [float(f"{(self.points * w).sum():.8g}") for w in (weights, weights**2)],
+            "mesh": _digest(self.cells, self.region),
+            "regions": [list(self.regions), list(self.lower), list(self.upper), self.direction],
+            "facets": {name: _digest(facets) for name, facets in sorted(self.facets.items())},
+        }
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{length:.6g}" for length in np.ptp(self.points, axis=0))
+        facets = ", ".join(f"{name} {len(facets)}" for name, facets in self.facets.items())
+        what = f"{len(self.cells)} {self.cell_type} cells, {size}, of {', '.join(self.regions)}"
+        return f"Joint({what}; facets: {facets})"
 
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""

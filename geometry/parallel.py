@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from typing import TypeVar, cast
 
@@ -11,15 +12,29 @@ T = TypeVar("T")
 
 
 def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
-    """Result of a function run on rank 0 only, on every rank; its exception too. Collective."""
+    """Result of a function run on rank 0 only, on every rank; its exception too. Collective.
+
+    What is raised has an attribute `on_all_ranks`: whoever catches it knows that no rank is left waiting.
+    """
     comm = comm or MPI.COMM_WORLD
     result: T | Exception | None = None
     if comm.rank == 0:
         try:
             result = build()
         except Exception as error:
+            error.on_all_ranks = True  # type: ignore[attr-defined]
             result = error
-    result = comm.bcast(result, root=0)
-    if isinstance(result, Exception):
-        raise result
-    return cast(T, result)
+    received = comm.bcast(_sendable(result) if isinstance(result, Exception) else result, root=0)
+    if isinstance(received, Exception):
+        raise result if isinstance(result, Exception) else received
+    return cast(T, received)
+
+
+def _sendable(error: Exception) -> Exception:
+    """An error as the other ranks can have it: some exceptions cannot be made anew from what pickle keeps of them."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        error = RuntimeError(f"{type(error).__name__} on rank 0: {error}")
+        error.on_all_ranks = True  # type: ignore[attr-defined]
+    return error

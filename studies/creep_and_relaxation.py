@@ -125,7 +125,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.parameters = {"eps": EPS, "body": str(BODY), "layers": [str(case.law) for case in CASES.values()], "dt": DT}
     times = until(END, 2 * DT if quick else DT)
     curves, difference = {"t": np.array(times)}, 0.0
-    orders = Table(path=record.path("orders.csv") if record.root else None)
+    orders = Table(path=record.path("orders.csv"))
     for title, pull in track([(title, pull) for title in CASES for pull in PULLS], "columns", "{0[0]}"):
         column = Column(record, CASES[title], pull)
         found = {kind: column.follow(model, times) for kind, model in column.models.items()}
@@ -203,9 +203,7 @@ class Column:
 
 def draw(record: Record) -> None:
     """Draw the curves from table.csv."""
-    if not record.root:
-        return
-    table, fine = Table.load(record.path("table.csv")), np.append(np.linspace(0.0, END, 201), np.nan)
+    table, fine = record.load("table.csv"), np.append(np.linspace(0.0, END, 201), np.nan)
     parts: dict[str, dict[str, tuple[Array, Array]]] = {title: {} for title in CASES}
     styles, colours = {CLOSED: "--"}, {CLOSED: "black"}
     for kind, style, shown in ((INTERFACE, "-", slice(None)), (FULL, "o", slice(1, None, 2))):

@@ -197,9 +197,7 @@ def refine(record: Record, bar: Bar, counts: Sequence[int]) -> None:
 
 def draw(record: Record) -> None:
     """Draw t_T/u_T along S from table.csv."""
-    if not record.root:
-        return
-    table = Table.load(record.path("table.csv"))
+    table = record.load("table.csv")
     parts, labels, shown = {}, {}, {}
     for name in dict.fromkeys(str(row["loads"]) for row in table.rows):
         title = f"{name}: {READINGS[name].why}"

@@ -199,8 +199,6 @@ def near(value: float) -> dict[str, float]:
 
 def draw(record: Record) -> None:
     """Draw the tables."""
-    if not record.root:
-        return
     draw_energies(record, BAR)
     draw_response(record, BAR)
     draw_limit(record, BAR)

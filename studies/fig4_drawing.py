@@ -41,7 +41,7 @@ def draw_energies(record: Record, bar: Bar) -> None:
     slopes.plot(U, np.where(first < second, bar.kbar / bar.l * U, np.nan), **FAINT, label="W_min'")
     slopes.plot(U, np.where(first > second, bar.kbar / bar.l * U - bar.alpha, np.nan), **FAINT)
     slopes.plot(U, force, color=COLOURS[1], linewidth=2, label="CW_min'")
-    table = of(Table.load(record.path("table.csv")), bar.eps)
+    table = of(record.load("table.csv"), bar.eps)
     for delta, style in zip(CUTS, ("-", "--", ":"), strict=True):
         body = bar.K / (bar.l * (1 - bar.eps)) * (delta - U)
         slopes.plot(U, body, style, color=COLOURS[0], linewidth=1.2, label=f"W', delta = {delta:g}")
@@ -58,8 +58,8 @@ def draw_response(record: Record, bar: Bar) -> None:
     """Force over displacement: least energy, the loop of pure phases, and the equilibria of some elements."""
     figure = Figure(figsize=(7.5, 5.2), layout="constrained")
     axes = figure.subplots()
-    relaxed = of(Table.load(record.path("table.csv")), bar.eps)
-    loop = of(Table.load(record.path("table_loop.csv")), bar.eps)
+    relaxed = of(record.load("table.csv"), bar.eps)
+    loop = of(record.load("table_loop.csv"), bar.eps)
     delta = np.linspace(0, relaxed["delta"].max(), FINE)
     states = bar.layouts(delta, ELEMENTS)
     for m, sigma in enumerate(np.where(states.local, states.sigma, np.nan).T):
@@ -92,7 +92,7 @@ def draw_limit(record: Record, bar: Bar) -> None:
     """Elongation of the layer and position of the phase boundary over displacement, for all thicknesses."""
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     elongation, boundary = figure.subplots(1, 2)
-    table = Table.load(record.path("table.csv"))
+    table = record.load("table.csv")
     delta = np.linspace(0, table["delta"].max(), FINE)
     for k, eps in enumerate(LIMIT):
         one, rows = replace(bar, eps=eps), of(table, eps)

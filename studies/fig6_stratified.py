@@ -100,7 +100,7 @@ def _deviation(record: Record, bar: Bar, eps: Sequence[float]) -> Table:
                 "deviation_moduli_held": bar.deviation(GLUE_MODULI.per_thickness(e), e, K_T * EPS / e),
             }
         )
-    table = Table(path=record.path("deviation.csv") if record.root else None)
+    table = Table(path=record.path("deviation.csv"))
     orders = {
         way: observed_orders(eps, [row[f"deviation_{way}"] for row in rows]) for way in ("ratios_held", "moduli_held")
     }
@@ -120,10 +120,7 @@ def _draw_deformed(record: Record, states: dict[str, State]) -> None:
 
 def draw(record: Record) -> None:
     """Draw figure 6 from table.csv."""
-    path = record.path("table.csv")
-    if not record.root:
-        return
-    table = Table.load(path)
+    table = record.load("table.csv")
     x = table["x_mm"]
     lines = {
         "meshed layer": (x, table["ratio_band"] / 1e3),

@@ -43,10 +43,7 @@ def run(record: Record) -> None:
     for entry in record.results["counts"]:
         record.say(entry)
     draw(record)
-    if record.root:
-        plotting.contact(
-            reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base"
-        )
+    plotting.contact(reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
     stiff, soft = states[label(*STIFFNESS[0])], states[label(*STIFFNESS[2])]
     shown = {label(*STIFFNESS[0]): stiff, label(*STIFFNESS[2]): soft}
     plotting.deformed(
@@ -77,10 +74,7 @@ def label(lmbda: float, mu: float) -> str:
 
 def draw(record: Record) -> None:
     """Draw figure 8 from table.csv."""
-    path = record.path("table.csv")
-    if not record.root:
-        return
-    table = Table.load(path)
+    table = record.load("table.csv")
     lines = {}
     for lmbda, mu in STIFFNESS:
         rows = table["lmbda"] == lmbda

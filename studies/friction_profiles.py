@@ -52,8 +52,8 @@ def draw_profiles(record: Record, cases: Mapping[str, str]) -> None:
     figure = Figure(figsize=(10.5, 9.0), layout="constrained")
     axes = figure.subplots(4, len(cases), sharex=True, squeeze=False, gridspec_kw={"height_ratios": [3, 5, 5, 4]})
     for column, (case, title) in zip(axes.T, cases.items(), strict=True):
-        table = Table.load(record.path(f"table_{case}.csv" if case else "table.csv"))
-        profiles = {float(e): Table.load(record.path(profile_name(case, float(e)))) for e in table["eps"]}
+        table = record.load(f"table_{case}.csv" if case else "table.csv")
+        profiles = {float(e): record.load(profile_name(case, float(e))) for e in table["eps"]}
         _draw_column(column, profiles)
         column[0].set_title(title)
     patches: list[Any] = [Patch(color=STATUS[name], label=name) for name in ("stick", "sliding", "separated")]

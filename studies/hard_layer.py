@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from forms import LinearElastic
 from studies.problems import fourier
-from thinlayer import Model, Table, ThinLayer, compare, plotting, solve
+from thinlayer import Model, ThinLayer, compare, plotting, solve
 from thinlayer.record import Record
 
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
@@ -40,9 +40,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
 def draw(record: Record) -> None:
     """Draw the errors in the traction from the tables."""
-    if not record.root:
-        return
-    tables = {"harder": Table.load(record.path("table.csv")), "softer": Table.load(record.path("softer.csv"))}
+    tables = {"harder": record.load("table.csv"), "softer": record.load("softer.csv")}
     lines = {f"{name}: {LAYERS[name]}": (t["eps"], t["error_traction"]) for name, t in tables.items()}
     eps, lowest = tables["harder"]["eps"], tables["harder"]["error_traction"][-1]
     lines["slope 3"] = (eps, 0.4 * lowest * (eps / eps[-1]) ** 3)

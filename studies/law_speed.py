@@ -116,9 +116,7 @@ def principal(mandel: Array) -> Array:
 
 def draw(record: Record) -> None:
     """Draw the speeds from table.csv."""
-    if not record.root:
-        return
-    table = Table.load(record.path("table.csv"))
+    table = record.load("table.csv")
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     bars = axes.barh([str(row["law"]) for row in table.rows], table["points_per_second"], color=plotting.COLOURS[0])

@@ -169,9 +169,7 @@ def unloaded(steps: int) -> list[dict[str, float]]:
 
 def draw(record: Record) -> None:
     """Draw the curves from table.csv."""
-    if not record.root:
-        return
-    table = Table.load(record.path("table.csv"))
+    table = record.load("table.csv")
     names = np.array([row["path"] for row in table.rows])
     friction = np.array([row["friction"] for row in table.rows], float)
 

@@ -34,14 +34,14 @@ def run(record: Record, *, quick: bool = False) -> None:
         return state, Surface(state.model)
 
     bonded = record.solved(solve(Model.bonded(joint, **setup)))
-    stiff = Table(path=record.path("table.csv") if record.root else None)
+    stiff = Table(path=record.path("table.csv"))
     for kappa in track(KAPPA[:: 2 if quick else 1], "limits", "kappa = {:g}"):
         state, surface = interface(kappa, kappa)
         difference = surface.norm(surface.traction(state) - surface.traction(bonded))
         row = {"kappa": kappa, "jump_times_kappa": surface.norm(surface.jump(state)) * kappa}
         stiff.append(row | {"traction_difference_times_kappa": difference * kappa})
 
-    sliding = Table(path=record.path("sliding.csv") if record.root else None)
+    sliding = Table(path=record.path("sliding.csv"))
     for k_t in track(SLIDING[:: 3 if quick else 1], "limits", "K_T = {:g}"):
         state, surface = interface(K_N, k_t)
         sliding.append({"K_T": k_t, **_amplitudes(surface, state)})
@@ -78,10 +78,7 @@ def _near(value: float, tolerance: float) -> dict[str, float]:
 
 def draw(record: Record) -> None:
     """Draw the approach to the bonded bodies from table.csv."""
-    path = record.path("table.csv")
-    if not record.root:
-        return
-    table = Table.load(path)
+    table = record.load("table.csv")
     kappa = table["kappa"]
     lines = {
         "|[u]|": (kappa, table["jump_times_kappa"] / kappa),

@@ -46,7 +46,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.parameters = {"K": STIFFNESS, "friction": FRICTION, "repeats": repeats}
     cases: list[tuple[str, int]] = [("2D", n) for n in ((128,) if quick else LIMITS["2D"])]
     cases += [("3D", n) for n in ((12,) if quick else LIMITS["3D"])]
-    table = Table(path=record.path("table.csv") if record.root else None)
+    table = Table(path=record.path("table.csv"))
     for name, n in track(cases, "performance", "{}"):
         bench = Bench(n, depth=name == "3D")
         for row in bench.compare(name, repeats if n < 46 else 3):
@@ -71,10 +71,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 def draw(record: Record) -> None:
     """Draw the ratios from table.csv."""
-    path = record.path("table.csv")
-    if not record.root:
-        return
-    rows = [row for row in Table.load(path).rows if str(row["work"]).startswith("friction")]
+    rows = [row for row in record.load("table.csv").rows if str(row["work"]).startswith("friction")]
     lines = {}
     for work in dict.fromkeys(str(row["work"]) for row in rows):
         own = [(float(row["dofs"] or 0), float(row["ratio"] or 0)) for row in rows if row["work"] == work]

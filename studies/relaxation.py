@@ -85,10 +85,7 @@ def check(record: Record, table: Table) -> None:
 
 def draw(record: Record) -> None:
     """Draw sweeps against omega from table.csv."""
-    path = record.path("table.csv")
-    if not record.root:
-        return
-    table = Table.load(path)
+    table = record.load("table.csv")
     parts: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
     for lmbda, mu in STIFFNESS:
         lines = {}

@@ -40,11 +40,10 @@ def run(record: Record, *, quick: bool = False) -> None:
         steps.append(row | report.counts | {"equilibrium": report.equilibrium})
     record.write("newton_steps.csv", steps)
     draw(record)
-    if record.root:
-        shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
-        plotting.contact(
-            shown, save=record.path("contact.png"), length="mm", stress="MPa", title="stiffer and stiffer contact"
-        )
+    shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
+    plotting.contact(
+        shown, save=record.path("contact.png"), length="mm", stress="MPa", title="stiffer and stiffer contact"
+    )
     _check(record, table, steps, meshes)
 
 
@@ -91,10 +90,7 @@ def _check(record: Record, table: Table, steps: Table, meshes: Sequence[int]) ->
 
 def draw(record: Record) -> None:
     """Draw the errors from table.csv."""
-    path = record.path("table.csv")
-    if not record.root:
-        return
-    table = Table.load(path)
+    table = record.load("table.csv")
     K = table["K_T"]
     lines = {name: (K, table[f"error_{name}"]) for name in ("jump", "traction")}
     lines["slope -1"] = (K[1:], 0.3 * table["error_jump"][-1] * K[-1] / K[1:])

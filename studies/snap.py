@@ -178,7 +178,5 @@ def check_energies(record: Record, pure: History, relaxed: History) -> None:
 
 def draw(record: Record) -> None:
     """Draw the tables."""
-    if not record.root:
-        return
     draw_response(record, LIMIT)
     draw_phases(record)

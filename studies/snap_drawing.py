@@ -29,7 +29,7 @@ def draw_response(record: Record, bar: Bar) -> None:
     """Force over displacement: the strip with closed forms, and the block."""
     figure = Figure(figsize=(11, 5.4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    table = Table.load(record.path("table_response.csv"))
+    table = record.load("table_response.csv")
     curves: dict[str, dict[str, Table]] = {"strip": {}, "block": {}}
     for row in table.rows:
         curves[str(row["structure"])].setdefault(str(row["curve"]), Table()).append(row)
@@ -75,7 +75,7 @@ def _draw_block(axes: Axes, curves: dict[str, Table]) -> None:
 
 def draw_phases(record: Record) -> None:
     """The phase along S at some displacements."""
-    table = Table.load(record.path("table_phases.csv"))
+    table = record.load("table_phases.csv")
     parts: dict[str, dict[str, tuple[Array, Array]]] = {}
     for delta in dict.fromkeys(table["delta"]):
         lines = parts.setdefault(f"delta = {delta:g}", {})

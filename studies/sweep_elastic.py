@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from studies.problems import FOURIER_LAYER, fourier
 from studies.sweeping import Sweep
-from thinlayer import Table, ThinLayer, plotting
+from thinlayer import ThinLayer, plotting
 from thinlayer.record import Record
 
 
@@ -38,9 +38,7 @@ def run(
 
 def draw(record: Record) -> None:
     """Draw the rates from table.csv."""
-    if not record.root:
-        return
-    table = Table.load(record.path("table.csv"))
+    table = record.load("table.csv")
     slope = 2.0 if table["order_traction"][-1] > 1.5 else 1.0
     title = "elastic layer between two blocks"
     plotting.rates(table, save=record.path("rates.png"), title=title, reference=slope)

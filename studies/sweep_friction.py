@@ -210,7 +210,6 @@ def _check_fraction(record: Record, h: float, eps: float) -> None:
 def draw(record: Record) -> None:
     """Draw the rates and the tractions along S from the tables."""
     names = {TITLES[case]: f"table_{case}.csv" if case else "table.csv" for case in TITLES}
-    there = {title: name for title, name in names.items() if record.path(name).exists()}
+    there = {title: name for title, name in names.items() if record.has(name)}
     draw_rates(record, title="frictional layer", cases=there, apart=True)
-    if record.root:
-        draw_profiles(record, {case: TITLES[case] for case in CASES})
+    draw_profiles(record, {case: TITLES[case] for case in CASES})

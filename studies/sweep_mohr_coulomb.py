@@ -99,9 +99,7 @@ def draw(record: Record) -> None:
     """Draw the rates from the tables."""
     cases = {"psi = 0": "table.csv", "psi = 10°": "table_dilatant.csv", "tan(Omega) on S": "table_coulomb.csv"}
     draw_rates(record, title="Mohr-Coulomb layer", cases=cases)
-    if not record.root:
-        return
     names = {"bar": "h = 0.02", "bar_less_elastic": "h = 0.01", "bar_monodirectional": "monodirectional, h = 0.01"}
-    bars = {label: record.path(f"table_{name}.csv") for name, label in names.items()}
-    found = {label: path for label, path in bars.items() if path.exists()}
+    bars = {label: f"table_{name}.csv" for name, label in names.items()}
+    found = {label: record.path(name) for label, name in bars.items() if record.has(name)}
     plotting.rates(found, save=record.path("rates_bar.png"), title="bar of Fig. 2, no cohesion, eps in mm")

@@ -190,9 +190,7 @@ def draw(record: Record) -> None:
     """Draw the rates and the phases along S from the tables."""
     cases = {title: f"table_{case}.csv" if case else "table.csv" for case, title in TITLES.items()}
     draw_rates(record, title="non-monotone layer", cases=cases | {"lambda + mu on S": "table_printed.csv"}, apart=True)
-    if not record.root:
-        return
-    tables = {title: Table.load(record.path(f"phases_{case}.csv")) for case, title in TITLES.items()}
+    tables = {title: record.load(f"phases_{case}.csv") for case, title in TITLES.items()}
     parts = {title: {name: (table["x"], table[name]) for name in (MESHED, ON_S)} for title, table in tables.items()}
     labels, (blue, red, *_) = dict.fromkeys(parts, "phase"), plotting.COLOURS
     styles, colours, save = {MESHED: "-", ON_S: "o"}, {MESHED: red, ON_S: blue}, record.path("phases.png")

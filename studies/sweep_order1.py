@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, Table, ThinLayer, compare, plotting, solve
+from thinlayer import Model, ThinLayer, compare, plotting, solve
 from thinlayer.record import Record
 
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 128)
@@ -41,9 +41,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
 def draw(record: Record) -> None:
     """Draw the errors of both laws from table.csv."""
-    if not record.root:
-        return
-    table = Table.load(record.path("table.csv"))
+    table = record.load("table.csv")
     eps = table["eps"]
     lines = {
         "traction, order 0": (eps, table["error_traction_order0"]),

@@ -119,8 +119,6 @@ def draw_rates(record: Record, *, title: str, cases: Mapping[str, str] | None = 
         cases: label -> name of a sweep's table; default table.csv alone.
         apart: whether the jump gets a picture of its own, rates_jump.png: for many cases.
     """
-    if not record.root:
-        return
     tables = {label: record.path(name) for label, name in (cases or {"": "table.csv"}).items()}
     if not apart:
         plotting.rates(tables, save=record.path("rates.png"), title=title)

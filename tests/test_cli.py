@@ -136,7 +136,7 @@ def test_limits_and_drawing_again(tmp_path):
     assert "run the study first" in thinlayer("draw", "limits", "--out", tmp_path / "nothing").stderr
     other = thinlayer("draw", "sweep_mohr_coulomb", "--out", tmp_path)
     assert other.returncode == 2
-    assert "is not a whole run of sweep_mohr_coulomb: there is no " in other.stderr
+    assert f"the run in {tmp_path} is of the study limits, not sweep_mohr_coulomb" in other.stderr
 
 
 @pytest.mark.parametrize(
@@ -188,6 +188,9 @@ def test_studies_of_any_joint(tmp_path, name):
             ["run", "sweep_elastic", "--quick", "-thinlayer_ksp_typ", "cg"],
             "not read by the linear solver: -thinlayer_ksp_typ",
         ),
+        (["run", "sweep_elastic", "--quick", "-thinlayer_ksp_rtol", "abc"], "linear solver: -thinlayer_ksp_rtol;"),
+        (["run", "sweep_elastic", "--quick", "-thinlayer_pc_type", "no"], "take, among: -thinlayer_pc_type no"),
+        (["run", "sweep_elastic", "--quick", "--eps", "1e9"], "thickness eps is 1e+09, the bodies measure 1"),
         (["run", "fig3_mohr_coulomb", "--loads", "R9"], "invalid choice: 'R9'"),
         (["run", "sweep_mohr_coulomb", "--loads", "R1"], "study sweep_mohr_coulomb does not use --loads"),
         (["run", "sweep_mohr_coulomb", "--h", "0.1"], "unrecognized argument '--h'"),

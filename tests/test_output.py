@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import pyvista
@@ -9,7 +11,7 @@ from matplotlib.image import imread
 
 from forms import LawError
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, ModelError, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
+from thinlayer import History, Model, ModelError, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
 
 
 def test_rows_are_committed_one_by_one(tmp_path):
@@ -119,6 +121,36 @@ def test_files_for_paraview(states, tmp_path):
     assert reader.time_values == pytest.approx([0.0, 1.0, 2.5])
     with pytest.raises(ValueError, match=r"allowed endings: \.bp"):
         fields.write(states[0], tmp_path / "u.xdmf")
+
+
+def test_there_must_be_something_to_draw_and_to_write(states, tmp_path):
+    history = march(states[1].model, [1.0])
+    for nothing in ({}, history, {"a": history}, None):
+        with pytest.raises(ModelError, match=r"deformed: (there is no state|.* is )"):
+            plotting.deformed(nothing, save=tmp_path / "a.png")
+    for tables in ({}, Table(), {"a": Table([{"eps": 1.0}])}):
+        with pytest.raises(ModelError, match=r"rates: (there is no table|.*no row, or no column .*error_traction)"):
+            plotting.rates(tables, save=tmp_path / "a.png")
+    for thing in (History(history.model), {"a": states[1]}, None):
+        with pytest.raises(ModelError, match=r"there is nothing to write|are written of a state or a history"):
+            fields.write(thing, tmp_path / "a.pvd")
+    assert not [*tmp_path.iterdir()]
+    assert len(repr(history)) < 120
+    assert len(repr(states[0])) < 120
+
+
+def test_fields_on_a_full_disk(states, tmp_path, monkeypatch):
+    """The writer of .pvd files says nothing of a file that was cut short."""
+    path = tmp_path / "a.pvd"
+    fields.write(states[0], path)
+    name = next(tmp_path.glob("*.vtu"))
+    name.write_bytes(name.read_bytes()[:1000])
+    with pytest.raises(OSError, match="not whole"):
+        fields._require_whole(path)
+    monkeypatch.setattr(fields.shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    for kind in ("pvd", "bp"):
+        with pytest.raises(OSError, match="disk is full"):
+            fields.write(states[0], tmp_path / f"b.{kind}")
 
 
 def test_pictures(states, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import ufl
@@ -63,6 +65,40 @@ def test_where_that_is_no_condition(states, where):
 def test_profiles_that_are_no_numpy_functions(profile):
     with pytest.raises(GeometryError, match="thickness profile is no numpy function"):
         Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(GLUE, 0.1, profile=profile)}))
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"tractions": {"TOP": (0.05, 1.0)}}, "loads"),
+        ({"tractions": {"TOP": lambda x, t: (0.1 * x[0], 1.0)}}, "loads"),
+        ({"body_force": (0.0, -1.0)}, "loads"),
+        ({"body": LinearElastic.young(70.0, 0.3)}, "bodies"),
+        ({"supports": {"BOTTOM": {"y": 0.0}, "LEFT": 0.0}}, "supports"),
+        ({"plane": "stress"}, "plane"),
+        ({"layer": ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0.1 * x[0])}, "profile of the thickness"),
+    ],
+)
+def test_other_structures_are_not_compared(states, change, what):
+    full, interface = states
+    model = Model.interface(JOINT, **(SETUP | {"tractions": {"TOP": (0.1, 1.0)}} | change))
+    with pytest.raises(ModelError, match=f"compare needs the same {what}"):
+        compare(full, replace(interface, model=model))
+
+
+def test_structures_that_are_written_in_other_words_are_compared():
+    """Loads as functions that do the same, numbers of other types, another law of the layer."""
+    words = [{"TOP": lambda x, t: (0.1 * x[0], 1.0)}, {"TOP": lambda x, t: (0.1 * x[0], 1.0)}]
+    supports = [{"BOTTOM": 0.0}, {"BOTTOM": np.int64(0)}]
+    layers = [ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0 * x[0]), ThinLayer(LinearElastic(lmbda=3.0, mu=2.5), 0.1)]
+    full, interface = (
+        solve(build(JOINT, **(SETUP | {"layer": layer, "supports": support, "tractions": load})))
+        for build, layer, support, load in zip(
+            (lambda joint, **data: Model.full(joint, bodies="extended", **data), Model.interface),
+            layers, supports, words, strict=True,
+        )
+    )  # fmt: skip
+    assert 0 < compare(full, interface)["error_jump"] < 1
 
 
 def test_sweeps(tmp_path):

@@ -1,5 +1,5 @@
 """python3 -m thinlayer"""
 
-from thinlayer.cli import main
+from thinlayer.cli import start
 
-raise SystemExit(main())
+raise SystemExit(start())

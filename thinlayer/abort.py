@@ -4,25 +4,12 @@ from __future__ import annotations
 
 import sys
 import traceback
-from types import TracebackType
 
 from mpi4py import MPI
 
 
-def abort(error: BaseException) -> None:
+def abort(error: BaseException, status: int = 1) -> None:
     """Print an error and end all ranks."""
     traceback.print_exception(error)
     sys.stderr.flush()
-    MPI.COMM_WORLD.Abort(1)
-
-
-def end_all_ranks_on_errors() -> None:
-    """From now on an error that nobody catches ends all ranks of a parallel run; a serial run is left as it is."""
-    previous = sys.excepthook
-    if MPI.COMM_WORLD.size == 1 or previous is not sys.__excepthook__:
-        return
-
-    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        abort(error)
-
-    sys.excepthook = hook
+    MPI.COMM_WORLD.Abort(status)

@@ -31,7 +31,7 @@ def studies() -> dict[str, Study]:
     folder = Path(next(iter(spec.submodule_search_locations)))
     found = {}
     for path in sorted(folder.glob("*.py")):
-        tree = ast.parse(path.read_text())
+        tree = ast.parse(path.read_text(encoding="utf-8"))
         for node in tree.body:
             if isinstance(node, ast.FunctionDef) and node.name == "run":
                 options = tuple(argument.arg for argument in node.args.kwonlyargs)

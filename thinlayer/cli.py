@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from thinlayer.catalogue import Study, studies
+from thinlayer.output import say
 
-OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, INTERRUPTED = 0, 1, 2, 3, 130
+OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, CRASHED, NOT_WRITTEN, INTERRUPTED = 0, 1, 2, 3, 4, 5, 130
 PETSC_PREFIX = "-thinlayer_"
 
 
@@ -19,14 +22,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status.
 
     0: done, and all checks of the study hold; 1: a check failed; 2: bad input, nothing was written; 3: a solve failed,
-    what was done is kept.
+    what was done is kept; 4: a defect, with its traceback (see `start`); 5: a file could not be written, what was done is
+    kept; 130: interrupted.
     """
     parser = _parser()
     chosen, rest = parser.parse_known_args(arguments)
     if chosen.command == "list":
         _refuse(parser, rest)
         width = max(map(len, studies()))
-        print("\n".join(f"{study.name:<{width}}  {study.summary}" for study in studies().values()))
+        say("\n".join(f"{study.name:<{width}}  {study.summary}" for study in studies().values()))
         return OK
     if chosen.command == "draw":
         _refuse(parser, rest)
@@ -35,6 +39,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _refuse(parser, rest)
         return _info()
     return _run(parser, chosen, rest)
+
+
+def start() -> int:
+    """`main` as a process of its own: the exit status of whatever happens."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(
+            signal.SIGINT, _give_up
+        )  # until a study runs: until then there are imports, which hide an interrupt
+    try:
+        return main()
+    except KeyboardInterrupt:
+        return _stop(True, INTERRUPTED, "interrupted")
+    except Exception as error:
+        import traceback
+
+        traceback.print_exception(error)
+        return _stop(True, CRASHED, "this is a defect of thinlayer, or of what it is installed with")
+
+
+def _give_up(*_: object) -> None:
+    os.write(2, b"thinlayer: interrupted; nothing was done\n")
+    os._exit(INTERRUPTED)
+
+
+def _set_signals() -> None:
+    """Python's own handling of signals, as PETSc takes them over with reports of its own."""
+    if signal.getsignal(signal.SIGINT) is _give_up:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.getsignal(number))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -46,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("info", help="versions of everything results depend on")
     draw = commands.add_parser("draw", help="draw a study's curves again from the tables of an earlier run")
     draw.add_argument("study", metavar="STUDY", help="name, see the command list")
-    draw.add_argument("--out", type=Path, metavar="DIR", help="folder of the run (default: out/STUDY)")
+    draw.add_argument("--out", metavar="DIR", help="folder of the run (default: out/STUDY)")
     run = commands.add_parser(
         "run",
         allow_abbrev=False,  # --h would print the help
@@ -55,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Run a study. A study takes only the options it uses. PETSc options start with -thinlayer_, "
         "for example -thinlayer_ksp_type cg.",
         epilog="Exit status: 0 all checks of the study hold; 1 a check failed; 2 bad input, nothing written; "
-        "3 a solve failed, what was done is kept.",
+        "3 a solve failed, what was done is kept; 4 a defect; 5 a file could not be written; 130 interrupted.",
     )
     run.add_argument("study", metavar="STUDY", help="name, see the command list")
     run.add_argument("--eps", nargs="+", type=float, metavar="E", help="thicknesses of the layer, > 0")
@@ -64,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--loads", choices=("both", "R1", "R4m"), help="readings of the paper's loads (fig3_mohr_coulomb)")
     run.add_argument("--quick", action="store_true", default=None, help="coarse meshes and few thicknesses")
     run.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
-    run.add_argument("--out", type=Path, metavar="DIR", help="folder for tables and pictures (default: out/STUDY)")
+    run.add_argument("--out", metavar="DIR", help="folder for tables and pictures (default: out/STUDY)")
     return parser
 
 
@@ -80,20 +114,34 @@ def _study(parser: argparse.ArgumentParser, name: str) -> Study:
     return known[name]
 
 
+def _folder(parser: argparse.ArgumentParser, chosen: argparse.Namespace, study: Study) -> Path:
+    if chosen.out is not None and not chosen.out.strip():
+        parser.error("--out is empty; give the name of a folder")
+    return Path("out") / study.name if chosen.out is None else Path(chosen.out)
+
+
 def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
     study = _study(parser, chosen.study)
-    out = chosen.out or Path("out") / study.name
+    out = _folder(parser, chosen, study)
     if not (out / "table.csv").is_file():
         parser.error(f"no table.csv in {out}; run the study first")
+    from thinlayer import ModelError
     from thinlayer.record import Record
 
+    _set_signals()
     try:
-        importlib.import_module(f"studies.{study.name}").draw(Record(study.name, out, {}))
+        record = Record(study.name, out, {})
+        record.check_drawn()
+        importlib.import_module(f"studies.{study.name}").draw(record)
+    except ModelError as error:
+        parser.error(str(error))
     except KeyError as error:
         parser.error(f"table.csv in {out} is not one of {study.name}: it has no column {error}")
     except FileNotFoundError as error:
         parser.error(f"{out} is not a whole run of {study.name}: there is no {error.filename}")
-    print(f"drawn again in {out}")
+    except OSError as error:
+        return _stop(True, NOT_WRITTEN, _not_written(error))
+    say(f"drawn again in {out}")
     return OK
 
 
@@ -103,7 +151,7 @@ def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequ
     given = {name: getattr(chosen, name) for name in known if getattr(chosen, name) is not None}
     _check_options(parser, study, given)
     petsc = _petsc_options(parser, rest)
-    out = chosen.out or Path("out") / study.name
+    out = _folder(parser, chosen, study)
     if out.exists() and not out.is_dir():
         parser.error(f"--out {out} is a file")
     return _run_study(study, out, given, petsc, chosen.resume)
@@ -141,32 +189,66 @@ def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, 
     from forms import LawError
     from geometry import GeometryError
     from thinlayer import ModelError, OptionError, SolveError
+    from thinlayer.options import given_elsewhere
     from thinlayer.record import Record
 
+    _set_signals()
+    root = MPI.COMM_WORLD.rank == 0
+    if root and (elsewhere := given_elsewhere()):
+        print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
+    PETSc.Options().setValue("options_left", False)  # we tell ourselves which were not read
     for name, value in petsc.items():
         PETSc.Options().setValue(name, value)
     record = Record(study.name, out, given | petsc, resume=resume)
-    root = MPI.COMM_WORLD.rank == 0
     try:
-        record.check_resume()
-        importlib.import_module(f"studies.{study.name}").run(record, **given)
+        with record:
+            try:
+                importlib.import_module(f"studies.{study.name}").run(record, **given)
+                record.close()
+            except (GeometryError, LawError, ModelError, OptionError):
+                record.withdraw()
+                raise
+            except BaseException as error:
+                record.stop(_reason(error))
+                raise
     except (GeometryError, LawError, ModelError, OptionError) as error:
         return _stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")
     except SolveError as error:
-        record.close(str(error))
         return _stop(root, SOLVE_FAILED, f"{error}\nwhat was done is kept in {out}")
+    except OSError as error:
+        message = f"{_not_written(error)}\nwhat was done is kept in {out}, --resume continues"
+        if not getattr(error, "on_all_ranks", False):
+            _end_all_ranks(MPI.COMM_WORLD, NOT_WRITTEN, message)
+        return _stop(root, NOT_WRITTEN, message)
     except KeyboardInterrupt:
-        record.close("interrupted")
-        return _stop(root, INTERRUPTED, f"interrupted; what was done is kept in {out}, --resume continues")
+        message = f"interrupted; what was done is kept in {out}, --resume continues"
+        _end_all_ranks(MPI.COMM_WORLD, INTERRUPTED, message)
+        return _stop(root, INTERRUPTED, message)
     except BaseException as error:
-        _abort(MPI.COMM_WORLD, error)
-    record.close()
+        if MPI.COMM_WORLD.size > 1:  # it may be on one rank only: the others must not wait for it for ever
+            from thinlayer.abort import abort
+
+            abort(error, CRASHED)
+        raise
     if root:
-        print("\n".join(f"{'ok  ' if check.passed else 'FAIL'} {check}" for check in record.checks))
-        print(f"written to {out}")
+        for check in record.checks:
+            say(f"{'ok  ' if check.passed else 'FAIL'} {check}")
+        say(f"written to {out}")
     if record.failed:
         return _stop(root, CHECK_FAILED, "checks failed: " + "; ".join(str(check) for check in record.failed))
     return OK
+
+
+def _reason(error: BaseException) -> str:
+    """For run.json."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return str(error) if isinstance(error, (RuntimeError, OSError)) else f"{type(error).__name__}: {error}"
+
+
+def _not_written(error: OSError) -> str:
+    where = f" {str(error.filename)!r}" if error.filename else ""
+    return f"a file{where} could not be written or read: {error.strerror or error}"
 
 
 def _stop(root: bool, status: int, message: str) -> int:
@@ -175,19 +257,19 @@ def _stop(root: bool, status: int, message: str) -> int:
     return status
 
 
-def _abort(comm: Any, error: BaseException) -> NoReturn:
-    """An unexpected error may be on one rank only: the others must not wait for it for ever."""
+def _end_all_ranks(comm: Any, status: int, message: str) -> None:
+    """An error that other ranks may not know of ends them; a serial run goes on."""
     if comm.size > 1:
-        from thinlayer.abort import abort
-
-        abort(error)
-    raise error
+        _stop(True, status, message)
+        sys.stderr.flush()
+        comm.Abort(status)
 
 
 def _info() -> int:
     from thinlayer.record import versions
 
     found = versions()
+    _set_signals()
     width = max(map(len, found))
-    print("\n".join(f"{name:<{width}}  {version}" for name, version in found.items()))
+    say("\n".join(f"{name:<{width}}  {version}" for name, version in found.items()))
     return OK

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +17,21 @@ from mpi4py import MPI
 
 from forms.kinematics import Expr
 from forms.law import LawError
+from geometry.parallel import on_root
+from thinlayer.folder import LOCK, moved_away, owned
+from thinlayer.identity import described, referred
 from thinlayer.loads import ModelError
+from thinlayer.model import Model
 from thinlayer.progress import track
 from thinlayer.state import State
 from thinlayer.surface import Surface
-from thinlayer.table import Row, Table
+from thinlayer.table import Row, Table, hash_of, replaced
 from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[Expr], Expr]
 ERRORS = ("eps", "error_traction", "error_jump")
+SAME_EPS = 1e-9  # relative: thicknesses that are computed in two ways
+SAME_PROFILE = 1e-9  # relative
 
 
 def compare(
@@ -43,8 +53,8 @@ def compare(
         traction and jump: these norms (stress and length, times length^(1/2) in 2D).
 
     Raises:
-        ModelError: the states are not a full and an interface model of the same joint, or are of two times; `where` is no
-            condition, or holds nowhere on S.
+        ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
+            plane, element, thickness), or are of two times; `where` is no condition, or holds nowhere on S.
     """
     for one in (full, interface):
         if not isinstance(one, (State, History)):
@@ -65,6 +75,7 @@ def compare(
     if full.model.layer.eps != interface.model.layer.eps:
         what = f"compare needs one thickness, not {full.model.layer.eps} and {interface.model.layer.eps}"
         raise ModelError(f"{what}; give laws of jumps the layer's too, as ThinLayer(law, eps)")
+    on_root(full.model.comm, lambda: _require_same_structure(full.model, interface.model))
     surface = Surface(interface.model)
     part = 1 if where is None else _part(surface, where)
     row = {"eps": float(full.model.layer.eps)}
@@ -82,6 +93,27 @@ def _state(one: State | History, at: float | None) -> State:
     return one.last if at is None else one.at(at)
 
 
+def _require_same_structure(full: Model, interface: Model) -> None:
+    """Raise ModelError unless both models have the same data but for the layer's law."""
+    there, here = (
+        {
+            "plane": model.plane,
+            "bodies": {name: described(law) for name, law in model.body_laws.items()},
+            "supports": [[str(place), described(given)] for place, given in model.supports.given],
+            "loads": described(model.forces.given),
+        }
+        for model in (full, interface)
+    )
+    for name in there:
+        if there[name] != here[name]:
+            raise ModelError(f"compare needs the same {name}, not {there[name]} and {here[name]}")
+    assert full.layer is not None
+    assert interface.layer is not None
+    one, other = (full.joint.relative_thickness(layer.profile) for layer in (full.layer, interface.layer))
+    if not np.allclose(one, other, rtol=SAME_PROFILE, atol=0.0):
+        raise ModelError("compare needs the same profile of the thickness in both models")
+
+
 def _part(surface: Surface, where: Where) -> Expr:
     """1 on a part of S, 0 elsewhere."""
     try:
@@ -96,9 +128,14 @@ def _part(surface: Surface, where: Where) -> Expr:
 
 
 def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
-    """Observed order between each row and the one before it, log(e_k-1/e_k)/log(eps_k-1/eps_k); None for the first."""
-    x, e = np.log(np.array(list(eps), float)), np.log(np.array(list(errors), float))
-    return [None, *(np.diff(e) / np.diff(x)).tolist()]
+    """Observed order between each row and the one before it, log(e_k-1/e_k)/log(eps_k-1/eps_k).
+
+    None for the first row, and where one of the two errors is zero or not finite.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, e = np.log(np.array(list(eps), float)), np.log(np.array(list(errors), float))
+        orders = np.diff(e) / np.diff(x)
+    return [None, *(order if math.isfinite(order) else None for order in orders.tolist())]
 
 
 def sweep(
@@ -110,46 +147,134 @@ def sweep(
     """A table of comparisons over decreasing thickness, with observed orders. Collective.
 
     Args:
-        run: eps -> a row with error_traction and error_jump, such as `compare` returns.
+        run: eps -> a row with error_traction and error_jump, such as `compare` returns; the same on all ranks.
         eps: thicknesses, > 0 and different.
-        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails.
+        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. Beside it
+            stands out.json, which tells what the rows were made from: the code of `run` and what it refers to. The file of
+            another sweep, or of anything else, is moved to previous-1, previous-2, ... in its folder.
         resume: keep the rows that `out` already has, and compute the others.
 
     Raises:
-        LawError: a thickness out of range or given twice, `out` is a folder. ModelError: a row lacks these columns.
+        LawError: a thickness out of range or given twice. ModelError: a row of another thickness, lacking columns or with
+            others than the first; `out` is a folder, cannot be written, another run writes it, or it is to be resumed and
+            is another sweep's. OSError: a row could not be written. All of them on all ranks.
     """
     if out is not None and Path(out).is_dir():
-        raise LawError(f"{str(out)!r} is a folder; give the name of a csv file")
+        raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
     try:
         values = sorted((float(e) for e in eps), reverse=True)
     except (TypeError, ValueError) as error:
         raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
     if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
         raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
-    root = MPI.COMM_WORLD.rank == 0
-    rows = MPI.COMM_WORLD.bcast(_rows_of(out) if resume and out is not None and root else {})
-    for e in track(values, "sweep", "eps = {:g}"):
-        if e not in rows:
-            rows[e] = _row(run, e)
-            if root and out is not None:
-                _with_orders(rows).write(out)
-    table = _with_orders(rows)
-    return table
+    path = None if out is None else Path(out)
+    with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
+        file = None if path is None else SweepFile(path, run)
+        rows = {} if file is None else on_root(None, lambda: file.begin(resume))
+        for e in track(values, "sweep", "eps = {:g}"):
+            if e not in rows:
+                rows[e] = _row(run, e, next(iter(rows.values()), None))
+                if file is not None:
+                    table = _with_orders(rows)
+                    on_root(None, lambda table=table: file.write(table))  # type: ignore[misc]
+        return _with_orders(rows)
 
 
-def _row(run: Callable[[float], Mapping[str, Any]], eps: float) -> Row:
-    row = run(eps)
+class SweepFile:
+    """The csv file of a sweep, and beside it the one that says what its rows were made from; on one rank.
+
+    What `run` itself changes as it goes, such as a list of what it has found, is no part of that.
+    """
+
+    def __init__(self, path: Path, run: Callable[[float], Mapping[str, Any]]) -> None:
+        self.path, self.beside, self._run = path, path.with_name(f"{path.name}.json"), run
+        self._made_from = referred(run)
+        self._changing: set[str] = set()
+
+    def begin(self, resume: bool) -> dict[float, Row]:
+        """Thickness -> row, without orders, of the rows that are kept; errors as in `sweep`."""
+        if not self.path.exists():
+            return {}
+        problem = self._problem()
+        if problem and resume:
+            raise ModelError(f"{problem}; give another name, or remove it")
+        if problem:
+            moved_away(self.path.parent, [self.path.name, self.beside.name])
+        if not resume:
+            return {}
+        rows = Table.got(self.path).rows
+        if any(not isinstance(row.get(name), float) for row in rows for name in ERRORS):
+            raise ModelError(f"{str(self.path)!r} is not the table of a sweep; give another name, or remove it")
+        return {float(row["eps"]): {n: v for n, v in row.items() if not n.startswith("order_")} for row in rows}  # type: ignore[arg-type]
+
+    def _problem(self) -> str | None:
+        """Why the table that is there is not of this sweep."""
+        name = str(self.path)
+        if not self.beside.exists():
+            return (
+                f"{name!r} is not the table of a sweep: there is no {self.beside.name} that tells what it was made from"
+            )
+        try:
+            content = json.loads(self.beside.read_text(encoding="utf-8"))
+            there, changing, hashes = dict(content["made from"]), {*content["changing"]}, [*content["sha256"]]
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            return f"{str(self.beside)!r} cannot be read ({error})"
+        if hash_of(self.path) not in hashes:
+            return f"{name!r} is not the table of a sweep: it has been changed since one wrote it"
+        here = self._made_from
+        self._changing = changing
+        names = [n for n in {**here, **there} if here.get(n) != there.get(n) and n not in changing]
+        other = "; ".join(f"{n}: {_short(there.get(n))} there, {_short(here.get(n))} here" for n in names)
+        return f"{name!r} is the table of another sweep ({other})" if names else None
+
+    def write(self, table: Table) -> None:
+        """Replace the table. The file beside it names the old and the new one, and is written first."""
+        now = referred(self._run)
+        self._changing |= {name for name, value in self._made_from.items() if now.get(name) != value}
+        hashes = [hash_of(self.path), hashlib.sha256(table.content()).hexdigest()]
+        content = {"made from": self._made_from, "changing": sorted(self._changing), "sha256": hashes}
+        with replaced(self.beside) as file:
+            file.write(json.dumps(content, indent=1).encode() + b"\n")
+        table.put(self.path)
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 200 else f"{text[:200]} ..."
+
+
+def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
+    """The row of a thickness, as any rank's error is all ranks'."""
+    row, what = run(eps), "return what compare returns"
+    problem = _flaw(row, eps, first)
+    if problem := next(filter(None, MPI.COMM_WORLD.allgather(problem)), None):
+        raise ModelError(f"run({eps:g}) returns {problem}; {what}")
+    row = {name: row[name] for name in (*ERRORS, *(name for name in row if name not in ERRORS))} | {"eps": eps}
+    return row if first is None else {name: row[name] for name in first}
+
+
+def _flaw(row: Any, eps: float, first: Row | None) -> str | None:
+    """What is wrong with a row."""
     if not isinstance(row, Mapping):
-        raise ModelError(f"run(eps) returns {row!r}; return what compare returns")
+        return repr(row)
     if missing := {*ERRORS} - row.keys():
-        raise ModelError(f"run(eps) returns a row without {', '.join(sorted(missing))}; return what compare returns")
-    return dict(row)
+        return f"a row without {', '.join(sorted(missing))}"
+    for name, value in row.items():
+        if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
+            return f"{name} = {value!r}, which is neither a number nor a text"
+        if name in ERRORS and not isinstance(value, Real):
+            return f"{name} = {value!r}, which is no number"
+    if abs(float(row["eps"]) - eps) > SAME_EPS * eps:
+        return f"a row of another thickness, eps = {float(row['eps']):g}"
+    if first is not None and set(row) != set(first):
+        return f"a row with the columns {', '.join(row)}, where the first row has {', '.join(first)}"
+    return None
 
 
 def _with_orders(rows: Mapping[float, Row]) -> Table:
     """The table of rows by thickness, descending, with the observed orders between each row and the one before."""
     ordered = [rows[e] for e in sorted(rows, reverse=True)]
-    columns = {name: [math.nan if row[name] is None else float(row[name] or 0.0) for row in ordered] for name in ERRORS}
+    columns = {name: [float(row[name]) for row in ordered] for name in ERRORS}  # type: ignore[arg-type]
     orders = {name: observed_orders(columns["eps"], columns[f"error_{name}"]) for name in ("traction", "jump")}
     table = Table()
     for k, row in enumerate(ordered):
@@ -157,13 +282,3 @@ def _with_orders(rows: Mapping[float, Row]) -> Table:
         rest = {name: value for name, value in row.items() if name not in ERRORS}
         table.append(first | {f"order_{name}": orders[name][k] for name in orders} | rest)
     return table
-
-
-def _rows_of(path: str | Path) -> dict[float, Row]:
-    """Thickness -> row, without orders, of a sweep's table; on one rank."""
-    if not Path(path).exists():
-        return {}
-    rows = Table.load(path).rows
-    if any(not {*ERRORS} <= row.keys() or not isinstance(row["eps"], float) for row in rows):
-        raise ModelError(f"{str(path)!r} is not the table of a sweep; give another name, or remove it")
-    return {float(row["eps"]): {n: v for n, v in row.items() if not n.startswith("order_")} for row in rows}  # type: ignore[arg-type]

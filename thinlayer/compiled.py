@@ -64,7 +64,7 @@ def _build(source: Path) -> None:
     if file.exists():
         return
     file.parent.mkdir(parents=True, exist_ok=True)
-    text = source.read_text()
+    text = source.read_text(encoding="utf-8")
     builder = cffi.FFI()
     builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
     builder.set_source(file.name.split(".")[0], text, extra_compile_args=["-O2"])

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +20,7 @@ from dolfinx import fem
 from geometry.joint import BASE, Joint, S
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES
+from thinlayer.loads import ModelError
 from thinlayer.state import State
 from thinlayer.time.history import History
 
@@ -24,6 +29,7 @@ SUBDIVISION = 3  # of curved cells
 SHARP = 30.0  # angle (degree) between faces whose common edge is drawn
 ALMOST = 0.999  # of the displacements: without any VTK would merge the two sides of S
 OFF_MIDDLE = 1e-3  # of a cut, in units of the structure: along the faces of a grid it would leave crumbs
+BYTES = {"mesh": 128, "u": 24}  # of a node in a file: about those of its place and its cells, of its displacement
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
 
 
@@ -181,9 +187,16 @@ def write(solution: State | History, path: str | Path) -> None:
     The jump is kept: nodes on S are written once for each side. Of a history all states that it keeps are written.
 
     Raises:
-        ValueError: another ending. RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
+        ModelError: no state. ValueError: another ending. RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
+        OSError: the files could not be written; on all ranks.
     """
+    if not isinstance(solution, (State, History)):
+        raise ModelError(
+            f"fields are written of a state or a history, as solve and march return them, not of {solution!r}"
+        )
     states = [solution] if isinstance(solution, State) else list(solution)
+    if not states:
+        raise ModelError(f"there is nothing to write: {solution!r} has no state")
     u, comm = nodal_displacement(states[0]), states[0].model.comm
     u.name = "u"
     suffix = Path(path).suffix
@@ -191,11 +204,52 @@ def write(solution: State | History, path: str | Path) -> None:
         raise ValueError(f"cannot write {str(path)!r}; allowed endings: .bp (VTX), .pvd (VTK)")
     if suffix == ".bp" and not dolfinx.has_adios2:
         raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
-    on_root(comm, lambda: Path(path).parent.mkdir(parents=True, exist_ok=True))
-    with dolfinx.io.VTXWriter(comm, path, [u]) if suffix == ".bp" else dolfinx.io.VTKFile(comm, path, "w") as file:
-        for state in states:
-            u.x.array[:] = nodal_displacement(state).x.array
-            if suffix == ".bp":
-                file.write(state.t)
-            else:
-                file.write_function(u, state.t)
+    nodes, meshes = u.function_space.dofmap.index_map.size_global, 1 if suffix == ".bp" else len(states)
+    size = BYTES["mesh"] * nodes * meshes + BYTES["u"] * nodes * len(states)
+    on_root(comm, lambda: _make_room(Path(path), size))
+    problem = None
+    try:
+        with dolfinx.io.VTXWriter(comm, path, [u]) if suffix == ".bp" else dolfinx.io.VTKFile(comm, path, "w") as file:
+            for state in states:
+                u.x.array[:] = nodal_displacement(state).x.array
+                if suffix == ".bp":
+                    file.write(state.t)
+                else:
+                    file.write_function(u, state.t)
+    except Exception as error:
+        problem = f"{type(error).__name__}: {error}"
+    if problem := next(filter(None, comm.allgather(problem)), None):
+        raise OSError(f"{path} could not be written: {problem}")
+    on_root(comm, lambda: _require_whole(Path(path)))
+
+
+def _make_room(path: Path, size: int) -> None:
+    """Make the folder of files of about this size; raises OSError where they cannot be written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".pvd":
+        path.open("wb").close()
+    elif path.exists() and not path.is_dir():
+        raise FileExistsError(errno.EEXIST, "there is a file of this name, not a folder of a writer", str(path))
+    if shutil.disk_usage(path.parent).free < size or not os.access(path.parent, os.W_OK):
+        raise OSError(errno.ENOSPC, "the disk is full, or not to be written", str(path))
+
+
+def _require_whole(path: Path) -> None:
+    """Raise OSError unless all files of a .pvd end as they should: its writer does not notice a full disk."""
+    if path.suffix != ".pvd":
+        return
+    names = re.findall(r'(?:file|Source)="([^"]*)"', _whole(path))
+    for name in names:
+        found = _whole(path.parent / name)
+        names += re.findall(r'Source="([^"]*)"', found) if name.endswith(".pvtu") else []
+
+
+def _whole(path: Path) -> str:
+    """The text of a VTK file, but for a large one's, which is not looked for names."""
+    with path.open("rb") as file:
+        end = file.seek(0, os.SEEK_END)
+        file.seek(max(end - 100, 0))
+        if not file.read().rstrip().endswith(b"</VTKFile>"):
+            raise OSError(errno.EIO, "the file is not whole", str(path))
+        file.seek(0)
+        return "" if path.suffix == ".vtu" else file.read().decode()

@@ -164,6 +164,9 @@ class Supports:
         at: coordinates for these functions.
         clamped: facet names where nothing moves.
 
+    Attributes:
+        given: (place, components) as given; `entries` has the clamped ones too.
+
     Raises:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
     """
@@ -186,6 +189,7 @@ class Supports:
                 self._require_point(place)
                 domain.joint.nearest_point(place)
             self.entries.append((place, self._components(place, support)))
+        self.given = tuple(self.entries)
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
 
     def _require_point(self, place: Any) -> None:

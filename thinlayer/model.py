@@ -26,19 +26,18 @@ from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, BONDED, Joint, S, unknown
 from geometry.motion import require_no_branches
 from geometry.topology import is_tensor
-from thinlayer.abort import end_all_ranks_on_errors
 from thinlayer.broken import broken_space, interface_measure
 from thinlayer.forces import BodyForce, Forces
+from thinlayer.identity import described
 from thinlayer.joint_fields import director, relative_thickness
 from thinlayer.layer import ThinLayer, constants, in_plane
 from thinlayer.loads import Coordinates, Load, ModelError, Place, Support, Supports
 from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.rigid import require_support
 
-end_all_ranks_on_errors()
-
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 PLANES = ("strain", "stress")
+LARGEST_EPS = 1e6  # thickness over the bodies' size: beyond, their coordinates have fewer than ten digits left
 
 
 class Model:
@@ -144,7 +143,12 @@ class Model:
     def _inflated(self, bodies: str, sublayers: int) -> Joint:
         if self.kind != "full" or self.layer is None:
             return self.joint
-        layer = self.layer
+        layer, size = self.layer, float(np.ptp(self.joint.points, axis=0).max())
+        if layer.eps > LARGEST_EPS * size:
+            raise ModelError(
+                f"the layer's thickness eps is {layer.eps:g}, the bodies measure {size:g}: next to such a layer their "
+                "shape is lost in rounding; is eps in the unit of the mesh?"
+            )
         return inflate(
             self.joint, layer.eps, profile=layer.profile, layers=sublayers, strata=layer.fractions, bodies=bodies
         )
@@ -323,6 +327,22 @@ class Model:
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""
         return self.forces.work(v)
+
+    def identity(self) -> dict[str, Any]:
+        """What the model is made of, as JSON: the same for the same model in another process, on any number of ranks."""
+        joint, layer = self.domain.joint, self.layer
+        return {
+            "model": repr(self),
+            **joint.identity(),
+            "plane": self.plane,
+            "law": described(layer.law) if layer else None,
+            "eps": float(layer.eps) if layer else None,
+            "order": layer.order if layer else None,
+            "profile": described(self.joint.relative_thickness(layer.profile)) if layer and layer.profile else None,
+            "bodies": {name: described(law) for name, law in self.body_laws.items()},
+            "supports": [[str(place), described(given)] for place, given in self.supports.entries],
+            "loads": described(self.forces.given),
+        }
 
     def __repr__(self) -> str:
         dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs

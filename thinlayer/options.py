@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 PREFIX = "thinlayer_"
 OptionValue = str | int | float | bool | None
+_PLACED: set[str] = set()  # names in PETSc's database, without the prefix, that are there by `defaults`
 
 
 class OptionError(ValueError):
@@ -20,19 +21,28 @@ class OptionError(ValueError):
 def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
     """Put options under our prefix into PETSc's database, where the user has not set them, for the time of a block."""
     database = PETSc.Options()
-    ours = {PREFIX + name: value for name, value in options.items() if not database.hasName(PREFIX + name)}
+    theirs = database.getAll()  # hasName would count as reading
+    ours = {PREFIX + name: value for name, value in options.items() if PREFIX + name not in theirs}
     for name, value in ours.items():
         database.setValue(name, value)
+        _PLACED.add(name.removeprefix(PREFIX))
     try:
         yield
     finally:
         for name in ours:
             database.delValue(name)
+            _PLACED.discard(name.removeprefix(PREFIX))
 
 
 def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
     """Whether the user has set an option, in a script or in PETSc's database."""
-    return name in given or PETSc.Options().hasName(PREFIX + name)
+    return name in given or PREFIX + name in PETSc.Options().getAll()
+
+
+def given_elsewhere() -> str:
+    """The options under our prefix that are in PETSc's database, as on a command line."""
+    found = sorted(PETSc.Options().getAll().items())
+    return " ".join(f"-{name} {value}".rstrip() for name, value in found if name.startswith(PREFIX))
 
 
 def unread() -> list[str]:
@@ -50,8 +60,8 @@ def unread() -> list[str]:
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
-    """Raise OptionError if the user has set options that the solver, just used, has not read; `ours` may stay unread."""
-    names = [name for name in unread() if name not in ours]
+    """Raise OptionError if the user has set options that the solver, just used, has not read; our own may stay unread."""
+    names = [name for name in unread() if name not in _PLACED.intersection(ours)]
     if names:
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
         raise OptionError(f"PETSc options not read by the {solver} solver: {listed}; -{PREFIX}help lists what it reads")
@@ -61,5 +71,6 @@ def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
     """Raise OptionError instead of a PETSc error that says that the value of an option is not known or out of range."""
     if error.ierr in (62, 63, 86):  # PETSC_ERR_ARG_WRONG, PETSC_ERR_ARG_OUTOFRANGE, PETSC_ERR_ARG_UNKNOWN_TYPE
         found = {k.removeprefix(PREFIX): v for k, v in PETSc.Options().getAll().items() if k.startswith(PREFIX)}
-        given = ", ".join(f"-{PREFIX}{name} {value}" for name, value in found.items() if name not in ours)
+        theirs = [name for name in found if name not in _PLACED.intersection(ours)]
+        given = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
         raise OptionError(f"a PETSc option has a value that PETSc does not take, among: {given}") from error

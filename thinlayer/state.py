@@ -69,7 +69,7 @@ class Audit:
         return (terms[0] - sum(terms[1:])) / largest if largest else 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class State:
     """Equilibrium of a model at a time.
 
@@ -91,6 +91,13 @@ class State:
     p: fem.Function | None = None
     memory: tuple[npt.NDArray[np.float64], ...] = ()
     audit: Audit = Audit()
+
+    def __repr__(self) -> str:
+        return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
+
+    def identity(self) -> dict[str, Any]:
+        """What it was made from."""
+        return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: Any) -> float:
         """Value of a UFL form without arguments, summed over the ranks. Collective."""

@@ -9,9 +9,10 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
-from mpi4py import MPI
 
-from thinlayer.table import Table
+from geometry.parallel import on_root
+from thinlayer.loads import ModelError
+from thinlayer.table import Table, replaced
 
 SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
@@ -35,9 +36,20 @@ def rates(
         title: title of the picture.
         reference: order of the reference line.
         errors: label -> column of the sweeps.
+
+    Collective, if the picture is saved or a file is read: rank 0 does that.
+
+    Raises:
+        ModelError: a table without rows or without these columns. OSError: the picture could not be written.
     """
     tables = table if isinstance(table, Mapping) else {"": table}
+    if not tables:
+        raise ModelError("rates: there is no table to draw")
     data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
+    for case, one in data.items():
+        if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:
+            which = f"the table {case!r}" if case else "the table"
+            raise ModelError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
     figure, axes = _figure(6, 4.5)
     lines = []
     for k, (name, column) in enumerate(errors.items()):
@@ -147,15 +159,20 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def finish(figure: Figure, save: str | Path | None) -> Figure:
-    """Save a picture on rank 0, if asked to."""
-    if save and MPI.COMM_WORLD.rank == 0:
-        figure.savefig(folder(save), **SAVED)
+    """Save a picture, if asked to. Collective: rank 0 writes."""
+    if save:
+        on_root(None, lambda: put(figure, Path(save)))
     return figure
 
 
-def folder(path: str | Path) -> Path:
-    """The path of a picture, its folder made; raises ValueError if it is a folder itself."""
-    if Path(path).is_dir():
+def put(figure: Figure, path: Path) -> None:
+    """Save a picture, on this rank; what is there is replaced by a whole picture, or not at all.
+
+    Raises:
+        ValueError: a folder, or an ending that matplotlib does not know. OSError: it could not be written.
+    """
+    if path.is_dir():
         raise ValueError(f"{str(path)!r} is a folder; give the name of a picture")
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    return Path(path)
+    kind = path.suffix.removeprefix(".") or "png"
+    with replaced(path if path.suffix else path.with_suffix(".png")) as file:
+        figure.savefig(file, format=kind, **SAVED)

@@ -20,7 +20,8 @@ from matplotlib.figure import Figure
 
 from geometry.parallel import on_root
 from thinlayer.fields import Shape, edges, gather, surface
-from thinlayer.plotting.curves import SAVED, folder
+from thinlayer.loads import ModelError
+from thinlayer.plotting.curves import put
 from thinlayer.state import State
 
 LARGEST = 0.05  # drawn displacement, in units of the structure
@@ -62,9 +63,16 @@ def deformed(
         cut: in 3D whether to leave out the half in front of the middle in z, to see S inside.
 
     Raises:
+        ModelError: what is no state. OSError: the picture could not be written; on all ranks.
         ValueError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
-    panels = {"": states} if isinstance(states, State) else dict(states)
+    panels = dict(states) if isinstance(states, Mapping) else {"": states}
+    if not panels:
+        raise ModelError("deformed: there is no state to draw")
+    for label, one in panels.items():
+        if not isinstance(one, State):
+            what = f"{label!r} is {one!r}" if label else f"states is {one!r}"
+            raise ModelError(f"deformed: {what}; give states, of a history its last one or history.at(t)")
     if zoom is not None and len(zoom) != 4:
         raise ValueError(f"zoom is {tuple(zoom)}; it needs (left, right, bottom, top)")
     grids = {label: gather(state) for label, state in panels.items()}
@@ -82,7 +90,7 @@ def deformed(
         figure = _side_by_side(shown, camera, zoom, f"{name}; drawn displacements x {factor:.3g}")
         if title:
             figure.suptitle(title)
-        figure.savefig(folder(save), **SAVED)
+        put(figure, Path(save))
 
     on_root(comm, draw)
 

@@ -21,7 +21,7 @@ from thinlayer.pointwise.point import COMPONENTS, Point, PointState
 from thinlayer.table import Table
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PointHistory:
     """What a law did at a point, a row for each step; components in the frame of S, tangential ones, then the normal one.
 
@@ -48,6 +48,10 @@ class PointHistory:
 
     def __len__(self) -> int:
         return len(self.t)
+
+    def __repr__(self) -> str:
+        span = f", t = {self.t[0]:g} to {self.t[-1]:g}" if len(self) else ""
+        return f"PointHistory({len(self)} steps{span}, n = {self.n.tolist()})"
 
     @property
     def table(self) -> Table:

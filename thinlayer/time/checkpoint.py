@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import json
-import zipfile
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Collection
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from forms.law import Law
-from forms.series import Stack
-from forms.temperature import Tabulated
+from geometry.parallel import on_root
 from thinlayer.equations import Equations
 from thinlayer.exchange import carry
+from thinlayer.identity import digest
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.pointwise.points import LawPoints
@@ -28,51 +25,13 @@ from thinlayer.table import Table, replaced
 from thinlayer.time.history import History
 
 Array = npt.NDArray[Any]
+TABLE = "table.csv"
 DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)  # tells the points of a facet apart
 
 
 def fingerprint(model: Model, **choices: Any) -> str:
-    """What must be the same for a march to be resumed. Loads and supports that are functions count as such."""
-    points, layer = model.domain.joint.points, model.layer
-    weights = np.cos(np.arange(points.size)).reshape(points.shape)
-    content = {
-        "model": repr(model),
-        "cells": len(model.domain.joint.cells),
-        "coordinates": [float(f"{(points * w).sum():.8g}") for w in (weights, weights**2)],
-        "plane": model.plane,
-        "law": described(layer.law) if layer else None,
-        "eps": float(layer.eps) if layer else None,
-        "order": layer.order if layer else None,
-        "profile": bool(layer and layer.profile),
-        "bodies": {name: described(law) for name, law in model.body_laws.items()},
-        "supports": [[str(place), _numbers(given)] for place, given in model.supports.entries],
-        "loads": {name: _numbers(load) for name, load in model.forces.given.items()},
-        **choices,
-    }
-    return json.dumps(content, sort_keys=True)
-
-
-def described(law: Law) -> Any:
-    """A law as text and numbers, and what its class is written like."""
-    if isinstance(law, Stack):
-        return [[a, described(part)] for a, part in law.sublayers]
-    try:
-        source = hashlib.sha256(inspect.getsource(type(law)).encode()).hexdigest()[:8]
-    except (OSError, TypeError):
-        source = "unknown"
-    choices = {f.name: getattr(law, f.name) for f in fields(law)}
-    return f"{type(law).__name__}({', '.join(f'{k}={_numbers(v)}' for k, v in choices.items())}), code {source}"
-
-
-def _numbers(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _numbers(v) for k, v in value.items()}
-    if isinstance(value, Tabulated):
-        return _numbers(value.values)
-    if callable(value):
-        return "function"
-    array = np.asarray(value)
-    return array.astype(float).tolist() if array.dtype.kind in "iuf" else str(value)
+    """What must be the same for a march to be resumed."""
+    return json.dumps({**model.identity(), **choices}, sort_keys=True)
 
 
 @dataclass
@@ -91,7 +50,7 @@ class Pace:
 
 
 class Checkpoint:
-    """The files of a march in a folder: march.json with the table so far and the pace, and its states.
+    """The files of a march in a folder: march.json with the table so far and the pace, its states, and table.csv.
 
     Values are kept by the original number of the cell, or of the facet of S, that they belong to, in an order that the
     distribution has no part in. Files are replaced as a whole, states before the table that names them: a killed run
@@ -100,11 +59,18 @@ class Checkpoint:
     Args:
         folder: where the files are.
         equations: of the model.
+        mark: what tells the march from others, see `fingerprint`.
         needed: number of states, the last ones, that a march resumes from.
     """
 
-    def __init__(self, folder: Path, equations: Equations, needed: int = 1) -> None:
-        self.folder, self.model, self.comm, self.needed = folder, equations.model, equations.comm, needed
+    def __init__(self, folder: Path, equations: Equations, mark: str, needed: int = 1) -> None:
+        self.mark, self.folder, self.model, self.comm, self.needed = (
+            mark,
+            folder,
+            equations.model,
+            equations.comm,
+            needed,
+        )
         self.path = folder / "march.json"
         mesh = self.model.domain.mesh
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
@@ -113,41 +79,46 @@ class Checkpoint:
         if equations.contact:
             numbers = equations.contact.nodes.numbers
             self._points.append(_Places(numbers, np.arange(len(numbers))[:, None], None))
-        self._pressures = equations.constraint
+        self._pressures, self._rest = equations.constraint, equations.rest()
 
     def _file(self, row: int) -> Path:
         return self.folder / "states" / f"{row:06d}.npz"
-
-    def forget(self) -> None:
-        """Remove the files of an earlier march."""
-        if self.comm.rank == 0 and self.path.exists():
-            self.path.unlink()
-            for file in self._files():
-                file.unlink()
 
     def _files(self) -> list[Path]:
         return list((self.folder / "states").glob("[0-9]" * 6 + ".npz"))
 
     # ---------------------------------------------------------------- writing
-    def write(self, mark: str, history: History, pace: Pace, first: int, before: State | None = None) -> None:
+    def write(self, history: History, pace: Pace, first: int, before: State | None = None) -> None:
         """Add the states of the rows from `first` on, and replace the table; states that the history does not keep go.
 
-        But for the one `before` the last, if it is given.
+        But for the one `before` the last, if it is given. With the first rows the files of an earlier march go.
+
+        Raises:
+            OSError: a file could not be written; on all ranks.
         """
         last = len(history) - 1
         states = history.states if before is None else {last - 1: before, **history.states}
+        if first == 0:
+            on_root(self.comm, self._forget)
         for row in range(first, len(history)):
             if row in states:
                 self._write_state(row, states[row])
-        if self.comm.rank:
-            return
+        on_root(self.comm, lambda: self._write_table(history, pace, states.keys()))
+
+    def _forget(self) -> None:
+        """Remove the files of an earlier march, the table first: without march.json nobody knows what it is of."""
+        for file in (self.folder / TABLE, self.path, *self._files()):
+            file.unlink(missing_ok=True)
+
+    def _write_table(self, history: History, pace: Pace, kept: Collection[int]) -> None:
         rows = [list(row.values()) for row in history.table.rows]
-        content = {"mark": mark, "pace": asdict(pace), "columns": history.table.columns, "rows": rows}
+        content = {"mark": self.mark, "pace": asdict(pace), "columns": history.table.columns, "rows": rows}
         with replaced(self.path) as file:
             file.write(json.dumps(content).encode())
         for stale in self._files():
-            if int(stale.stem) not in states:
+            if int(stale.stem) not in kept:
                 stale.unlink()
+        history.table.put(self.folder / TABLE)
 
     def _write_state(self, row: int, state: State) -> None:
         arrays = {"u": self._gather(self._cells[self._owned], cell_values(state.u, self._owned))}
@@ -156,71 +127,85 @@ class Checkpoint:
             arrays["p"] = self._gather(places.numbers, places.ordered(state.p.x.array[:, None]))
         for k, (places, values) in enumerate(zip(self._points, state.memory, strict=True)):
             arrays[f"memory{k}"] = self._gather(places.numbers, places.ordered(values))
-        if self.comm.rank:
-            return
         arrays["t"], arrays["layer"] = np.array(state.t), np.array(state.audit.layer)
-        with replaced(self._file(row)) as file:
-            np.savez(file, allow_pickle=False, **arrays)
+        arrays["march"] = np.array(digest(self.mark))
+
+        def write() -> None:
+            with replaced(self._file(row)) as file:
+                np.savez(file, allow_pickle=False, **arrays)
+
+        on_root(self.comm, write)
 
     # ---------------------------------------------------------------- reading
-    def read(self, mark: str, keep: str, resume: bool) -> tuple[History, Pace] | None:
+    def read(self, keep: str, resume: bool) -> tuple[History, Pace] | None:
         """History and pace of the march; None if there is none, or it is not to be resumed.
 
         Raises:
             ModelError: the files are of another march, or, to be resumed, damaged.
         """
-        content, problem, other = self.comm.bcast(self._content(mark) if self.comm.rank == 0 else None)
-        if other or (problem and resume):
-            raise ModelError(problem)
-        if content is None or not resume:
+        found = on_root(self.comm, lambda: self._content(resume))
+        if found is None:
             return None
-        table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
+        table, pace = found
         last = len(table) - 1
         needed = [row for row in range(last + 1 - self.needed, last + 1) if row >= 0]
-        rows = self.comm.bcast(sorted({*needed, *(row for row in range(last) if self._file(row).exists())}))
-        states = {row: self._read_state(row, table) for row in (rows if keep == "all" else needed)}
-        return History(self.model, table, states), Pace(**content["pace"])
+        there = on_root(self.comm, lambda: sorted({*needed, *(r for r in range(last) if self._file(r).exists())}))
+        states = {row: self._read_state(row, table) for row in (there if keep == "all" else needed)}
+        on_root(self.comm, lambda: table.put(self.folder / TABLE))
+        return History(self.model, table, states), pace
 
-    def _content(self, mark: str) -> tuple[dict[str, Any] | None, str | None, bool]:
-        """What march.json says, or what is wrong with it, and whether it is of another march; on rank 0."""
+    def _content(self, resume: bool) -> tuple[Table, Pace] | None:
+        """What march.json says; on rank 0."""
         if not self.path.exists():
-            return None, None, False
+            if (self.folder / TABLE).exists():
+                where = f"{self.folder} has a {TABLE} of something else"
+                raise ModelError(f"{where}, as there is no {self.path.name}; give another folder, or remove it")
+            return None
         try:
-            content = json.loads(self.path.read_text())
-            there, here = dict(json.loads(content["mark"])), json.loads(mark)
-            step = content["pace"]["step"]
+            content = json.loads(self.path.read_text(encoding="utf-8"))
+            there, here = dict(json.loads(content["mark"])), json.loads(self.mark)
+            pace = Pace(**content["pace"])
+            step, numbers = pace.step, (pace.largest, pace.weight)
+            table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
             columns = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}
-            widths = {len(row) for row in content["rows"]}
-            if widths != {len(content["columns"])} or columns - {*content["columns"]} or not (step is None or step > 0):
-                raise ValueError("its table or its step is damaged")
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            return None, f"{self.path} cannot be read ({error}); remove it to start anew", False
+            for name in columns - {"iterations"}:
+                if not np.isfinite(table[name][np.array([row[name] is not None for row in table.rows])]).all():
+                    raise ValueError(f"its column {name} is damaged")
+            [int(n) for n in table["iterations"]]
+            if not len(table) or np.isnan(table["t"]).any() or not np.isfinite(numbers).all():
+                raise ValueError("its table is damaged")
+            if not (step is None or (isinstance(step, float | int) and step > 0)):
+                raise ValueError("its step is damaged")
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
+            if not resume:
+                return None
+            raise ModelError(f"{self.path} cannot be read ({error}); remove it to start anew") from error
         if there != here:
             names = [k for k in {**here, **there} if here.get(k) != there.get(k)]
             other = [f"{k}: {there.get(k)} there, {here.get(k)} here" for k in names]
             what = f"{self.path} is of another march ({'; '.join(other)}); give another folder, or remove it"
-            return None, what, True
-        return content, None, False
+            raise ModelError(what)
+        return (table, pace) if resume else None
 
     def _read_state(self, row: int, table: Table) -> State:
-        arrays, problem = self._arrays(row, table) if self.comm.rank == 0 else ({}, None)
-        if problem := self.comm.bcast(problem):
-            raise ModelError(f"{self._file(row)} {problem}; remove the folder to start anew")
+        arrays: dict[str, Array] = {}  # on rank 0 alone
+        on_root(self.comm, lambda: arrays.update(self._arrays(row, table)))
         u, p = fem.Function(self.model.V), None
         dofmap = u.function_space.dofmap
         cells = np.asarray(dofmap.list)
-        values = self._wanted(arrays.get("u"), self._cells[: len(cells)])
+        values = self._wanted(row, arrays.get("u"), self._cells[: len(cells)], cells.shape[1] * dofmap.bs)
         u.x.array.reshape(-1, dofmap.bs)[cells.ravel()] = values.reshape(-1, dofmap.bs)
         u.x.scatter_forward()
         if self._pressures is not None and self.comm.bcast("p" in arrays):
             p = fem.Function(self._pressures.space)
             places = _Places.of_dofs(p.function_space, self._pressures.region)
-            places.put(p.x.array[:, None], self._wanted(arrays.get("p"), places.numbers))
+            places.put(p.x.array[:, None], self._wanted(row, arrays.get("p"), places.numbers, places.order.shape[1]))
             p.x.scatter_forward()
         memory = []
-        for k, places in enumerate(self._points):
-            wanted = self._wanted(arrays.get(f"memory{k}"), places.numbers)
-            memory.append(np.zeros((places.order.size, wanted.shape[1] // places.order.shape[1])))
+        for k, (places, rest) in enumerate(zip(self._points, self._rest, strict=True)):
+            width = places.order.shape[1] * rest.shape[1]
+            wanted = self._wanted(row, arrays.get(f"memory{k}"), places.numbers, width)
+            memory.append(np.zeros_like(rest))
             places.put(memory[-1], wanted)
         t, layer = self.comm.bcast((float(arrays["t"]), float(arrays["layer"])) if self.comm.rank == 0 else None)
         numbers = {name: value for name, value in table.rows[row].items() if not isinstance(value, str)}
@@ -229,19 +214,32 @@ class Checkpoint:
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
         return State(self.model, u, t, report, p, tuple(memory), audit)
 
-    def _arrays(self, row: int, table: Table) -> tuple[dict[str, Array], str | None]:
-        """The arrays of a state's file, or what is wrong with it; on rank 0."""
+    def _arrays(self, row: int, table: Table) -> dict[str, Array]:
+        """The arrays of a state's file; on rank 0."""
         try:
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays = dict(file)
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            return {}, f"cannot be read ({error})"
-        wanted = {"u", "t", "layer", *(f"memory{k}" for k in range(len(self._points)))}
-        if lacking := wanted - arrays.keys():
-            return {}, f"cannot be read (no {', '.join(sorted(lacking))} in it)"
-        if float(arrays["t"]) != table.rows[row]["t"]:
-            return {}, f"is of another time than row {row} of {self.path}"
-        return arrays, None
+            wanted = {"u", "t", "layer", *(f"memory{k}" for k in range(len(self._points)))}
+            if lacking := (wanted | {"march"}) - arrays.keys():
+                raise ValueError(f"no {', '.join(sorted(lacking))} in it")
+            for name in wanted | (arrays.keys() & {"p"}):
+                array, single = arrays[name], name in ("t", "layer")
+                if array.dtype.kind != "f" or array.ndim != (0 if single else 2):
+                    raise ValueError(f"{name} in it is damaged")
+                if not single and not np.isfinite(array[:, :1]).all():
+                    raise ValueError(f"{name} in it is damaged")
+            if str(arrays["march"]) != digest(self.mark):
+                raise ModelError(self._damaged(row, f"is of another march than {self.path}"))
+            if float(arrays["t"]) != table.rows[row]["t"]:
+                raise ModelError(self._damaged(row, f"is of another time than row {row} of {self.path}"))
+        except ModelError:
+            raise
+        except Exception as error:  # whatever damage does to numpy
+            raise ModelError(self._damaged(row, f"cannot be read ({error})")) from error
+        return arrays
+
+    def _damaged(self, row: int, what: str) -> str:
+        return f"{self._file(row)} {what}; remove the folder to start anew"
 
     def _gather(self, numbers: Array, values: Array) -> Array:
         """All ranks' rows (number, values...) on rank 0, sorted by number, each once."""
@@ -252,11 +250,16 @@ class Checkpoint:
         _, first = np.unique(rows[:, 0], return_index=True)
         return rows[first]
 
-    def _wanted(self, rows: Array | None, numbers: Array) -> Array:
-        """Of rows (number, values...) on rank 0 the values of the numbers that each rank wants."""
-        width = self.comm.bcast(rows.shape[1] if rows is not None else None)
-        rows = rows if rows is not None else np.empty((0, width))
-        return carry(self.comm, rows[:, 0].astype(np.int64), rows[:, 1:], numbers)
+    def _wanted(self, row: int, rows: Array | None, numbers: Array, width: int) -> Array:
+        """Of rows (number, values...) on rank 0 the values, `width` of them, of the numbers that each rank wants."""
+        there = self.comm.bcast(rows.shape[1] - 1 if rows is not None else None)
+        if self.comm.allreduce(int(there != width)):
+            raise ModelError(self._damaged(row, f"is damaged ({there} values where {width} belong)"))
+        rows = rows if rows is not None and self.comm.rank == 0 else np.empty((0, width + 1))
+        found = carry(self.comm, rows[:, 0].astype(np.int64), rows[:, 1:], numbers)
+        if self.comm.allreduce(int(not np.isfinite(found).all())):
+            raise ModelError(self._damaged(row, "is damaged (values are missing)"))
+        return found
 
 
 class _Places:

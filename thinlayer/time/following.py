@@ -63,7 +63,6 @@ class PathFollowing:
                     raise ModelError(
                         f"the march in {self._journal.out} is at t = {self._history.last.t:g}; the path is to end before"
                     )
-                self._journal.write_table()
             else:
                 self._begin()
             while self.plan.lowest(self.start) <= self._history.last.t < self.plan.end - self._near:

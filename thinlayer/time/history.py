@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +34,7 @@ class Snap:
     lost: float
 
 
-@dataclass
+@dataclass(repr=False)
 class History:
     """The accepted steps of a march.
 
@@ -47,6 +48,14 @@ class History:
     model: Model
     table: Table = field(default_factory=Table)
     states: dict[int, State] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        span = f", t = {self.t[0]:g} to {self.t[-1]:g}" if self.table.rows else ""
+        return f"History({self.model!r}, {len(self)} steps{span}, {len(self.states)} states)"
+
+    def identity(self) -> dict[str, Any]:
+        """What it was made from."""
+        return {"history of": self.model.identity(), "t": self.t.tolist()}
 
     def __len__(self) -> int:
         return len(self.table)

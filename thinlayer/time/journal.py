@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from geometry.parallel import on_root
 from thinlayer.equations import Equations
+from thinlayer.identity import code_of
 from thinlayer.loads import ModelError
 from thinlayer.phases import PhaseReport
 from thinlayer.state import State
@@ -53,10 +55,14 @@ class Journal:
         self._observe, self._keep, self.out = observe, keep, out
         self._directed = directed
         self.before: State | None = None
-        self._checkpoint = Checkpoint(out, equations, 2 if directed else 1) if out else None
-        self._mark = fingerprint(self.model, observe=sorted(observe), **choices) if out else ""
+        self._checkpoint = Checkpoint(out, equations, self._mark(choices), 2 if directed else 1) if out else None
         self._written = 0
         self.history, self.pace = History(self.model), pace
+
+    def _mark(self, choices: Mapping[str, Any]) -> str:
+        """What tells the march from others. Of what is observed the code counts, not what it may collect as it goes."""
+        observed = {name: code_of(function) for name, function in self._observe.items()}
+        return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
 
     def read(self, resume: bool) -> bool:
         """Take over the march that is in the folder; False if there is none, or it is not to be resumed.
@@ -64,7 +70,7 @@ class Journal:
         Raises:
             ModelError: the folder has another march, or, to be resumed, a damaged one.
         """
-        found = self._checkpoint.read(self._mark, self._keep, resume) if self._checkpoint else None
+        found = self._checkpoint.read(self._keep, resume) if self._checkpoint else None
         if not found:
             return False
         self.history, self.pace = found
@@ -81,10 +87,7 @@ class Journal:
         for state in states:
             self.note(state)
         if self._checkpoint:
-            if self._written == 0:
-                self._checkpoint.forget()
-            self._checkpoint.write(self._mark, self.history, self.pace, self._written, self.before)
-            self.write_table()
+            self._checkpoint.write(self.history, self.pace, self._written, self.before)
             self._written = len(self.history)
         self._equations.collect()
 
@@ -97,11 +100,6 @@ class Journal:
         if self._keep == "last":
             self.history.states.clear()
         self.history.states[len(self.history) - 1] = state
-
-    def write_table(self) -> None:
-        """Write table.csv into the folder, if there is one."""
-        if self.out and self.model.comm.rank == 0:
-            self.history.table.write(self.out / "table.csv")
 
     def _row(self, state: State, dt: float) -> Row:
         values: dict[str, Any] = {"t": state.t, "dt": dt}

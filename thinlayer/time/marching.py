@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from thinlayer.folder import owned
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.options import OptionValue
@@ -61,15 +62,17 @@ def march(
         observe: name of a column -> function of a state that gives a number, the same on all ranks; evaluated at every
             accepted state.
         keep: "all" states, or "last" alone.
-        out: folder for table.csv and the files to resume from, written at every accepted step.
-        resume: continue the march in `out`, if there is one; times may be added. The model must be the same: numbers are
-            compared, functions are not. Without it the files of the same march are replaced, those of another one refused.
+        out: folder for table.csv and the files to resume from, written at every accepted step. One march at a time.
+        resume: continue the march in `out`, if there is one; times may be added. The model must be the same: its numbers,
+            names and mesh, and of functions and laws the code and what it refers to. Without it the files of the same march
+            are replaced, those of another one refused.
         options, method: of the solver, see `solve`.
 
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; theta < 1 with a law whose state
             within a step says nothing of its ends (that yields, has phases, is not linear and answers at once, contact); a
-            checkpoint that does not fit.
+            checkpoint that does not fit; an `out` that cannot be written, or that another march writes.
+        OSError: a file could not be written; on all ranks.
         SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
         LimitLoad: the same with a layer that yields, as loads change; it tells the last loads with an equilibrium.
     """
@@ -83,7 +86,7 @@ def march(
     adaptive, folder = plan.adaptive, Path(out) if out else None
     pace = Pace(adaptive.first if adaptive else None)
     choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
-    with Solver(model, options=options, method=method) as solver:
+    with _folder(folder, model), Solver(model, options=options, method=method) as solver:
         solver.equations.check_times([start, *plan.targets])
         require_time_scale(solver.equations, theta)
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
@@ -98,10 +101,10 @@ def _follow(
     path.check(start)
     require_path(model, theta, method)
     choices = {"start": start, "theta": theta, "tolerance": None, "first": path.first}
-    with Solver(model, options=options) as solver:
+    folder = Path(out) if out else None
+    with _folder(folder, model), Solver(model, options=options) as solver:
         solver.equations.check_times([start, path.end])
         require_no_time(solver.equations)
-        folder = Path(out) if out else None
         journal = Journal(solver.equations, Pace(None), dict(observe or {}), keep, folder, choices, directed=True)
         return PathFollowing(solver, journal, path, start, options).run(resume)
 
@@ -131,8 +134,8 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
         raise ModelError(f"keep is {keep!r}; allowed: 'all', 'last'")
     if resume and out is None:
         raise ModelError("resume=True needs out=, the folder of the march")
-    if out is not None:
-        _check_folder(model, out)
+    if out is not None and (not isinstance(out, (str, Path)) or not str(out)):
+        raise ModelError(f"out is {out!r}; it must be the name of a folder")
 
 
 def _check_switching(model: Model, plan: Plan) -> None:
@@ -144,16 +147,6 @@ def _check_switching(model: Model, plan: Plan) -> None:
         )
 
 
-def _check_folder(model: Model, out: Any) -> None:
-    """Raise ModelError unless files can be written there. Collective."""
-    if not isinstance(out, (str, Path)) or not str(out):
-        raise ModelError(f"out is {out!r}; it must be the name of a folder")
-    problem = None
-    if model.comm.rank == 0:
-        there = next(path for path in (Path(out).absolute(), *Path(out).absolute().parents) if path.exists())
-        if not there.is_dir():
-            problem = f"out: {str(there)!r} is a file; give a folder"
-        elif not os.access(there, os.W_OK):
-            problem = f"out: no files can be written in {str(there)!r}"
-    if problem := model.comm.bcast(problem):
-        raise ModelError(problem)
+def _folder(out: Path | None, model: Model) -> AbstractContextManager[None]:
+    """The folder of a march, if it has one, for the march alone."""
+    return nullcontext() if out is None else owned(out, model.comm)

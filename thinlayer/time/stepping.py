@@ -55,7 +55,6 @@ class TimeStepping:
             last, end = self._history.last.t, self.plan.targets[-1]
             if last > end + SAME_TIME * max(abs(end), abs(self.start)):
                 raise ModelError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
-            self._journal.write_table()
         else:
             self._begin()
         for target in track(self.plan.after(self._history.last.t), "march", "t = {:g}"):

@@ -1,0 +1,449 @@
+"""A run owns its folder: what it was made from, other runs at the same time, older files, files that are damaged."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import thinlayer.record
+import thinlayer.table
+from forms.laws import LinearElastic
+from studies import sweep_elastic
+from tests.test_marching import JOINT, SETUP, SLOW, SUDDEN, interface
+from tests.test_parallel import CLONE, mpirun
+from thinlayer import Model, ModelError, Table, ThinLayer, cli, march, piecewise, plotting, sweep
+from thinlayer.folder import owned
+from thinlayer.identity import code_of, described, referred
+from thinlayer.record import Record
+
+FACTOR = 2.0
+SCALE = {"a": [1.0, 2.0]}
+
+
+def scaled(x):
+    return FACTOR * x
+
+
+@dataclass(frozen=True)
+class Spring(LinearElastic):
+    RATIO = 0.5
+
+    def stress(self, step):
+        return self.RATIO * scaled(1.0) * super().stress(step)
+
+
+def row(e):
+    return {"eps": e, "error_traction": scaled(e), "error_jump": 3 * e}
+
+
+def fail_to_write(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+# ---------------------------------------------------------------- what something is made from
+def test_functions_are_what_they_do_and_what_they_refer_to(monkeypatch):
+    def load(F, k=1.0):
+        return lambda x, t: (k * F, scaled(t) + np.sin(SCALE["a"][0]))  # a comment
+
+    def same(F, k=1.0):
+        return lambda x, t: (k * F, scaled(t) + np.sin(SCALE["a"][0]))
+
+    first = described(load(-60.0))
+    assert described(load(np.float64(-60))) == described(same(-60)) == first
+    assert described(load(-600.0)) != first
+    assert described(load(-60.0, 2.0)) != first
+    assert described(lambda x, t: (0.0, 1.0)) != described(lambda x, t: (0.0, 2.0))
+    assert described(piecewise({0: 1.0, 1: 2.0})) != described(piecewise({0: 1.0, 1: 3.0}))
+    assert code_of(load(-60.0)) == code_of(load(-600.0))
+    law = described(Spring(60.0, 40.0))
+    assert law == described(Spring(60, 40))
+    with monkeypatch.context() as patch:  # of a function that the function calls
+        patch.setitem(globals(), "FACTOR", 2.5)
+        assert described(load(-60.0)) != first
+        assert described(Spring(60.0, 40.0)) != law
+    with monkeypatch.context() as patch:
+        patch.setattr(Spring, "RATIO", 0.6)
+        assert described(Spring(60.0, 40.0)) != law
+    monkeypatch.setitem(SCALE, "a", [1.5, 2.0])
+    assert described(load(-60.0)) != first
+
+
+def test_descriptions_are_json_and_end():
+    around = {"law": SLOW, "joint": JOINT, "places": np.linspace(0.0, 1.0, 100), "names": {"b", "a"}, "path": Path("x")}
+    around["itself"] = around
+    found = described(around)
+    assert json.loads(json.dumps(found)) == found
+    moved = replace(JOINT, points=JOINT.points * 1.1)
+    assert described(moved) != described(JOINT)
+    assert referred(row).keys() == {"code", "scaled"}
+    assert len(repr(JOINT)) < 200
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (dict(tractions={"TOP": piecewise({0: (0.0, 1.0), 1: (0.0, 1.1)})}), "loads"),
+        (dict(layer=ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.2 * x[0])), "profile"),
+        (dict(supports=SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.01 * t}}), "supports"),
+        (dict(joint=replace(JOINT, facets=JOINT.facets | {"LEFT": JOINT.facets["RIGHT"], "RIGHT": JOINT.facets["LEFT"]})),
+         "facets"),
+        (dict(joint=JOINT.swapped()), "regions"),
+    ],
+    ids=["piecewise", "profile", "moving support", "facets", "sides"],
+)  # fmt: skip
+def test_a_march_of_other_data_is_not_resumed(tmp_path, change, what):
+    data = SETUP | {
+        "layer": ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.1 * x[0]),
+        "supports": SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.02 * t}},
+        "tractions": {"TOP": piecewise({0: (0.0, 1.0), 1: (0.0, 2.0)})},
+    }
+    march(Model.interface(JOINT, **data), [0.1], out=tmp_path)
+    other = Model.interface(change.pop("joint", JOINT), **(data | change))
+    with pytest.raises(ModelError, match=rf"is of another march \(.*{what}: "):
+        march(other, [0.1, 0.2], out=tmp_path, resume=True)
+    assert len(march(Model.interface(JOINT, **data), [0.1, 0.2], out=tmp_path, resume=True)) == 3
+
+
+def test_a_march_leaves_other_tables_alone(tmp_path):
+    (tmp_path / "table.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(ModelError, match=r"has a table\.csv of something else"):
+        march(interface(), [0.1], out=tmp_path)
+    assert (tmp_path / "table.csv").read_text() == "a,b\n1,2\n"
+
+
+# ---------------------------------------------------------------- two runs at once
+def test_the_second_run_at_a_time_is_refused(tmp_path):
+    """And the folder is free again when the first one ends, by whatever signal."""
+    out = tmp_path / "out"
+    program = (
+        "import fcntl, os, sys, time\n"
+        "file = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)\n"
+        "fcntl.flock(file, fcntl.LOCK_EX)\n"
+        "os.write(file, b'process 123 on there')\n"
+        "print('locked', flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    out.mkdir()
+    for name in (".lock", ".t.csv.lock"):
+        words = [sys.executable, "-c", program, str(out / name)]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as first:
+            assert first.stdout.readline() == "locked\n"
+            with pytest.raises(ModelError, match=r"another run \(process 123 on there\) is writing into"):
+                march(interface(), [0.1], out=out) if name == ".lock" else sweep(row, [0.2], out / "t.csv")
+            first.send_signal(signal.SIGKILL)
+    assert sorted(path.name for path in out.iterdir()) == [".lock", ".t.csv.lock"]
+    assert len(march(interface(), [0.1], out=out)) == 2
+    sweep(row, [0.2], out / "t.csv")
+    assert not [*out.glob(".*")]
+
+
+def test_a_lock_of_this_process_and_folders_for_nothing(tmp_path):
+    out = tmp_path / "a" / "b"
+    with owned(out), pytest.raises(ModelError, match=f"process {os.getpid()} on "), Record("s", out, {}):
+        pass
+    assert not (tmp_path / "a").exists()
+    with pytest.raises(ModelError, match=r"no files can be written in .*: "):
+        march(interface(), [0.1], out="/proc/no/such")
+
+
+def test_file_systems_without_locks(tmp_path, monkeypatch):
+    def unknown(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", unknown)
+    assert len(march(interface(), [0.1], out=tmp_path)) == 2
+
+
+# ---------------------------------------------------------------- sweeps
+def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
+    path, found = tmp_path / "t.csv", []
+
+    def run(e):
+        found.append(e)  # what it collects is no part of what it is
+        return row(e)
+
+    sweep(run, [0.4, 0.2], path)
+    before = path.read_bytes()
+    sweep(run, [0.4, 0.2, 0.1], path, resume=True)
+    assert found == [0.4, 0.2, 0.1]
+    sweep(run, [0.4, 0.2], path)  # the same again replaces it
+    assert path.read_bytes() == before
+    monkeypatch.setitem(globals(), "FACTOR", 3.0)
+    with pytest.raises(
+        ModelError, match=r"is the table of another sweep \(row: .* there, .* here\); give another name"
+    ):
+        sweep(run, [0.4, 0.2, 0.1], path, resume=True)
+    assert path.read_bytes() == before
+    assert sweep(run, [0.4], path)["error_traction"] == pytest.approx([1.2])
+    assert (tmp_path / "previous-1" / "t.csv").read_bytes() == before
+    text = path.read_text()
+    path.write_text(text.replace("0.4", "0.5"))
+    with pytest.raises(ModelError, match="it has been changed since"):
+        sweep(run, [0.4], path, resume=True)
+    path.write_text(text)
+    (tmp_path / "t.csv.json").write_text('{"made from": 3}')
+    with pytest.raises(ModelError, match=r"t\.csv\.json' cannot be read"):
+        sweep(run, [0.4], path, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"eps": 0.2}, "a row of another thickness, eps = 0.2"),
+        ({"error_jump": "x"}, "error_jump = 'x', which is no number"),
+        ({"error_jump": 1j}, "neither a number nor a text"),
+        ({"note": [1.0]}, "neither a number nor a text"),
+        ({"more": 1.0}, "columns eps, error_traction, error_jump, more, where the first row has eps"),
+    ],
+)
+def test_rows_that_do_not_fit(change, problem):
+    with pytest.raises(ModelError, match=rf"run\(0\.1\) returns .*{problem}"):
+        sweep(lambda e: row(e) | (change if e == 0.1 else {}), [0.4, 0.1])
+
+
+def test_errors_of_zero_have_no_order(recwarn):
+    table = sweep(lambda e: row(e) | {"error_jump": 0.0}, [0.4, 0.2, 0.1])
+    assert [one["order_jump"] for one in table.rows] == [None, None, None]
+    assert table["order_traction"][1:] == pytest.approx([1.0, 1.0])
+    assert not recwarn
+
+
+# ---------------------------------------------------------------- studies
+def study(out, options, rows=(0.4, 0.2), resume=False, stop_at=None):
+    def run(e):
+        if e == stop_at:
+            raise KeyboardInterrupt
+        return row(e) | {"b": options["b"]}
+
+    with Record("s", out, options, resume=resume) as record:
+        try:
+            table = record.sweep(run, rows)
+            record.write("more.csv", table)
+            plotting.rates(table, save=record.path("rates.png"))
+            record.close()
+        except BaseException as error:
+            record.stop(repr(error))
+            raise
+    return table
+
+
+def test_an_older_run_is_moved_away_and_never_mixed(tmp_path):
+    study(tmp_path, {"b": 1.0})
+    (tmp_path / "notes.txt").write_text("mine")
+    first = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != "notes.txt"}
+    assert first.keys() == {"run.json", "table.csv", "table.csv.json", "more.csv", "rates.png"}
+    with pytest.raises(KeyboardInterrupt):
+        study(tmp_path, {"b": 2.0}, stop_at=0.4)
+    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", "previous-1", "run.json"}
+    assert {path.name: path.read_bytes() for path in (tmp_path / "previous-1").iterdir()} == first
+    table = study(tmp_path, {"b": 2.0}, resume=True)
+    assert list(table["b"]) == [2.0, 2.0]
+    with pytest.raises(ModelError, match="had the options"):
+        study(tmp_path, {"b": 3.0}, resume=True)
+    study(tmp_path, {"b": 3.0})
+    assert {path.name for path in (tmp_path / "previous-2").iterdir()} == first.keys()
+
+
+def test_bad_input_leaves_the_older_run_where_it_was(tmp_path):
+    study(tmp_path, {"b": 1.0})
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with Record("s", tmp_path, {"b": 2.0}) as record:
+        record.path("table.csv")
+        assert {path.name for path in tmp_path.iterdir()} == {".lock", "previous-1", "run.json"}
+        record.withdraw()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
+    study(tmp_path, {"b": 1.0})
+    run = json.loads((tmp_path / "run.json").read_text())
+    assert run["petsc"].keys() == {"options", "PETSC_OPTIONS", "files"}
+    monkeypatch.setattr(thinlayer.record, "code", lambda: "0123456789ab")
+    with pytest.raises(ModelError, match="was made with other source code"):
+        study(tmp_path, {"b": 1.0}, resume=True)
+    monkeypatch.undo()
+    options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": "", "files": []}
+    monkeypatch.setattr(thinlayer.record, "petsc_options", lambda: options)
+    with pytest.raises(ModelError, match="had other PETSc options: -thinlayer_snes_rtol"):
+        study(tmp_path, {"b": 1.0}, resume=True)
+    monkeypatch.undo()
+    for text in ("[]", "{", '{"study": "s", "options": 3}', "\xff"):
+        (tmp_path / "run.json").write_bytes(text.encode("latin-1"))
+        with pytest.raises(ModelError, match=r"run\.json cannot be read"):
+            study(tmp_path, {"b": 1.0}, resume=True)
+    (tmp_path / "run.json").unlink()
+    for resume in (True, False):
+        with pytest.raises(ModelError, match=r"has tables \(more\.csv, table\.csv\) and no run\.json"):
+            study(tmp_path, {"b": 1.0}, resume=resume)
+
+
+def test_other_tables_are_not_drawn(tmp_path):
+    study(tmp_path, {"b": 1.0})
+    Record("s", tmp_path, {}).check_drawn()
+    with pytest.raises(ModelError, match="is of the study s, not t"):
+        Record("t", tmp_path, {}).check_drawn()
+    (tmp_path / "table.csv").write_text("eps,error_traction,error_jump\n0.1,1,1\n")
+    with pytest.raises(ModelError, match=r"table\.csv is not the table that the run in .* wrote"):
+        Record("s", tmp_path, {}).check_drawn()
+
+
+# ---------------------------------------------------------------- the command line
+@pytest.mark.parametrize(
+    ("out", "message"),
+    [("file/x", "no files can be written in 'file/x'"), (" ", "--out is empty"), ("file", "is a file")],
+)
+def test_folders_that_cannot_be(tmp_path, monkeypatch, capsys, out, message):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    monkeypatch.setattr(sweep_elastic, "run", lambda *_, **__: pytest.fail("it was run"))
+    try:
+        status = cli.main(["run", "sweep_elastic", "--out", out])
+    except SystemExit as stop:
+        status = stop.code
+    said = capsys.readouterr().err
+    assert status == 2
+    assert message in said
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys):
+    def writes_too_much(record, **_):
+        record.sweep(row, [0.2])
+        monkeypatch.setattr(thinlayer.table.os, "fsync", fail_to_write)
+        record.write("more.csv", Table([row(0.2)]))
+
+    monkeypatch.setattr(sweep_elastic, "run", writes_too_much)
+    words = ["run", "sweep_elastic", "--out", str(tmp_path / "a")]
+    assert cli.main(words) == 5
+    assert (
+        "more.csv' could not be written or read: No space left on device\nwhat was done is kept in"
+        in capsys.readouterr().err
+    )
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["run.json", "table.csv", "table.csv.json"]
+    monkeypatch.undo()
+    monkeypatch.setattr(sweep_elastic, "run", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(sys, "argv", ["thinlayer", *words[:3], str(tmp_path / "b")])
+    before = signal.getsignal(signal.SIGINT)
+    assert cli.start() == 4
+    signal.signal(signal.SIGINT, before)
+    said = capsys.readouterr().err
+    assert "ZeroDivisionError" in said
+    assert "this is a defect of thinlayer" in said
+    assert "ZeroDivisionError" in json.loads((tmp_path / "b" / "run.json").read_text())["error"]
+
+
+def test_nobody_reads():
+    """A pipe that is closed early: no traceback, no report by PETSc."""
+    words = [sys.executable, "-m", "thinlayer", "info"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as one:
+        one.stdout.close()
+        assert one.stderr.read() == ""
+    assert one.returncode == 0
+
+
+def test_an_interrupt_before_anything_has_begun():
+    program = (
+        "import os, signal\n"
+        "from thinlayer import cli\n"
+        "cli.main = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        "cli.start()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 130
+    assert done.stderr == "thinlayer: interrupted; nothing was done\n"
+
+
+def test_texts_are_read_whatever_the_locale():
+    environment = os.environ | {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    program = "from thinlayer.catalogue import studies; print(len(studies()))"
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, cwd=CLONE, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 20
+
+
+# ---------------------------------------------------------------- damage
+def damaged(arrays):
+    """Ways to spoil a state's file."""
+    yield arrays | {"u": arrays["u"][:, :-1]}
+    yield arrays | {"u": arrays["u"][:-1]}
+    yield arrays | {"u": arrays["u"].astype(complex)}
+    yield arrays | {"u": arrays["u"].ravel()}
+    yield arrays | {"u": arrays["u"] * np.nan}
+    yield arrays | {"u": np.array(["a"])}
+    yield arrays | {"u": np.float64(3.0)}
+    yield arrays | {"t": np.array([0.1, 0.2])}
+    yield arrays | {"t": np.array("now")}
+    yield arrays | {"layer": np.zeros(0)}
+    yield arrays | {"march": np.array("0123456789ab")}
+    yield arrays | {"memory0": arrays["memory0"][:, :4]}
+    yield arrays | {"memory0": arrays["memory0"][::2]}
+
+
+def test_damaged_marches(tmp_path):
+    march(interface(SUDDEN), [0.1, 0.2], out=tmp_path)
+    path, content = tmp_path / "states" / "000002.npz", json.loads((tmp_path / "march.json").read_text())
+    with np.load(path) as file:
+        arrays = dict(file)
+    whole = path.read_bytes()
+    for spoilt in damaged(arrays):
+        np.savez(path, **spoilt)
+        with pytest.raises(ModelError, match=r"000002\.npz (is damaged|cannot be read|is of another march)"):
+            march(interface(SUDDEN), [0.3], out=tmp_path, resume=True)
+    path.write_bytes(whole)
+    rows = content["rows"]
+    for spoilt in (
+        [], {}, None, content | {"pace": {"step": "x"}}, content | {"pace": {"step": None, "more": 1}},
+        content | {"pace": {"step": None, "largest": "x"}}, content | {"rows": []}, content | {"rows": 3},
+        content | {"rows": [*rows[:2], rows[2][:-1]]}, content | {"rows": [["x"] * len(rows[0])] * 3},
+        content | {"columns": content["columns"][1:]}, content | {"mark": 3}, content | {"mark": "[1]"},
+    ):  # fmt: skip
+        (tmp_path / "march.json").write_text(json.dumps(spoilt))
+        with pytest.raises(ModelError, match=r"march\.json cannot be read"):
+            march(interface(SUDDEN), [0.3], out=tmp_path, resume=True)
+    (tmp_path / "march.json").write_text(json.dumps(content))
+    assert len(march(interface(SUDDEN), [0.1, 0.2, 0.3], out=tmp_path, resume=True)) == 4
+
+
+@pytest.mark.parametrize("text", [b"\xff\xfe\x00", b"a,b\n1,2,3\n", b"a,b\n1\n", b"a,b\n" + b"1" * 200_000 + b',"\n'])
+def test_damaged_tables(tmp_path, text):
+    path = tmp_path / "t.csv"
+    path.write_bytes(text)
+    with pytest.raises(ModelError, match=r"cannot be read as a table|is no whole table"):
+        Table.load(path)
+    with pytest.raises(ModelError):
+        plotting.rates(path)
+
+
+def test_pictures_are_whole_or_as_they_were(tmp_path, monkeypatch):
+    path, table = tmp_path / "rates.png", Table([row(0.2), row(0.1)])
+    plotting.rates(table, save=path)
+    before = path.read_bytes()
+
+    def half(self, file, **_):
+        file.write(b"half")
+        fail_to_write()
+
+    monkeypatch.setattr(Figure, "savefig", half)
+    with pytest.raises(OSError, match="No space"):
+        plotting.rates(table, save=path)
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == ["rates.png"]
+
+
+# ---------------------------------------------------------------- several ranks
+def test_errors_of_files_are_errors_of_all_ranks():
+    done = mpirun(2, "-m", "tests.folders_run")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["same"]
