@@ -55,7 +55,7 @@ class Cells:
         """Raise GeometryError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
         given = {**lengths, "h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}
         for what, value in given.items():
-            if value is not None and not isinstance(value, Real):
+            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
                 raise GeometryError(f"{what} is {value!r}; it must be a number")
         for what, value in lengths.items():
             if not np.isfinite(value) or value <= 0:
