@@ -1,11 +1,18 @@
-"""Nothing knows a unit of length: shapes, their meshes and what is computed on them."""
+"""No result knows a unit of length, left and right, or how a mesh is numbered."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from forms import LinearElastic
 from geometry import GeometryError, block, disc, ring, sandwich
+from tests.test_surface import renumbered
+from thinlayer import Model, ThinLayer, compare, solve
+
+STEEL, GLUE = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
 
 FACTORS = [1e-9, 1e-6, 1e-3, 1e3, 1e6]
 SHAPES = {
@@ -45,3 +52,40 @@ def test_builders(shape):
 def test_shapes_too_thin(build, message):
     with pytest.raises(GeometryError, match=message):
         build()
+
+
+def answers(joint, eps, load, **data):
+    """Errors on S, their sizes and the energies of both models."""
+    layer = ThinLayer(GLUE.per_thickness(eps), eps)
+    data |= {"layer": layer, "body": STEEL, "supports": {"RIGHT": 0.0}, "tractions": {"LEFT/UPPER": tuple(load)}}
+    full, limit = (solve(build(joint, **data)) for build in (Model.full, Model.interface))
+    return np.array([*compare(full, limit).values(), *full.energies().values(), *limit.energies().values()])
+
+
+MODELS = {
+    "plane": (lambda s: sandwich(40 * s, 4 * s, 6 * s, 4 * s), {}),
+    "hexahedra": (
+        lambda s: sandwich(20 * s, 4 * s, 6 * s, 4 * s, depth=9 * s, cell="hexahedron"),
+        {"element": "Q1", "bodies": "extended"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("shape", "data"), MODELS.values(), ids=MODELS)
+def test_units_of_length(shape, data):
+    """Powers of the unit: eps 1, errors 0, tractions and jumps on S (d - 1)/2 and 1 more, energies d; solvers' rounding."""
+    joint = shape(1.0)
+    d, load = joint.dim, [-60.0, 5.0, 2.0][: joint.dim]
+    powers = np.array([1, 0, 0, (d - 1) / 2, (d + 1) / 2] + [d] * 6)
+    known = answers(joint, 0.2, load, **data)
+    for factor in (1e-9, 1e6):
+        assert answers(shape(factor), 0.2 * factor, load, **data) / factor**powers == pytest.approx(known, rel=1e-9)
+
+
+def test_mirrors_and_numbers():
+    """Quadrilaterals, whose layer has no diagonals; solvers' rounding."""
+    joint, load = sandwich(40.0, 4.0, 6.0, 4.0, cell="quadrilateral").rotated(0.3), np.array([-60.0, 5.0])
+    known = answers(joint, 0.2, load)
+    flip = np.array([-1.0, 1.0])
+    assert answers(replace(joint, points=joint.points * flip), 0.2, load * flip) == pytest.approx(known, rel=1e-9)
+    assert answers(renumbered(joint), 0.2, load) == pytest.approx(known, rel=1e-9)
