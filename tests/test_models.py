@@ -193,7 +193,7 @@ def test_petsc_options():
 
 
 def test_a_looser_tolerance_takes_fewer_steps():
-    """Options given in a script are heeded: Newton's residuals fall as 1e-4, 1e-8, 1e-16, the last of which is not needed."""
+    """Options given in a script are heeded: Newton's residuals fall as 1e-4, 1e-8, 1e-16, and the last is not needed."""
     hard = Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(Hardening(5.0, 4e5), 0.1)}))
     usual, loose = solve(hard), solve(hard, options={"snes_rtol": 1e-5})
     assert loose.report.iterations < usual.report.iterations
