@@ -11,6 +11,7 @@ import numpy as np
 
 from geometry.joint import (
     BASE,
+    FLAT,
     LAYER,
     LOWER_FACE,
     UPPER_FACE,
@@ -35,6 +36,7 @@ from geometry.topology import (
 )
 
 WAYS = ("kept", "extended")
+NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
 
 
 @dataclass(frozen=True)
@@ -130,34 +132,48 @@ def inflate(
     )
 
 
-def check_layering(layers: int, bodies: str) -> None:
-    """Raise GeometryError if the number of cells through the thickness or the way to make room is out of range."""
+def check_layering(layers: int, bodies: str, name: str = "layers") -> None:
+    """Raise GeometryError if the number of cells through the thickness or the way to make room is out of range.
+
+    Args:
+        layers: the number.
+        bodies: the way.
+        name: what the caller's user calls the number.
+    """
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
-    if not is_number(layers) or not np.isfinite(layers) or int(layers) != layers or layers < 1:
-        raise GeometryError(f"layers is {layers!r}; the layer needs a whole number >= 1 of cells through its thickness")
+    if not is_number(layers) or int(layers) != layers or layers < 1:
+        raise GeometryError(f"{name} is {layers!r}; the layer needs a whole number >= 1 of cells through its thickness")
 
 
 def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodies: str) -> None:
     check_layering(layers, bodies)
+    if not isinstance(joint, Joint):
+        raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    if not is_number(eps) or not np.isfinite(eps) or eps <= 0:
-        raise GeometryError(f"the layer's thickness eps is {eps!r}; it must be a number > 0")
-    if len(strata) and (min(strata) <= 0 or abs(sum(strata) - 1) > 1e-12):
-        raise GeometryError(f"the strata's fractions {tuple(strata)} must be > 0 and add up to 1")
+    if not is_number(eps) or eps <= 0:
+        raise GeometryError(f"the layer's thickness eps is {eps!r}; it must be > 0")
+    if len(strata) and not (all(map(is_number, strata)) and min(strata) > 0 and abs(sum(strata) - 1) <= 1e-12):
+        raise GeometryError(f"the strata's fractions {tuple(strata)} must be numbers > 0 and add up to 1")
     if len(joint.bonded):
-        raise GeometryError(
-            f"S ends inside the bodies (near {place(_tip(joint))}): the layer has no room at its tip and cannot be meshed; "
+        raise GeometryError(_why_not_whole(joint))
+
+
+def _why_not_whole(joint: Joint) -> str:
+    """Why the bodies meet outside S, for a message."""
+    if joint.tip is not None:
+        return (
+            f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
             "use the interface model"
         )
-
-
-def _tip(joint: Joint) -> FloatArray:
-    """A vertex where S meets the bonded part of the bodies' contact, or else any vertex of that part."""
-    bonded = np.unique(joint.table.vertices[joint.bonded])
-    tips = np.intersect1d(bonded, joint.surface)
-    return joint.points[tips[0] if len(tips) else bonded[0]]
+    there = place(joint.points[joint.table.vertices[joint.bonded[0]]].mean(axis=0))
+    if joint.direction is None:
+        return f"the bodies are bonded outside S (near {there}), they cannot make room; use the interface model"
+    return (
+        f"the part of the body at {there} lies above one piece of S and below another: a layer is meshed between two sides "
+        "only; use the interface model, or name the regions between the pieces and give upper and lower"
+    )
 
 
 def _levels(joint: Joint, layers: int, strata: Sequence[float]) -> _Levels:
@@ -229,9 +245,9 @@ def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: Floa
     motion: FloatArray = np.zeros((len(joint.points) + levels.top * len(levels.nodes), joint.dim))
     h = thickness[levels.nodes][:, None]
     if bodies == "kept":
-        if not joint.planar or np.ptp(h) > 1e-12 * h.max():
-            what = "S is not planar" if not joint.planar else "the thickness varies along S"
-            raise GeometryError(f"{what}: the bodies cannot be moved apart in one piece; use bodies='extended'")
+        _require_one_way(joint)
+        if np.ptp(h) > 1e-12 * h.max():
+            raise GeometryError(f"the thickness varies along S: {NOT_KEPT}")
         mean = joint.interface_normals.mean(axis=0)
         n, eps = mean / np.linalg.norm(mean), float(h[0, 0])
         require_room(joint, n, eps)
@@ -249,6 +265,20 @@ def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: Floa
     for level, z in enumerate(levels.heights):
         motion[levels.number(levels.nodes, level)] = h * ((1 - z) * start * low + z * (start + 1) * high)
     return motion
+
+
+def _require_one_way(joint: Joint) -> None:
+    """Raise GeometryError if the bodies cannot be moved apart along one normal of S."""
+    if joint.planar:
+        return
+    normals = joint.node_normals.reshape(-1, joint.dim)
+    if (normals @ normals[0] < FLAT - 1).any() and (np.abs(normals @ normals[0]) > 1 - FLAT).all():
+        ends = [place(joint.points[joint.surface.ravel()[k]]) for k in (0, int((normals @ normals[0]).argmin()))]
+        raise GeometryError(
+            f"S lies in parallel planes, and the upper body is on opposite sides of them at {ends[0]} and at {ends[1]}: "
+            f"{NOT_KEPT}"
+        )
+    raise GeometryError(f"S is not planar: {NOT_KEPT}")
 
 
 def _check_cells(joint: Joint, points: FloatArray, cells: IntArray) -> None:

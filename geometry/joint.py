@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import isfinite
 from numbers import Real
 from typing import Any
 
@@ -23,6 +24,7 @@ from geometry.topology import (
     facet_normals,
     geometry_degree,
     lagrange,
+    ridges,
 )
 
 Profile = Callable[[FloatArray], FloatArray]
@@ -38,6 +40,11 @@ class GeometryError(ValueError):
     """A mesh, a name or a size that cannot be used; the message says what, where and what is allowed."""
 
 
+def is_number(value: object) -> bool:
+    """Whether a value is a finite real number; truth values are none."""
+    return isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
+
+
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     """Message for a name that does not exist: the nearest known one and the whole list."""
     known = sorted(known)
@@ -46,11 +53,6 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     return (
         f"unknown {kind} {name!r}" + (f", did you mean {near[0]!r}?" if near else "") + f"; known: {', '.join(known)}"
     )
-
-
-def is_number(value: object) -> bool:
-    """Whether a value is a real number; True and False are none."""
-    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _digest(*arrays: IntArray) -> str:
@@ -252,6 +254,11 @@ class Joint:
             above = upper_cells(centres, self.table.cells[rows], x, n, np.asarray(self.direction, float))
             return sides_by_direction(self.corners, self.cell_type, self.table, rows, above)
         except ValueError as error:
+            if self.branch is not None:
+                raise GeometryError(
+                    f"S branches at {place(self.branch)}, where three or more parts of the body meet: no direction tells "
+                    "its sides; S is one layer between two sides"
+                ) from None
             raise GeometryError(f"direction {tuple(self.direction)} does not tell the sides of S: {error}") from None
 
     @cached_property
@@ -265,8 +272,25 @@ class Joint:
         return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
 
     @cached_property
+    def branch(self) -> FloatArray | None:
+        """A place where S branches: more than two of its facets meet there; None if there is none."""
+        found, counts = ridges(self.surface, self.cell_type)
+        return self.points[found[counts > 2][0]].mean(axis=0) if (counts > 2).any() else None
+
+    @cached_property
+    def tip(self) -> FloatArray | None:
+        """A place where S ends inside the bodies; None if there is none."""
+        found, counts = ridges(self.surface, self.cell_type)
+        outer = np.setdiff1d(np.flatnonzero(self.table.cells[:, 1] < 0), self.surface_rows)
+        at_outer, _ = ridges(self.table.nodes(outer, self.corners, self.cell_type), self.cell_type)
+        ends = found[counts == 1]
+        keys = [(rows[:, 0] << 32) + rows[:, -1] for rows in (ends, at_outer)]
+        inside = ends[~np.isin(keys[0], keys[1])]
+        return self.points[inside[0]].mean(axis=0) if len(inside) else None
+
+    @cached_property
     def bonded(self) -> IntArray:
-        """Rows of `table` where the lower and the upper side meet outside S; S ends inside the bodies if there are any."""
+        """Rows of `table` where the lower and the upper side meet outside S."""
         if self.rigid_base or self.band is not None:
             return np.empty(0, np.int64)
         inner = np.flatnonzero(self.table.cells[:, 1] >= 0)
@@ -331,6 +355,8 @@ class Joint:
 
     def rotated(self, angle: float) -> Joint:
         """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""
+        if not is_number(angle):
+            raise GeometryError(f"angle is {angle!r}; it must be a number, in radians")
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         return replace(self, points=self.points @ turn.T, direction=self._direction(turn))
@@ -365,6 +391,8 @@ class Joint:
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""
         vertices = np.unique(self.corners)
+        if np.ndim(x) != 1 or not all(map(is_number, x)):
+            raise GeometryError(f"point {x!r} is no place; give {self.dim} coordinates")
         if len(x) != self.dim:
             raise GeometryError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")
         distance = np.linalg.norm(self.reference[vertices] - np.asarray(x, float), axis=1)

@@ -159,7 +159,8 @@ class Cells:
             raise GeometryError(
                 f"{len(pairs)} pairs of nodes at the same place, the first at {place(x)}: the cells there are not "
                 "connected; let bodies share their nodes (gmsh: BooleanFragments or Coherence before meshing, "
-                "removeDuplicateNodes after it)"
+                f"removeDuplicateNodes after it), or, for a gap that is to stay unbonded, draw it wider than {CLOSE:g} of "
+                "the mesh's size"
             )
 
     def facets_among(self, vertices: IntArray) -> FacetTable:

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.joint import GeometryError, Joint, place
-from geometry.topology import FACET_TYPES, FloatArray, IntArray, facet_normals, is_tensor, lagrange
+from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
 EXACT = 1e-10  # likewise for the bodies' other vertices, which must not leave their outer faces
@@ -59,12 +59,11 @@ def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
 
 def require_no_branches(joint: Joint) -> None:
     """Raise GeometryError where more than two facets of S meet at a ridge."""
-    local = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[joint.dim - 2]
-    ridges = np.sort(np.concatenate([joint.surface[:, ridge] for ridge in local]), axis=1)
-    found, counts = np.unique(ridges, axis=0, return_counts=True)
-    if (counts > 2).any():
-        x = joint.points[found[counts > 2][0]].mean(axis=0)
-        raise GeometryError(f"S branches at {place(x)}: displacements and layers of its pieces would interfere")
+    if joint.branch is not None:
+        raise GeometryError(
+            f"S branches at {place(joint.branch)}, where three or more parts of the bodies meet: displacements and layers "
+            "of its pieces would interfere; S is one layer between two sides"
+        )
 
 
 def _outer_moments(joint: Joint, side: int | None = None) -> tuple[FloatArray, FloatArray]:

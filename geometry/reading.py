@@ -56,18 +56,33 @@ def read(
             of one that is not allowed; a surface in space; nodes or cells that are there twice, cells that are flat or
             folded; S is not what `Joint` needs.
     """
-    above, below = (
-        None if side is None else (side,) if isinstance(side, str) else tuple(side) for side in (upper, lower)
-    )
+    if not isinstance(path, (str, Path)):
+        raise GeometryError(f"path is {path!r}; it must be the name of a file")
+    if not (S is None or isinstance(S, str)):
+        raise GeometryError(
+            f"S is {S!r}; give the name of one set of facets (a group of the file can have several parts), or None for "
+            "all facets between the regions lower and upper"
+        )
+    above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
+    if direction is not None and not (np.ndim(direction) == 1 and all(map(is_number, direction))):
+        raise GeometryError(f"direction is {direction!r}; it needs 2 components, in 3D 3, not all zero")
     way = None if direction is None else tuple(float(c) for c in direction)
+    if not is_number(scale) or scale <= 0:
+        raise GeometryError(f"scale is {scale!r}; it must be a number > 0")
     return on_root(comm, partial(_read, Path(path), S, above, below, way, scale))
+
+
+def _names_of(regions: str | Sequence[str] | None, what: str) -> Names | None:
+    """The names of one side's regions."""
+    names = (regions,) if isinstance(regions, str) else regions
+    if names is not None and not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
+        raise GeometryError(f"{what} is {regions!r}; give the name of a region, or several in a list")
+    return None if names is None else tuple(names)
 
 
 def _read(
     path: Path, s: str | None, upper: Names | None, lower: Names | None, way: tuple[float, ...] | None, scale: float
 ) -> Joint:
-    if not (is_number(scale) and np.isfinite(float(scale)) and scale > 0):
-        raise GeometryError(f"scale is {scale!r}; it must be a number > 0")
     try:
         mesh = load(path, scale)
         cells = Cells.of(mesh)

@@ -104,6 +104,19 @@ class FacetTable:
         return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
 
 
+def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
+    """Ridges of facets, vertices in 2D and edges in 3D: (n, k) their sorted vertices, and the number of facets at each.
+
+    Args:
+        facets: (n_facets, m) nodes in the order of the facet's own element.
+        cell_type: of the cells.
+    """
+    element = lagrange(FACET_TYPES[cell_type], 1)
+    rows = np.concatenate([facets[:, ridge] for ridge in element.entity_closure_dofs[-2]])
+    found, counts = np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
+    return found, counts
+
+
 def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:
     """Signed Jacobian determinants at the nodes of cells: one sign over a row means the cell is not folded.
 

@@ -6,6 +6,7 @@ import json
 import sys
 from dataclasses import replace
 
+import numpy as np
 import ufl
 from mpi4py import MPI
 
@@ -115,7 +116,10 @@ def norms() -> dict[str, float]:
         for key, value in compare(full, limit).items():
             found[f"{name} {key}"] = value
         for state in (full, limit):
-            kind = state.model.kind
+            kind, V = state.model.kind, state.model.V
+            of_own_cells = np.unique(V.dofmap.list[: V.mesh.topology.index_map(V.mesh.topology.dim).size_local])
+            lost = np.setdiff1d(np.arange(V.dofmap.index_map.size_local), of_own_cells)
+            found[f"{name} {kind} unknowns of other ranks' cells alone"] = float(V.mesh.comm.allreduce(len(lost)))
             found[f"{name} {kind} u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
             found[f"{name} {kind} layer"] = state.energies()["layer"]
         surface = Surface(limit.model)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -37,6 +38,24 @@ BODY = LinearElastic.young(100.0, 0.3)
 SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
 SUDDEN = Maxwell(60.0, 40.0, t1=0.7)
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
+
+
+@dataclass(frozen=True)
+class StiffeningSolid(Law):
+    """An energy of second and fourth degree."""
+
+    mu: float
+    c: float
+    powers: ClassVar = {"mu": 1, "c": 3}
+
+    def stress(self, step):
+        return 2 * self.mu * step.e + self.c * ufl.inner(step.e, step.e) * step.e
+
+    def energy(self, step):
+        size = ufl.inner(step.e, step.e)
+        return self.mu * size + self.c * size**2 / 4
+
+
 SETUP = {"body": BODY, "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}}
 PULL = {"TOP": (0.0, 1.0)}
 K_N, G_N = 140.0, 60.0 * 0.3 + 80.0 * 0.5
@@ -108,6 +127,19 @@ def test_energy_balance(law, theta):
     assert (table["dissipated"][1:] > 0).all()
     remainder = table["remainder"][later] / np.abs(table["supplied"]).max()
     assert (np.abs(remainder) < 1e-13).all() if theta == 0.5 else (remainder > 0).all()
+
+
+def test_energy_of_bodies_that_are_not_linear():
+    """What is stored at the ends of steps differs by what the step stores."""
+    setup = SETUP | {"body": StiffeningSolid(100.0, 3e4)}
+    for build in (Model.interface, Model.full):
+        model = build(JOINT, layer=ThinLayer(SLOW, 0.1), tractions={"TOP": (0.4, 2.0)}, **setup)
+        history = march(model, [0.1, 0.3, 0.35])
+        total = [state.audit.total for state in history]
+        assert np.diff(total) == pytest.approx(history.table["stored"][1:], rel=1e-9)
+        energies = history.last.energies()
+        assert energies["bodies"] > 0.1 * total[-1]
+        assert energies["bodies"] + energies["layer"] == pytest.approx(total[-1], rel=1e-9)
 
 
 def test_states_know_the_loads_of_their_time():

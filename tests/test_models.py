@@ -8,9 +8,11 @@ import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms import Anisotropic, Law, LawError, LinearElastic, Stack
+from forms import Anisotropic, Law, LawError, LinearElastic, MohrCoulomb, Stack
 from geometry import GeometryError, block, sandwich
+from tests.limit_load_run import dragged
 from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, solve
+from thinlayer.solvers import Solver
 
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
 BODY = LinearElastic.young(100.0, 0.3)
@@ -190,6 +192,21 @@ def test_petsc_options():
         PETSc.Options().delValue("thinlayer_snes_max_it")
 
 
+def test_a_looser_tolerance_takes_fewer_steps():
+    """Options given in a script are heeded: Newton's residuals fall as 1e-4, 1e-8, 1e-16, and the last is not needed."""
+    hard = Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(Hardening(5.0, 4e5), 0.1)}))
+    usual, loose = solve(hard), solve(hard, options={"snes_rtol": 1e-5})
+    assert loose.report.iterations < usual.report.iterations
+    assert usual.report.residual < 1e-10 < loose.report.residual < 1e-5
+
+
+def test_a_line_search_that_is_given_is_the_only_one():
+    model = dragged(MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0))
+    for options, number in (({}, 2), ({"snes_linesearch_type": "bt"}, 1)):
+        with Solver(model, options=options) as solver:
+            assert len(solver._searches) == number
+
+
 def test_failed_solves_say_why():
     model = Model.interface(JOINT, **SETUP)
     with pytest.raises(SolveError, match=r"DIVERGED_MAX_IT.*relative residual"):
@@ -310,3 +327,6 @@ def test_compare_on_a_part_of_s():
     whole = compare(full, limit)
     assert inner["jump"] ** 2 + outer["jump"] ** 2 == pytest.approx(whole["jump"] ** 2, rel=1e-9)
     assert inner["error_jump"] != pytest.approx(outer["error_jump"], rel=1e-3)
+    for name in ("jump", "traction"):  # squares of differences add up
+        sizes = [(one[f"error_{name}"] * one[name]) ** 2 for one in (inner, outer, whole)]
+        assert sizes[0] + sizes[1] == pytest.approx(sizes[2], rel=1e-9)

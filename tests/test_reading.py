@@ -222,6 +222,18 @@ def test_inp_of_gmsh_names_cells_twice(draw, tmp_path):
         read(path)
 
 
+def test_facets_turned_round(tmp_path):
+    """gmsh gives facets that it has turned round the negative number of their group."""
+    blocks, names = [("line", LINES[:2]), ("quad", QUADS)], {"LOW": (1, 2), "UP": (2, 2), "S": (7, 1)}
+    for tags in ([7, 7], [7, -7], [-7, -7]):
+        joint = read(write(tmp_path / "a.msh", GRID, blocks, [tags, [1, 1, 2, 2]], names), upper="UP")
+        assert joint.facets["S"].tolist() == LINES[:2].tolist()
+        assert len(joint.bonded) == 0
+    for tags in ([7, 7], [7, -7]):  # without names
+        joint = read(write(tmp_path / "a.msh", GRID, blocks, [tags, [1, 1, 2, 2]], {}), S="7", upper="2")
+        assert len(joint.facets["S"]) == 2
+
+
 def test_arrays_of_numbers(tmp_path):
     """Without names the only array of integers counts; several are ambiguous; negative numbers are no group."""
     points, blocks = np.pad(GRID, ((0, 0), (0, 1))), [("quad", QUADS), ("line", LINES)]

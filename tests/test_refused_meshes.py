@@ -6,8 +6,10 @@ import gmsh
 import numpy as np
 import pytest
 
-from geometry import GeometryError, inflate, read
+from forms import LinearElastic
+from geometry import GeometryError, inflate, read, sandwich
 from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, save, sides, squares, volume
+from thinlayer import Model, Surface, ThinLayer, solve
 
 
 @pytest.fixture
@@ -163,3 +165,98 @@ def test_no_room_for_the_layer(draw, tmp_path, width):
     assert volume(inflate(joint, 9.0)) == pytest.approx(100 * (8 + width) + 20 * 9)
     with pytest.raises(GeometryError, match=r"no room for a layer of thickness 11 at \([\d.]+, [\d.]+\)"):
         inflate(joint, 11.0)
+
+
+def test_several_joints_in_one_body(draw, tmp_path):
+    """S does not end there; the interface law holds at each of them, a meshed layer has no place."""
+    parts = boxes(draw, (0, 0, 2, 1), (0, 1, 2, 1), (0, 2, 2, 1))
+    groups = {(2, "BODY"): parts, (1, "S"): sides(0, 1, 2, 0) + sides(0, 2, 2, 0), (1, "BOTTOM"): sides(0, 0, 2, 0)}
+    joint = read(save(tmp_path / "a.msh", 2, groups | {(1, "TOP"): sides(0, 3, 2, 0)}), direction=(0, 1))
+    assert joint.tip is joint.branch is None
+    with pytest.raises(GeometryError, match=r"at \([\d.]+, 1\.[\d]+\) lies above one piece of S and below another"):
+        inflate(joint, 0.1)
+    law, k = LinearElastic(3.0, 2.0), 0.7
+    held = {"BOTTOM": {"y": 0}, "TOP": {"y": 0.1}, (0.0, 0.0): {"x": 0}}
+    model = Model.interface(joint, layer=ThinLayer(LinearElastic(0.0, k / 2), 1.0), body=law, supports=held)
+    x, t = Surface(model).profile(Surface(model).traction(solve(model)))
+    stiffness = 4 * 2 * (3 + 2) / (3 + 2 * 2)  # of the body pulled along y that is free along x, over its height
+    assert t[:, 1] == pytest.approx(0.1 / (3 / stiffness + 2 / k), rel=1e-9)
+    assert set(np.rint(x[:, 1] * 1e6) / 1e6) == {1.0, 2.0}
+
+
+def test_upper_body_on_both_sides(draw, tmp_path):
+    """Two parallel lines: n turns round, which is not a curved S."""
+    parts = boxes(draw, (0, 0, 2, 1), (0, 1, 2, 1), (0, 2, 2, 1))
+    groups = {(2, "OUT"): parts[::2], (2, "IN"): parts[1:2], (1, "S"): sides(0, 1, 2, 0) + sides(0, 2, 2, 0)}
+    joint = read(save(tmp_path / "a.msh", 2, groups), upper="IN")
+    message = r"S lies in parallel planes, and the upper body is on opposite sides of them at \([\d.]+, [12]\) and at"
+    with pytest.raises(GeometryError, match=message):
+        inflate(joint, 0.1)
+    assert volume(inflate(joint, 0.1, bodies="extended")) == pytest.approx(6.0)
+
+
+def test_bonded_beside_s(draw, tmp_path):
+    parts = boxes(draw, (0, 0, 3, 1), (0, 1, 1, 1), (2, 1, 1, 1))
+    groups = {(2, "LOW"): parts[:1], (2, "UP"): parts[1:], (1, "S"): sides(0, 1, 1, 0)}
+    with pytest.raises(GeometryError, match=r"the bodies are bonded outside S \(near \(2\.\d+, 1\)\)"):
+        inflate(read(save(tmp_path / "a.msh", 2, groups), upper="UP"), 0.1)
+
+
+@pytest.mark.parametrize("direction", [(0, 1), (1, 1), (0.3, 1)])
+def test_running_bond(draw, tmp_path, direction):
+    parts = boxes(draw, (0, 0, 2, 1), (2, 0, 2, 1), (0, 1, 1, 1), (1, 1, 2, 1), (3, 1, 1, 1))
+    joints = sides(0, 1, 4, 0) + sides(2, 0, 0, 1) + sides(1, 1, 0, 1) + sides(3, 1, 0, 1)
+    path = save(tmp_path / "a.msh", 2, {(2, "WALL"): parts, (1, "S"): joints})
+    with pytest.raises(GeometryError, match=r"S branches at \([123], 1\), where three or more parts of the body meet"):
+        read(path, direction=direction)
+
+
+@pytest.mark.parametrize("open_end", [0.0, 1e-6])
+def test_gap_beside_s(draw, tmp_path, open_end):
+    """Unbonded beside S: two nodes at one place may be a mistake, a gap that is drawn is none."""
+    points = [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (2, 2), (2, 1 + 2 * open_end)]
+    cells = [[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 9, 8, 7]]
+    path = squares(tmp_path / "a.msh", np.array(points, float), cells, [[3, 4]], names={**NAMES, "S": (1, 1)})
+    if not open_end:
+        with pytest.raises(
+            GeometryError, match=r"1 pairs of nodes .* \(2, 1\).* stay unbonded, draw it wider than 1e-09"
+        ):
+            read(path, upper="UP")
+    else:
+        assert volume(inflate(read(path, upper="UP"), 0.1)) == pytest.approx(4.1, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"S": ["BED", "HEAD"]}, r"S is \['BED', 'HEAD'\]; give the name of one set of facets .* or None"),
+        ({"upper": 3}, "upper is 3; give the name of a region, or several in a list"),
+        ({"lower": ["LOW", 1]}, r"lower is \['LOW', 1\]; give"),
+        ({"direction": "up"}, "direction is 'up'; it needs 2 components"),
+        ({"direction": (0, float("nan"))}, "direction is"),
+        ({"scale": True}, "scale is True; it must be a number > 0"),
+        ({"path": None}, "path is None"),
+    ],
+)
+def test_arguments_of_read(data, message):
+    with pytest.raises(GeometryError, match=message):
+        read(**{"path": "a.msh"} | data)
+
+
+def test_arguments_of_inflate():
+    joint = sandwich(1.0, 1.0, 1.0, 1.0)
+    for data, message in (
+        ({"eps": "thin"}, "eps is 'thin'; it must be > 0"),
+        ({"eps": True}, "eps is True"),
+        ({"strata": "ab"}, "fractions .* must be numbers > 0"),
+        ({"layers": 0}, "layers is 0; the layer needs"),
+    ):
+        with pytest.raises(GeometryError, match=message):
+            inflate(joint, **{"eps": 0.1} | data)
+    law, supports = LinearElastic(1.0, 1.0), {"BOTTOM": 0}
+    with pytest.raises(GeometryError, match="sublayers is 0; the layer needs a whole number >= 1 of cells"):
+        Model.full(joint, layer=ThinLayer(law, 0.1), body=law, supports=supports, sublayers=0)
+    with pytest.raises(GeometryError, match="angle is nan"):
+        joint.rotated(float("nan"))
+    with pytest.raises(GeometryError, match=r"point 3\.0 is no place; give 2 coordinates"):
+        joint.nearest_point(3.0)

@@ -81,7 +81,7 @@ class Model:
         self.joint, self.layer, self.kind, self.plane = joint, layer, kind, plane
         self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
         self._check_choices(bodies)
-        check_layering(sublayers, bodies)
+        check_layering(sublayers, bodies, "sublayers")
         self.body_laws = self._body_laws(body)
         if kind == "interface" and not joint.rigid_base:
             require_no_branches(joint)

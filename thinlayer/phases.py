@@ -7,9 +7,12 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from forms.law import Law
 from forms.series import Stack
+from geometry.order import along, by_place
+from geometry.topology import IntArray
 from thinlayer.layer import ThinLayer
 from thinlayer.loads import ModelError
 from thinlayer.pointwise.kernels import memory_slots
@@ -78,7 +81,7 @@ class PhaseReport:
     def profile(self) -> tuple[Array, Array]:
         """Centres (columns, d) of the facets of S and the mean phase (columns,) of the layer there.
 
-        In the joint before inflating, sorted by coordinates, the same on all ranks.
+        In the joint before inflating, in order along S in 2D, else by their coordinates, the same on all ranks.
         """
         sums = []
         for quadrature, phase, weights in self._parts:
@@ -86,9 +89,25 @@ class PhaseReport:
             places = columns.centres
             sums.append([columns.sum_of(weights * phase), columns.sum_of(weights)])
         part, whole = np.sum(sums, axis=0)
-        close = 1e-9 * np.ptp(self.state.model.joint.points, axis=0).max()
-        order = np.lexsort(np.rint(places[:, ::-1] / close).T)
+        order = self._order(places)
         return places[order], (part / whole)[order]
+
+    def _order(self, places: Array) -> IntArray:
+        """Order of the facets of S with centres at these places: along S in 2D, else by their places."""
+        size = float(np.ptp(self.state.model.joint.points, axis=0).max())
+        return along(places, self._neighbours(places), size) if places.shape[1] == 2 else by_place(places, size)
+
+    def _neighbours(self, places: Array) -> IntArray:
+        """(n, 2) pairs of facets of S, with centres at these places, that share a vertex; in 2D."""
+        joint = self.state.model.joint
+        vertices = joint.table.vertices[joint.surface_rows]
+        _, facet = cKDTree(joint.points[vertices].mean(axis=1)).query(places)
+        ends = vertices[facet]
+        column = np.tile(np.arange(len(ends)), 2)
+        order = np.argsort(ends.T.ravel(), kind="stable")
+        vertex, column = ends.T.ravel()[order], column[order]
+        same = vertex[1:] == vertex[:-1]
+        return np.column_stack([column[:-1][same], column[1:][same]])
 
     @property
     def fronts(self) -> Array:
@@ -97,9 +116,12 @@ class PhaseReport:
         if x.shape[1] != 2:
             raise ModelError("fronts are places on a line; in 3D look at profile()")
         above = np.abs(phase) - 0.5
-        k = np.flatnonzero(above[:-1] * above[1:] < 0)
-        share = (above[k] / (above[k] - above[k + 1]))[:, None]
-        return x[k] + share * (x[k + 1] - x[k])
+        pairs = np.sort(self._neighbours(x), axis=1)
+        a, b = pairs[np.lexsort(pairs.T[::-1])].T
+        crossed = above[a] * above[b] < 0
+        a, b = a[crossed], b[crossed]
+        share = (above[a] / (above[a] - above[b]))[:, None]
+        return x[a] + share * (x[b] - x[a])
 
     def __str__(self) -> str:
         return f"phase 1: {self.plus:.4g}, phase -1: {self.minus:.4g} of the layer, boundary at {self.boundary:.6g}"

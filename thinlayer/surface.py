@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import cast
+from functools import cached_property, partial
+from typing import Any, cast
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -13,9 +13,12 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
+from ufl.classes import Condition, Restricted
+from ufl.domain import extract_domains
 
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
+from geometry.order import order_on_s
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.state import State, transfer
@@ -59,12 +62,44 @@ class Surface:
     model: Model
 
     def __post_init__(self) -> None:
-        if self.model.kind != "interface":
-            raise ModelError(f"Surface needs an interface model, not {self.model!r}")
+        if not isinstance(self.model, Model) or self.model.kind != "interface":
+            hint = ": give the state's model" if isinstance(self.model, State) else ""
+            raise ModelError(f"Surface needs an interface model, not {_short(self.model)}{hint}")
 
     def _require_same_joint(self, state: State) -> None:
+        if not isinstance(state, State):
+            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {_short(state)}")
         if state.model.joint is not self.model.joint:
             raise ModelError("this state's model has another joint than the surface; build both from the same one")
+
+    def _expression(self, f: Any, *shapes: tuple[int, ...]) -> Expr:
+        """A UFL expression on S of one of these shapes (none: of any); a condition is 1 or 0."""
+        try:
+            found = ufl.as_ufl(f)
+        except Exception as error:
+            raise ModelError(f"{_short(f)} is no UFL expression on S, as surface.jump(state) is one") from error
+        if isinstance(found, Condition):
+            found = ufl.conditional(found, 1.0, 0.0)
+        if shapes and found.ufl_shape not in shapes:
+            known = " or ".join("of a scalar, ()" if shape == () else f"of a vector, {shape}" for shape in shapes)
+            raise ModelError(f"an expression on S has the shape {found.ufl_shape}; allowed: that {known}")
+        if any(domain is not self.model.domain.mesh.ufl_domain() for domain in extract_domains(found)):
+            raise ModelError(
+                "an expression on S is of another model's mesh; bring states here by surface.displacement(state)"
+            )
+        if not self.model.joint.rigid_base and _lacks_side(found, (self.model.V, self.trace_space)):
+            raise ModelError(
+                "an expression on S has a field that jumps there; say on which side, as surface.sides.upper(u) or "
+                "surface.sides.lower(u), or take surface.jump(state)"
+            )
+        return found
+
+    def _compiled(self, f: Expr, make: Callable[[Any], Any]) -> Any:
+        """What `make` makes of the integral over S of a scalar expression."""
+        try:
+            return make(f * self.sides.measure)
+        except ValueError as error:  # UFL's
+            raise ModelError(f"an expression cannot be integrated over S: {error}") from error
 
     @property
     def sides(self) -> Interface:
@@ -77,10 +112,19 @@ class Surface:
         return self.model.space(1)
 
     def displacement(self, state: State) -> fem.Function:
-        """Displacement of a state (of either model) in the interface model's space. Collective."""
+        """Displacement of a state (of either model) in the interface model's space. Collective.
+
+        Raises:
+            ModelError: not a state, of another joint, of another element.
+        """
         self._require_same_joint(state)
         if state.model is self.model:
             return state.u
+        if state.model.element != self.model.element:
+            raise ModelError(
+                f"the state has elements {state.model.element}, the surface's model {self.model.element}: displacements "
+                "need the same"
+            )
         return transfer(state.u, state.model, self.model.V, self.model)
 
     def jump(self, state: State) -> Expr:
@@ -102,8 +146,9 @@ class Surface:
 
     def nodal(self, f: Expr) -> fem.Function:
         """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective."""
+        f = self._expression(f, (self.model.joint.dim,))
         v = ufl.TestFunction(self.trace_space)
-        r = nodal_forces(self.trace_space, ufl.inner(f, self.sides.upper(v)) * self.sides.measure)
+        r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
         return self._divide_by_mass(r, np.empty(0, np.int32))
 
     def frame(self, f: Expr) -> Expr:
@@ -111,24 +156,36 @@ class Surface:
 
         The tangents are those of `forms.kinematics.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
         """
-        n = self.sides.n
+        f, n = self._expression(f, (self.model.joint.dim,)), self.sides.n
         axes = layer_frame(n)
         tangential = [ufl.dot(lift(f), axes[:, column]) for column in (0, 2)[: len(n) - 1]]
         return ufl.as_vector([*tangential, ufl.dot(f, n)])
 
     def profile(self, f: Expr) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Places (n, d) and values (n, d) of a vector expression, projected to degree 1, at the vertices of S. Collective.
+        """Places (n, d) and values of an expression, projected to degree 1, at the vertices of S. Collective.
 
-        Sorted by the coordinates, the same on every rank.
+        In order along S in 2D, piece after piece, else by the coordinates; the same on every rank.
+
+        Args:
+            f: vector expression on S, values (n, d), or a scalar one, values (n,).
         """
-        V = self.trace_space
-        d, owned = self.model.joint.dim, V.dofmap.index_map.size_local
-        at = np.flatnonzero(self._upper_nodes[:owned])
-        rows = np.hstack([V.tabulate_dof_coordinates()[at, :d], self.nodal(f).x.array.reshape(-1, d)[at]])
+        V, d = self.trace_space, self.model.joint.dim
+        f = self._expression(f, (d,), ())
+        at = np.flatnonzero(self._upper_nodes[: V.dofmap.index_map.size_local])
+        values = self.nodal(f if f.ufl_shape else ufl.as_vector([f] + [0.0] * (d - 1))).x.array.reshape(-1, d)
+        rows = np.column_stack([self._vertices[at], V.tabulate_dof_coordinates()[at, :d], values[at]])
         rows = np.concatenate(self.model.comm.allgather(rows))
-        close = 1e-9 * np.ptp(self.model.joint.points, axis=0).max()  # places that differ by rounding are the same
-        rows = rows[np.lexsort(np.rint(rows[:, d - 1 :: -1] / close).T)]
-        return rows[:, :d], rows[:, d:]
+        x = rows[:, 1 : 1 + d]
+        order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x)
+        return x[order], rows[order, 1 + d :] if f.ufl_shape else rows[order, 1 + d]
+
+    @cached_property
+    def _vertices(self) -> npt.NDArray[np.int64]:
+        """The vertex of the joint at each local node of the trace space."""
+        geometry, cells = self.model.domain.mesh.geometry, self.trace_space.dofmap.list
+        numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
+        numbers[cells] = np.asarray(geometry.input_global_indices)[geometry.dofmap[:, : cells.shape[1]]]
+        return numbers
 
     @cached_property
     def _upper_nodes(self) -> npt.NDArray[np.bool_]:
@@ -144,11 +201,12 @@ class Surface:
 
     def integral(self, f: Expr) -> float:
         """Integral over S of a scalar expression. Collective."""
-        return float(self.model.comm.allreduce(fem.assemble_scalar(fem.form(f * self.sides.measure))))
+        return float(self.model.comm.allreduce(fem.assemble_scalar(self._compiled(self._expression(f, ()), fem.form))))
 
     def norm(self, f: Expr, where: Expr = 1) -> float:
-        """L2 norm over S of a vector expression, weighted with `where`. Collective."""
-        return float(np.sqrt(self.integral(where * ufl.inner(f, f))))
+        """L2 norm over S of a vector expression, or of one of another shape, weighted with `where`. Collective."""
+        f = self._expression(f)
+        return float(np.sqrt(self.integral(self._expression(where, ()) * ufl.inner(f, f))))
 
     @cached_property
     def _held(self) -> np.ndarray:
@@ -212,3 +270,23 @@ class Surface:
         for thing in (A, b, x, rows, ksp):
             thing.destroy()
         return t
+
+
+def _lacks_side(f: Expr, spaces: Sequence[fem.FunctionSpace]) -> bool:
+    """Whether a field of one of these spaces is in an expression without a side."""
+    left, seen = [f], set()
+    while left:
+        part = left.pop()
+        if part in seen or isinstance(part, Restricted):
+            continue
+        if isinstance(part, fem.Function) and part.function_space in spaces:
+            return True
+        seen.add(part)
+        left += part.ufl_operands
+    return False
+
+
+def _short(thing: object) -> str:
+    """A thing in a message."""
+    text = repr(thing)
+    return text if len(text) <= 80 else f"{text[:80]}..."

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Self
 
 import gmsh
 
 from geometry.joint import S
 from geometry.shapes.drawing import Drawing
 from geometry.shapes.prism import Prism
-from geometry.shapes.sizing import Grading
+from geometry.shapes.sizing import Grading, times
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,16 @@ class Boxes(Prism):
     def distance(self) -> str:
         """Distance from S."""
         return "abs(y)"
+
+    def scaled(self, factor: float) -> Self:
+        """All lengths times a factor."""
+        return replace(
+            self,
+            cells=self.cells.scaled(factor),
+            depth=self.depth and times(self.depth, factor),
+            width=times(self.width, factor),
+            bodies=tuple((name, times(height, factor)) for name, height in self.bodies),
+        )
 
     def draw_plane(self) -> Drawing:
         """Rectangles, the cells of their grid from h_S at S to h away from it, from h_ends at S's ends to h_S between."""

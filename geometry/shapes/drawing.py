@@ -5,18 +5,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from math import floor, log10
+from typing import Any, Self
 
 import dolfinx
 import gmsh
 import numpy as np
 
-from geometry.joint import Joint, S
-from geometry.shapes.sizing import CELLS, Cells, Grading
+from geometry.joint import GeometryError, Joint, S
+from geometry.shapes.sizing import CELLS, RANGE, Cells, Grading, require_wide
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
 
 FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's words, where they differ
 GROWTH = 0.3  # cell size gained per unit of distance from a refined place
+UNITS = 3  # decimal digits between units of length such as mm and m
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,10 @@ class Shape(ABC):
         return []
 
     @abstractmethod
+    def scaled(self, factor: float) -> Self:
+        """The shape, sizes of cells included, with all lengths times a factor."""
+
+    @abstractmethod
     def draw(self) -> Drawing:
         """Draw with gmsh's built-in kernel."""
 
@@ -104,7 +110,20 @@ class Shape(ABC):
         return self.cells.sizes(self.thinnest, self.dim)
 
     def build(self) -> Joint:
-        """Mesh with gmsh and take the arrays over."""
+        """Mesh with gmsh and take the arrays over.
+
+        gmsh's tolerances are absolute lengths: it is given the shape in the unit, among those a thousand apart, in which
+        the largest length is 1 to 1000. So the mesh is the same in nm, mm, m and km.
+        """
+        largest = max(self.lengths.values())
+        require_wide("the thinnest part", self.thinnest, largest)
+        if self.cells.h is None and self.sizes[0] < RANGE * largest:
+            raise GeometryError(f"the default cell size h is {self.sizes[0]:g}; give h, from {RANGE * largest:g} on")
+        digits = UNITS * floor(log10(largest) / UNITS)
+        return self.scaled(10.0**-digits)._build(10.0**digits)
+
+    def _build(self, unit: float) -> Joint:
+        """The mesh with points times a unit of length."""
         gmsh.initialize(interruptible=False)
         try:
             gmsh.option.setNumber("General.Terminal", 0)
@@ -117,7 +136,7 @@ class Shape(ABC):
             gmsh.model.mesh.generate(self.dim)
             if self.cells.degree > 1:
                 gmsh.model.mesh.setOrder(self.cells.degree)
-            return self._read(drawing)
+            return self._read(drawing, unit)
         finally:
             gmsh.finalize()
 
@@ -165,7 +184,7 @@ class Shape(ABC):
         for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
             gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
 
-    def _read(self, drawing: Drawing) -> Joint:
+    def _read(self, drawing: Drawing, unit: float) -> Joint:
         nodes, x, _ = gmsh.model.mesh.getNodes()
         bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
         facet_type = FACET_TYPES[self.kind]
@@ -180,7 +199,7 @@ class Shape(ABC):
         names = tuple(drawing.bodies)
         cells = number(np.concatenate(bodies)[:, order])
         return Joint(
-            self.settle(points, cells),
+            self.settle(points, cells) * unit,
             cells,
             self.kind,
             np.repeat(np.arange(len(bodies)), [len(body) for body in bodies]),

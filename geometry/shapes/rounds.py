@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from math import pi, tau
+from typing import Self
 
 import gmsh
 
@@ -12,7 +13,7 @@ from geometry.joint import GeometryError, S
 from geometry.shapes.drawing import Drawing, Shape, walls
 from geometry.shapes.polar import Web, curve_grid, is_circle, surface
 from geometry.shapes.prism import Prism
-from geometry.shapes.sizing import Grading
+from geometry.shapes.sizing import Grading, require_wide, times
 from geometry.topology import FloatArray, IntArray
 
 TURN = 0.3  # largest angle, in radians, at which a cell is seen from the axis
@@ -66,6 +67,17 @@ class Rings(Prism):
         """Cells at every radius small enough to follow a circle."""
         return [f"{TURN!r} * sqrt(x*x + y*y)"]
 
+    def scaled(self, factor: float) -> Self:
+        """All lengths times a factor."""
+        return replace(
+            self,
+            cells=self.cells.scaled(factor),
+            depth=self.depth and times(self.depth, factor),
+            inner=times(self.inner, factor),
+            interface=times(self.interface, factor),
+            outer=times(self.outer, factor),
+        )
+
     def draw_plane(self) -> Drawing:
         """Rings between spokes; INNER's spokes end at S, where OUTER's begin."""
         web = Web.drawn((self.inner, self.interface, self.outer), self.angle, "xy")
@@ -115,6 +127,8 @@ class Discs(Shape):
         super().__post_init__()
         if not 0 <= self.hole < self.radius:
             raise GeometryError(f"hole is {self.hole}; it must be 0 (no hole) or a radius less than {self.radius}")
+        if self.hole:
+            require_wide("hole", self.hole, self.radius)
 
     @property
     def dim(self) -> int:
@@ -145,6 +159,17 @@ class Discs(Shape):
     def limits(self) -> list[str]:
         """Cells small enough to follow a circle, at every radius if there is a hole."""
         return [f"{TURN!r} * {'sqrt(x*x + z*z)' if self.hole else repr(float(self.radius))}"]
+
+    def scaled(self, factor: float) -> Self:
+        """All lengths times a factor."""
+        return replace(
+            self,
+            cells=self.cells.scaled(factor),
+            radius=times(self.radius, factor),
+            lower=times(self.lower, factor),
+            upper=times(self.upper, factor),
+            hole=times(self.hole, factor),
+        )
 
     def draw(self) -> Drawing:
         """A disc in the plane of S, swept to both sides."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from numbers import Real
 
 import gmsh
 import numpy as np
@@ -13,7 +14,21 @@ from geometry.joint import GeometryError, is_number, unknown
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
 ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
+DIGITS = 9  # decimals of a number of cells: half cells are half cells in all units of length
+THIN = 1e-6  # least length of a shape, in units of its largest: gmsh takes points closer than 1e-8 to be one
 RANGE = 1e-5  # smallest cell size allowed, in units of the shape's own size
+
+
+def times(length: float, factor: float) -> float:
+    """A length times a power of ten, without what rounding adds to its digits."""
+    return length if factor == 1 else float(f"{length * factor:.15g}")
+
+
+def require_wide(what: str, length: float, largest: float) -> None:
+    """Raise GeometryError for a part of a shape that gmsh could not tell from nothing."""
+    if length < THIN * largest:
+        least = f"{THIN * largest:g} ({THIN:g} of the largest length)"
+        raise GeometryError(f"{what} is {length:g}; allowed: at least {least}")
 
 
 @dataclass(frozen=True)
@@ -40,12 +55,14 @@ class Cells:
         """Raise GeometryError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
         given = {**lengths, "h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}
         for what, value in given.items():
-            if value is not None and not is_number(value):
+            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
                 raise GeometryError(f"{what} is {value!r}; it must be a number")
         for what, value in lengths.items():
             if not np.isfinite(value) or value <= 0:
                 raise GeometryError(f"{what} is {value}; it must be > 0")
         largest = max(lengths.values())
+        for what, value in lengths.items():
+            require_wide(what, value, largest)
         smallest = RANGE * largest
         for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
             if size is not None and not (np.isfinite(size) and smallest <= size <= largest):
@@ -58,6 +75,11 @@ class Cells:
             raise GeometryError(f"degree is {self.degree!r}; allowed: 1 (straight cells), 2 (curved cells)")
         if self.arrangement not in ARRANGEMENTS:
             raise GeometryError(unknown("arrangement", self.arrangement, ARRANGEMENTS))
+
+    def scaled(self, factor: float) -> Cells:
+        """The same with sizes times a factor."""
+        h, h_S, h_ends = (size and times(size, factor) for size in (self.h, self.h_S, self.h_ends))
+        return replace(self, h=h, h_S=h_S, h_ends=h_ends)
 
     def sizes(self, thinnest: float, dim: int) -> tuple[float, float, float]:
         """(h, h_S, h_ends) with their defaults for a shape whose thinnest part has this length."""
@@ -89,7 +111,7 @@ class Grading:
     ) -> Grading:
         """The grading of a line of a length that comes nearest to these sizes."""
         if first == last:
-            return cls(max(1, round(length / first)), first, last, symmetric, backwards)
+            return cls(max(1, round(round(length / first, DIGITS))), first, last, symmetric, backwards)
         graded = length / 2 if symmetric else length
         if max(first, last) >= graded:
             first, last = min(first, graded / 2), min(last, graded / 2)

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.contact import Status
 from forms.work import work
 from geometry.joint import Joint
+from geometry.order import edges_of_s, order_on_s
 from thinlayer.contact.nodes import Array, ContactNodes
 from thinlayer.loads import ModelError
 from thinlayer.state import State
@@ -111,7 +112,7 @@ class ContactReport:
         columns = [nodes.numbers, nodes.x, kind, pinned, w, p, t[:, :-1], threshold, nodes.weights, axes]
         rows: Array = np.concatenate(model.comm.allgather(np.column_stack(columns)))
         numbers = rows[:, 0].astype(np.int64)
-        order = _along(model.joint, numbers, rows[:, 1 : 1 + d])
+        order = order_on_s(model.joint, numbers, rows[:, 1 : 1 + d])
         x, kinds, held_rows, jumps, pressure, friction, bound, weights, frames = np.split(
             rows[order, 1:], np.cumsum([d, 1, 1, d, 1, d - 1, 1, 1]), axis=1
         )
@@ -143,7 +144,7 @@ class ContactReport:
     @cached_property
     def zones(self) -> list[Zone]:
         """Connected parts of S with one status, in the order of their first nodes."""
-        a, b = _edges(self.joint, self.numbers)
+        a, b = edges_of_s(self.joint, self.numbers)
         same = self.status[a] == self.status[b]
         n = len(self.numbers)
         graph = coo_array((np.ones(same.sum()), (a[same], b[same])), shape=(n, n))
@@ -164,7 +165,7 @@ class ContactReport:
     @cached_property
     def pieces(self) -> list[npt.NDArray[np.int64]]:
         """In 2D, the nodes of each piece of S, in order along it."""
-        a, b = _edges(self.joint, self.numbers)
+        a, b = edges_of_s(self.joint, self.numbers)
         near = np.abs(a - b) == 1
         joined = np.isin(np.arange(len(self.numbers) - 1), np.minimum(a, b)[near])
         return np.split(np.arange(len(self.numbers)), np.flatnonzero(~joined) + 1)
@@ -219,35 +220,3 @@ def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: 
         float(np.abs(sums).max() / sizes) if sizes else 0.0,
         abs(spent + tractions - supplied - at_supports) / largest if largest else 0.0,
     )
-
-
-def _edges(joint: Joint, numbers: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Pairs of positions in `numbers` of vertices that share a facet of S."""
-    facets = joint.table.vertices[joint.surface_rows]
-    k = facets.shape[1]
-    pairs = np.concatenate([facets[:, [i, j]] for i in range(k) for j in range(i + 1, k)])
-    order = np.argsort(numbers)
-    at = np.minimum(np.searchsorted(numbers[order], pairs), len(numbers) - 1)
-    there = (numbers[order][at] == pairs).all(axis=1)
-    return order[at[there, 0]], order[at[there, 1]]
-
-
-def _along(joint: Joint, numbers: npt.NDArray[np.int64], x: Array) -> npt.NDArray[np.int64]:
-    """Order of the nodes: along S in 2D, piece after piece, each from the end with the lower coordinates; else by x."""
-    close = 1e-9 * np.ptp(joint.points, axis=0).max()
-    by_place = np.lexsort(np.rint(x[:, ::-1] / close).T)
-    if joint.dim == 3:
-        return by_place
-    neighbours: list[list[int]] = [[] for _ in numbers]
-    for a, b in zip(*_edges(joint, numbers), strict=True):
-        neighbours[a].append(int(b))
-        neighbours[b].append(int(a))
-    left, order = set(range(len(numbers))), []
-    ends_first = sorted(by_place.tolist(), key=lambda k: len(neighbours[k]) > 1)
-    for first in ends_first:
-        at: int | None = first
-        while at is not None and at in left:
-            left.remove(at)
-            order.append(at)
-            at = next((k for k in neighbours[at] if k in left), None)
-    return np.array(order, np.int64)

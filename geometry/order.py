@@ -1,0 +1,55 @@
+"""The order of places on S: along a curve, else by coordinates; the same for any numbering of the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geometry.joint import Joint
+from geometry.topology import FloatArray, IntArray
+
+CLOSE = 1e-9  # of the size of the whole: places that differ by less, by rounding, are the same
+
+
+def by_place(x: FloatArray, size: float) -> IntArray:
+    """Order of places (n, d) by the first coordinate, then by the next ones; `size`: length of the whole."""
+    return np.lexsort(np.rint(x[:, ::-1] / (CLOSE * size)).T)
+
+
+def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
+    """Order of places (n, 2) along the curves that pairs (m, 2) of neighbours form.
+
+    Curve after curve, each from its lower end, a closed one from its lowest place towards the lower of its neighbours
+    (`by_place`).
+    """
+    order = by_place(x, size)
+    rank = np.argsort(order)
+    neighbours: list[list[int]] = [[] for _ in x]
+    for a, b in zip(*pairs.T, strict=True):
+        neighbours[int(a)].append(int(b))
+        neighbours[int(b)].append(int(a))
+    left, way = set(range(len(x))), list[int]()
+    for first in sorted(map(int, order), key=lambda k: len(neighbours[k]) > 1):
+        going = [first] if first in left else []
+        while going:
+            at = min(going, key=lambda k: int(rank[k]))
+            left.remove(at)
+            way.append(at)
+            going = [k for k in neighbours[at] if k in left]
+    return np.array(way, np.int64)
+
+
+def edges_of_s(joint: Joint, numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S."""
+    facets = joint.table.vertices[joint.surface_rows]
+    k = facets.shape[1]
+    pairs = np.concatenate([facets[:, [i, j]] for i in range(k) for j in range(i + 1, k)])
+    order = np.argsort(numbers)
+    at = np.minimum(np.searchsorted(numbers[order], pairs), len(numbers) - 1)
+    there = (numbers[order][at] == pairs).all(axis=1)
+    return order[at[there, 0]], order[at[there, 1]]
+
+
+def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray) -> IntArray:
+    """Order of some vertices of a joint, on S at x (n, d): along S in 2D, else by their places."""
+    size = float(np.ptp(joint.points, axis=0).max())
+    return along(x, np.column_stack(edges_of_s(joint, numbers)), size) if joint.dim == 2 else by_place(x, size)

@@ -1,0 +1,91 @@
+"""No result knows a unit of length, left and right, or how a mesh is numbered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic
+from geometry import GeometryError, block, disc, ring, sandwich
+from tests.test_surface import renumbered
+from thinlayer import Model, ThinLayer, compare, solve
+
+STEEL, GLUE = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+
+FACTORS = [1e-9, 1e-6, 1e-3, 1e3, 1e6]
+SHAPES = {
+    "sandwich": lambda s: sandwich(4 * s, 0.8 * s, 1.1 * s, 0.5 * s, h_S=0.3 * s, h_ends=0.1 * s),
+    "graded grid": lambda s: sandwich(4 * s, 0.8 * s, 1.1 * s, 0.5 * s, h_S=0.3 * s, cell="quadrilateral"),
+    "box": lambda s: block(2 * s, 0.8 * s, 0.5 * s, depth=1.2 * s),
+    "box of hexahedra": lambda s: sandwich(2 * s, 0.8 * s, 1.1 * s, 0.5 * s, depth=1.2 * s, cell="hexahedron"),
+    "sector": lambda s: ring(0.9 * s, 1.3 * s, 2 * s, 0.3 * s, angle=1.0, degree=2),
+    "tube": lambda s: ring(0.9 * s, 1.3 * s, 2 * s, 0.4 * s, depth=0.7 * s, cell="hexahedron", degree=2),
+    "disc": lambda s: disc(1.1 * s, 0.4 * s, 0.6 * s, 0.4 * s),
+    "annulus": lambda s: disc(1.1 * s, 0.4 * s, 0.6 * s, 0.4 * s, hole=0.5 * s, cell="hexahedron"),  # 1.5 cells high
+    "default sizes": lambda s: sandwich(1.7 * s, 0.7 * s, 0.9 * s, depth=0.9 * s, structured=True),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_builders(shape):
+    """The same cells and points; between two joints of one shape no more than rounding."""
+    joint = shape(1.0)
+    for factor in FACTORS:
+        other = shape(factor)
+        assert np.array_equal(other.cells, joint.cells)
+        assert other.points / factor == pytest.approx(joint.points, abs=1e-14 * np.ptp(joint.points))
+        assert other.facets.keys() == joint.facets.keys()
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: sandwich(1.0, 1.0, 1e-8, 0.5, depth=1.0), "height of UPPER is 1e-08; allowed: at least 1e-06"),
+        (lambda: block(1e9, 1e9, 1e8, depth=1.0), r"depth is 1; allowed: at least 1000 \(1e-06 of the largest"),
+        (lambda: ring(0.5, 1 - 1e-8, 1.0, 0.1), "thinnest part is 1e-08"),
+        (lambda: disc(1.0, 1.0, 1.0, 0.5, hole=1e-9, cell="hexahedron"), "hole is 1e-09"),
+        (lambda: block(1.0, 2e-5), "default cell size h is 2e-06; give h, from 1e-05 on"),
+    ],
+)
+def test_shapes_too_thin(build, message):
+    with pytest.raises(GeometryError, match=message):
+        build()
+
+
+def answers(joint, eps, load, **data):
+    """Errors on S, their sizes and the energies of both models."""
+    layer = ThinLayer(GLUE.per_thickness(eps), eps)
+    data |= {"layer": layer, "body": STEEL, "supports": {"RIGHT": 0.0}, "tractions": {"LEFT/UPPER": tuple(load)}}
+    full, limit = (solve(build(joint, **data)) for build in (Model.full, Model.interface))
+    return np.array([*compare(full, limit).values(), *full.energies().values(), *limit.energies().values()])
+
+
+MODELS = {
+    "plane": (lambda s: sandwich(40 * s, 4 * s, 6 * s, 4 * s), {}),
+    "hexahedra": (
+        lambda s: sandwich(20 * s, 4 * s, 6 * s, 4 * s, depth=9 * s, cell="hexahedron"),
+        {"element": "Q1", "bodies": "extended"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("shape", "data"), MODELS.values(), ids=MODELS)
+def test_units_of_length(shape, data):
+    """Powers of the unit: eps 1, errors 0, tractions and jumps on S (d - 1)/2 and 1 more, energies d; solvers' rounding."""
+    joint = shape(1.0)
+    d, load = joint.dim, [-60.0, 5.0, 2.0][: joint.dim]
+    powers = np.array([1, 0, 0, (d - 1) / 2, (d + 1) / 2] + [d] * 6)
+    known = answers(joint, 0.2, load, **data)
+    for factor in (1e-9, 1e6):
+        assert answers(shape(factor), 0.2 * factor, load, **data) / factor**powers == pytest.approx(known, rel=1e-9)
+
+
+def test_mirrors_and_numbers():
+    """Quadrilaterals, whose layer has no diagonals; solvers' rounding."""
+    joint, load = sandwich(40.0, 4.0, 6.0, 4.0, cell="quadrilateral").rotated(0.3), np.array([-60.0, 5.0])
+    known = answers(joint, 0.2, load)
+    flip = np.array([-1.0, 1.0])
+    assert answers(replace(joint, points=joint.points * flip), 0.2, load * flip) == pytest.approx(known, rel=1e-9)
+    assert answers(renumbered(joint), 0.2, load) == pytest.approx(known, rel=1e-9)
