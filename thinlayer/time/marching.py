@@ -66,7 +66,8 @@ def march(
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; a checkpoint that does not fit.
         SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
-        LimitLoad: the same with a layer that yields, as loads change; it tells the last loads with an equilibrium.
+        LimitLoad: the same with a layer that yields, as loads change, where displacements run away as weak springs at all
+            nodes are softened; it tells the last loads with an equilibrium.
     """
     start, theta = _number("start", start), _number("theta", theta)
     _check(model, theta, keep, out, resume, observe)
