@@ -41,6 +41,7 @@ def numbers() -> dict[str, float]:
         except LimitLoad as error:
             found |= {f"{kind} t": error.t, f"{kind} failed at": error.failed_at, f"{kind} steps": len(error.history)}
             found |= {f"{kind} load {i}": force for i, force in enumerate(error.resultant)}
+            found[f"{kind} run away"] = float(error.growth > 1e3)
             found[f"{kind} dissipated"] = float(error.history.table["dissipated"].sum())
     law = MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02)
     state = solve(dragged(law, far=0.06, eps=1 / 16), options={"snes_max_it": 4})

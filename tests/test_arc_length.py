@@ -227,6 +227,30 @@ def distance(p, line) -> float:
     return float(np.linalg.norm(a + share[:, None] * v - p, axis=1).min())
 
 
+# ---------------------------------------------------------------- after the bodies have come apart
+@dataclass(frozen=True)
+class Cohesive(TractionLaw):
+    """k [u] exp(-[u]^2/w_0^2): nothing is left of it far beyond w_0."""
+
+    k: float
+    w_0: float
+    softens: ClassVar = True
+
+    def traction(self, step):
+        return self.k * step.mid * ufl.exp(-ufl.inner(step.mid, step.mid) / self.w_0**2)
+
+
+@pytest.mark.parametrize(("k", "w_0", "first"), [(5.4, 0.17, 0.22), (0.9, 0.07, 0.05), (31.0, 0.017, 0.1)])
+def test_a_path_goes_on_without_force(k, w_0, first):
+    """Forces vanish, on one side first: a path that turned round there would go back along itself."""
+    history = march(tilted(Cohesive(k, w_0)), ArcLength(end=1.0, first=first))
+    assert history.last.t == 1
+    assert (np.diff(history.t[history.t > 0.5]) > 0).all()
+    x = history.model.V.tabulate_dof_coordinates()
+    turned = np.column_stack([0.6 * (0.5 - x[:, 1]), 1 + 0.6 * x[:, 0]])  # the block is free, and as stiff as can be
+    assert history.last.u.x.array.reshape(-1, 2) == pytest.approx(turned, abs=1e-6)
+
+
 # ---------------------------------------------------------------- where it ends
 def test_steps_and_their_lengths():
     few = ArcLength(end=FAR, first=0.05, steps=7)
@@ -250,6 +274,11 @@ def test_back():
     assert history.t == pytest.approx(w + C * sigma(falling, w), abs=1e-10)
     twice = history.t[np.flatnonzero(np.diff(np.sign(history.t - 0.3)))]
     assert len(twice) == 2
+    with pytest.raises(
+        SolveError, match=r"has come back to t = -\S+ and has not reached end = 1; give back="
+    ) as caught:
+        march(bar(falling), ArcLength(end=1.0, first=0.05))
+    assert caught.value.history.t[-1] < -1 <= caught.value.history.t[:-1].min()
 
 
 def test_the_last_state_at_a_time_is_found():

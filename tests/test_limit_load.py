@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
+import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
+from forms.traction import TractionLaw
 from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
 from tests.test_parallel import mpirun
 from thinlayer import Adaptive, SolveError, Surface, march, solve
@@ -138,6 +142,58 @@ def test_a_study_ends_with_status_3(tmp_path, monkeypatch, capsys):
     assert "limit load" in json.loads((tmp_path / "run.json").read_text())["error"]
     rows = list(csv.DictReader((tmp_path / "unfinished" / "sheared" / "table.csv").open()))
     assert 0.677 < float(rows[-1]["t"]) < LIMITS[SLIDING]
+
+
+# ---------------------------------------------------------------- its sign
+@pytest.mark.parametrize(("kind", "law"), [("S", SLIDING), ("S", FULL), ("band", SLIDING)])
+def test_newton_cut_short_is_no_limit(kind, law):
+    """With two steps of Newton's method: what they miss is found by other means, up to the limit itself."""
+    error = limit(sheared(kind, law), options={"snes_max_it": 2})
+    assert error.t == pytest.approx(LIMITS[law], rel=3e-3)
+    assert error.t < LIMITS[law] < error.failed_at * (1 + 1e-4)  # just below it an equilibrium is very far away
+    assert error.growth > 100
+    assert f"they grow {error.growth:.3g} times as fast as with an elastic layer" in str(error)
+    assert error.history.table["residual"].max() < 1e-9
+    assert np.abs(error.history.table["imbalance"]).max() < 1e-8
+
+
+def test_the_sign_scales_with_loads_and_lengths():
+    """It is the same for loads and strengths a million times smaller, moduli as they are."""
+    small = MohrCoulombMonodirectional(60.0, 40.0, C=1e-7, Omega=30.0)
+    tiny = limit(sheared("S", small, tractions={"TOP": lambda x, t: (1e-6 * t, -1e-6)}))
+    error = limit(sheared("S"))
+    assert (tiny.t, tiny.failed_at) == pytest.approx((error.t, error.failed_at), abs=1e-12)
+    assert tiny.growth == pytest.approx(error.growth, rel=1e-2)
+
+
+def test_adaptive_steps_that_shrink_at_the_limit():
+    """Displacements of the last steps grow too fast for the tolerance, before an equilibrium is missing."""
+    error = limit(sheared("S", FULL), Adaptive(1.0, first=0.2, tolerance=1e-2, smallest=1e-3))
+    assert "its estimated error stays above the tolerance" in str(error)
+    assert error.t < LIMITS[FULL] < error.failed_at < LIMITS[FULL] + 0.02
+    assert error.growth > 1e3
+
+
+@dataclass(frozen=True)
+class Tearing(TractionLaw):
+    """Springs that are not defined beyond an opening, of a law that says it bounds stresses."""
+
+    k: float
+    yields: ClassVar = True
+
+    def traction(self, step):
+        return ufl.conditional(ufl.lt(step.mid[1], 0.013), 1.0, ufl.sqrt(-1 - step.mid[1] ** 2)) * self.k * step.mid
+
+
+@pytest.mark.filterwarnings("ignore:Value error in evaluation of function sqrt")
+def test_steps_that_fail_without_the_sign():
+    model = sheared("S", Tearing(70.0), tractions={"TOP": lambda x, t: (0.0, t)})
+    with pytest.raises(
+        SolveError, match=r"which need not be a limit of the loads: .* Try an elastic fraction"
+    ) as caught:
+        march(model, TIMES)
+    assert not isinstance(caught.value, LimitLoad)
+    assert caught.value.history.t[-1] == pytest.approx(0.013 * 70.0, rel=2e-2)
 
 
 # ---------------------------------------------------------------- continuation

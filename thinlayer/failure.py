@@ -33,21 +33,43 @@ class SolveError(RuntimeError):
         self.reason, self.history, self.residuals = reason, history, residuals
 
 
+class NoEquilibrium(SolveError):
+    """A step whose displacements run away, see `thinlayer.restraint`.
+
+    Attributes:
+        growth: how far they have come, over those of an elastic layer under the same change of loads.
+    """
+
+    def __init__(self, growth: float) -> None:
+        super().__init__(
+            f"displacements grow {growth:.3g} times as fast as those of an elastic layer, and no end is found"
+        )
+        self.growth = growth
+
+
 class LimitLoad(SolveError):
     """A march whose loads grow beyond what a layer that yields can carry: no step leads on, however short.
+
+    The sign of it is independent of why the step failed: with weak springs at all nodes in place of what fails,
+    displacements run away as the springs are softened. A step that fails without this sign is a SolveError.
 
     Attributes:
         t: time of the last equilibrium.
         failed_at: earliest time at which none was found.
         resultant: tractions and body forces on the bodies at t, their sum, one number for each component.
+        growth: displacements that weak springs allow from t to `failed_at`, over those of an elastic layer: how far away
+            an equilibrium is at least, if the layer's flow is associated.
         history: the accepted steps.
     """
 
-    def __init__(self, reason: str, t: float, failed_at: float, resultant: Sequence[float], history: Any) -> None:
+    def __init__(
+        self, reason: str, t: float, failed_at: float, resultant: Sequence[float], growth: float, history: Any
+    ) -> None:
         loads = ", ".join(f"{force:.6g}" for force in resultant)
         super().__init__(
             f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
-            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}). What was found before is kept",
+            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}), and displacements run away: "
+            f"they grow {growth:.3g} times as fast as with an elastic layer. What was found before is kept",
             history,
         )
-        self.t, self.failed_at, self.resultant = t, failed_at, tuple(resultant)
+        self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth

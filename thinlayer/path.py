@@ -131,8 +131,10 @@ class Path:
         balance.residual(last, last.t + short * slope)
         across.axpy(-1.0, balance.r)
         across.scale(1 / short)  # -A_1 d_2
-        small = SMALL * balance.equations.scale / length
-        if beyond.norm() < small or across.norm() < small:
+        small, rounding = SMALL * balance.equations.scale / length, balance.equations.rounding_at
+        if beyond.norm() < max(small, rounding(self._direction)):
+            return 0.0
+        if across.norm() < max(small, rounding(balance.x) / short):  # of residuals; forces may have vanished
             return 0.0
         return float(beyond.dot(across))
 

@@ -21,6 +21,7 @@ from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.newton import FLAT, NEWTON, YIELDING
 from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set, require_all_read, require_known_values
+from thinlayer.restraint import Restraint
 from thinlayer.state import Report, State
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
@@ -172,8 +173,37 @@ class Solver:
         while not held and self.equations.laws.switch():
             x, more, residual, again = self._find(old, thorough)
             iterations, eased = iterations + more, eased + again
+        return self._state(
+            old, t, theta, x, Report(self.method, iterations, residual, time.perf_counter() - start, eased)
+        )
+
+    def seek(self, old: State, t: float, theta: float = 1.0) -> State:
+        """The state at the end of a step that `step` does not find, by weak springs at all nodes. Collective.
+
+        Raises:
+            NoEquilibrium: displacements run away as the springs soften. SolveError: nothing is found.
+        """
+        start = time.perf_counter()
+        restraint = Restraint(self.equations, {**self._choices[0], **self._given})
+        try:
+            x, iterations, residual = restraint.follow(
+                self.rest(t), Interval(old, t, t - old.t, theta), lambda begin: self._nearest(old, begin)
+            )
+        finally:
+            restraint.close()
+        return self._state(old, t, theta, x, Report(self.method, iterations, residual, time.perf_counter() - start))
+
+    def _nearest(self, old: State, begin: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
+        """Unknowns at the end of the step near some, iterations, residual."""
+        for search in self._searches:
+            try:
+                return self._solve(old, search, begin)
+            except SolveError as error:
+                failed = error
+        raise failed
+
+    def _state(self, old: State, t: float, theta: float, x: PETSc.Vec, report: Report) -> State:
         memory, audit = self.equations.audit(x)
-        report = Report(self.method, iterations, residual, time.perf_counter() - start, eased)
         return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
 
     def _find(self, old: State, thorough: bool) -> tuple[PETSc.Vec, int, float, int]:

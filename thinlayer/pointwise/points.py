@@ -20,6 +20,7 @@ from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import Quadrature
 
+ROUNDED = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # parts of the tangent at rest that are added to one that may vanish
 
 
@@ -46,7 +47,7 @@ class Response:
         """Largest difference between the tangent at a point of this rank and its transpose, over its size."""
         C = self.tangent
         apart, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
-        regular = np.isfinite(apart) & (size > 0)
+        regular = np.isfinite(apart) & (size > ROUNDED)
         return float((apart[regular] / size[regular]).max(initial=0.0))
 
 

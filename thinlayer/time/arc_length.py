@@ -34,8 +34,8 @@ class ArcLength:
         smallest: length below which a step is not shortened further (default: 1e-6).
         largest: length of the longest step (default: 1; longer ones may pass over loops of the path).
         steps: largest number of steps; more are an error.
-        back: the march ends too when t falls below it, < start (default: start - (end - start)). Loads and supports are
-            evaluated there.
+        back: the march ends too when t falls below it, < start. Without it a path that comes back to
+            start - (end - start) is a SolveError. Loads and supports are evaluated there.
 
     Raises:
         ModelError: values out of range.

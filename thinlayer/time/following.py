@@ -69,6 +69,12 @@ class PathFollowing:
                 self._go_on()
         finally:
             self._path.close()
+        if self._history.last.t < self.plan.end - self._near and self.plan.back is None:
+            raise SolveError(
+                f"the path has come back to t = {self._history.last.t:g} and has not reached end = {self.plan.end:g}",
+                self._history,
+                advice="give back=, a time < start at which it may end too",
+            )
         return self._history
 
     def _begin(self) -> None:

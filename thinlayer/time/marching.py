@@ -74,7 +74,8 @@ def march(
             checkpoint that does not fit; an `out` that cannot be written, or that another march writes.
         OSError: a file could not be written; on all ranks.
         SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
-        LimitLoad: the same with a layer that yields, as loads change; it tells the last loads with an equilibrium.
+        LimitLoad: the same with a layer that yields, as loads change, where displacements run away as weak springs at all
+            nodes are softened; it tells the last loads with an equilibrium.
     """
     start, theta = _number("start", start), _number("theta", theta)
     _check(model, theta, keep, out, resume, observe)

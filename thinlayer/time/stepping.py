@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
-from thinlayer.failure import LimitLoad, SolveError
+from thinlayer.failure import LimitLoad, NoEquilibrium, SolveError
 from thinlayer.loads import ModelError
 from thinlayer.progress import track
 from thinlayer.rigid import rigid_motions
@@ -15,11 +16,17 @@ from thinlayer.state import State
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
-from thinlayer.time.plan import Plan
+from thinlayer.time.plan import HALVINGS, Plan
 from thinlayer.time.switching import steps
 
 SAME_LOADS = 1e-12  # relative change
 SAFETY, LEAST, MOST = 0.9, 0.2, 3.0  # of the change of an adaptive step
+NEARER = 8.0  # of times at which equilibria are sought beyond a step that fails
+CLOSE = 16  # adaptive steps: these may become too short well before the limit that makes displacements grow
+NO_LIMIT = (
+    "no equilibrium was found, which need not be a limit of the loads: displacements have not been seen to run away. Try "
+    "an elastic fraction h, other times, another mesh or number of sublayers, or more steps of Newton's method"
+)
 
 
 class TimeStepping:
@@ -37,6 +44,7 @@ class TimeStepping:
         self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
         self._journal = journal
         self._failed_at: float | None = None  # earliest end of a step that failed, still ahead
+        self._run_away = math.inf  # earliest time at which displacements were seen to run away
         self._shortest = False  # whether the step cannot be shortened further
         self._estimate = ErrorEstimate(solver.equations) if plan.adaptive else None
 
@@ -138,12 +146,50 @@ class TimeStepping:
         if dt >= self._smallest:
             self._journal.pace.step = dt
             return
-        if self.solver.yields and self._failed_at is not None and self._loads_change(old.t, end):
-            raise LimitLoad(error.reason, old.t, end, self._resultant(old.t), self._history) from error
+        if self.solver.yields and self._seek(old, end, error):
+            return
         raise SolveError(
             f"step {len(self._history)}, from t = {old.t:g} to {end:g}, failed, and so did longer ones: {error}",
             self._history,
+            advice=NO_LIMIT if self.solver.yields else None,
         ) from error
+
+    def _farthest(self, t: float, end: float) -> float:
+        """Until when equilibria are sought: to the end of a planned step, or about as near as adaptive steps come."""
+        target, adaptive = self.plan.after(t)[0], self.plan.adaptive
+        return min(target, t + max(CLOSE * (end - t), adaptive.first / 2**HALVINGS)) if adaptive else target
+
+    def _seek(self, old: State, end: float, error: SolveError) -> bool:
+        """Take a step by other means where shorter ones have failed; whether one is found.
+
+        Raises:
+            LimitLoad: displacements run away as loads change, at the end of the shortest step or, if adaptive, near it.
+        """
+        t, sign = self._farthest(old.t, end), None
+        if old.t < self._run_away < t:
+            t = self._nearer(old.t, self._run_away, end)
+        while True:
+            try:
+                state = self.solver.seek(old, t, self.theta)
+            except NoEquilibrium as run_away:
+                sign, self._run_away = (t, run_away.growth), t
+            except SolveError:
+                sign = sign if self.plan.adaptive else None
+            else:
+                if self.plan.adaptive:
+                    break
+                self._failed_at, self._shortest, self._journal.pace.step = None, False, t - old.t
+                self._journal.accept([state])
+                return True
+            if t <= end:
+                break
+            t = self._nearer(old.t, t, end)
+        if sign and self._loads_change(old.t, sign[0]):
+            raise LimitLoad(error.reason, old.t, sign[0], self._resultant(old.t), sign[1], self._history) from error
+        return False
+
+    def _nearer(self, start: float, t: float, end: float) -> float:
+        return max(start + (t - start) / NEARER, end)
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.loads_at(t) for t in (before, after))
