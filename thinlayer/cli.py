@@ -135,6 +135,9 @@ def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict
 
 
 def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, str | None], resume: bool) -> int:
+    from thinlayer import startup
+
+    startup.ignore_working_folder()
     from mpi4py import MPI
     from petsc4py import PETSc
 
@@ -147,6 +150,7 @@ def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, 
         PETSc.Options().setValue(name, value)
     record = Record(study.name, out, given | petsc, resume=resume)
     root = MPI.COMM_WORLD.rank == 0
+    startup.raise_on_interrupt()
     try:
         record.check_resume()
         importlib.import_module(f"studies.{study.name}").run(record, **given)
