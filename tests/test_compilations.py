@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
 import dolfinx.jit
 import pytest
 import ufl
@@ -9,6 +14,8 @@ import ufl
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from studies.problems import fourier
 from thinlayer import Model, ThinLayer, compare, march
+
+CLONE = Path(__file__).parent.parent
 
 
 @pytest.fixture
@@ -92,3 +99,73 @@ def test_a_stack_shares_the_kernels_of_its_laws(modules):
     alone = set(modules)
     interface(Stack((0.4, one), (0.6, two)))
     assert set(modules) == alone
+
+
+# ---------------------------------------------------------------- the folder of compiled forms
+FORM = """
+import os, signal, sys, time
+from pathlib import Path
+import cffi, ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+import thinlayer.compilation
+
+def compiled(folder, timeout=1):
+    domain = mesh.create_unit_interval(MPI.COMM_SELF, 2)
+    return fem.form(ufl.SpatialCoordinate(domain)[0] ** 2 * ufl.dx, jit_options=dict(cache_dir=folder, timeout=timeout))
+"""
+KILLED = FORM + "cffi.FFI.compile = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)\ncompiled(sys.argv[1])"
+SLOW = FORM + (
+    "build = cffi.FFI.compile\n"
+    "cffi.FFI.compile = lambda *a, **k: (print(flush=True), time.sleep(2.5), build(*a, **k))[2]\n"
+    "compiled(sys.argv[1])"
+)
+
+
+@pytest.fixture
+def compiled():
+    names: dict = {}
+    exec(FORM, names)
+    return names["compiled"]
+
+
+def kept(folder):
+    return sorted("".join(file.suffixes[-2:]) for file in folder.iterdir() if file.name.startswith("libffcx"))
+
+
+def test_a_killed_compilation_is_repeated(tmp_path, compiled):
+    done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], cwd=CLONE, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    assert kept(tmp_path) == []
+    assert any(file.is_dir() for file in tmp_path.iterdir())
+    assert compiled(tmp_path).module
+    assert len(kept(tmp_path)) == 3
+    assert not any(file.is_dir() for file in tmp_path.iterdir())
+    # what FFCx itself leaves behind when it is killed; a half-written library
+    for lost in (("*.so", "*.cached"), ("*.so",), ("*.c",), ()):
+        for pattern in lost:
+            next(tmp_path.glob(pattern)).unlink()
+        if not lost:
+            library = next(tmp_path.glob("*.so"))
+            library.unlink()  # it is loaded: its content must stay
+            library.touch()
+        assert compiled(tmp_path).module
+        assert len(kept(tmp_path)) == 3, lost
+
+
+def test_a_long_compilation_of_another_process_is_waited_for(tmp_path, compiled):
+    """Longer than FFCx's timeout (here 1 s); what it made is used."""
+    command = [sys.executable, "-c", SLOW, str(tmp_path)]
+    with subprocess.Popen(command, cwd=CLONE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        form = compiled(tmp_path)
+        assert kept(tmp_path)
+        assert form.code == (None, None)  # nothing was compiled here
+        assert other.wait(30) == 0
+
+
+def test_a_folder_that_cannot_be_written(tmp_path, compiled):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"cannot be kept in .*file/cache: .*; set XDG_CACHE_HOME"):
+        compiled(tmp_path / "file" / "cache")

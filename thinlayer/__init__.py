@@ -3,7 +3,10 @@
 Names are imported when they are first used, so that `python3 -m thinlayer list` does not load DOLFINx.
 """
 
+import sys
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -77,6 +80,27 @@ _HOME = {
     "Surface": "surface",
     "Table": "table",
 }
+
+
+def _refuse_shadows() -> None:
+    """The packages that come with this one are found, not files of the same name beside a script.
+
+    `python3 -m thinlayer` looks for nothing in the working folder at all, where Python would look first.
+
+    Raises:
+        ImportError: another file or package of that name comes first.
+    """
+    home = Path(__file__).resolve().parent.parent
+    program = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv
+    if program and not sys.flags.safe_path and Path(sys.path[0]).resolve() == Path.cwd() != home:
+        del sys.path[0]
+    for name in ("forms", "geometry"):
+        spec = find_spec(name)
+        if spec and spec.origin and Path(spec.origin).resolve().parent != home / name:
+            raise ImportError(f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it")
+
+
+_refuse_shadows()
 
 
 def __dir__() -> list[str]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from thinlayer import startup
 from thinlayer.catalogue import Study, studies
 from thinlayer.output import say
 
@@ -43,10 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def start() -> int:
     """`main` as a process of its own: the exit status of whatever happens."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(
-            signal.SIGINT, _give_up
-        )  # until a study runs: until then there are imports, which hide an interrupt
     try:
         return main()
     except KeyboardInterrupt:
@@ -58,15 +54,9 @@ def start() -> int:
         return _stop(True, CRASHED, "this is a defect of thinlayer, or of what it is installed with")
 
 
-def _give_up(*_: object) -> None:
-    os.write(2, b"thinlayer: interrupted; nothing was done\n")
-    os._exit(INTERRUPTED)
-
-
 def _set_signals() -> None:
     """Python's own handling of signals, as PETSc takes them over with reports of its own."""
-    if signal.getsignal(signal.SIGINT) is _give_up:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    startup.raise_on_interrupt()
     for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.getsignal(number))
 
@@ -183,6 +173,7 @@ def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict
 
 
 def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, str | None], resume: bool) -> int:
+    startup.ignore_working_folder()
     from mpi4py import MPI
     from petsc4py import PETSc
 

@@ -12,6 +12,8 @@ from dolfinx import cpp, fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+import thinlayer.compilation  # noqa: F401  # before any form is compiled
+
 
 def _first(*calls: Callable[[], Any]) -> Any:
     """Result of the first call whose signature exists (a wrong signature raises TypeError before any work is done)."""

@@ -6,13 +6,14 @@ import hashlib
 import importlib.util
 import re
 import sysconfig
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import cffi
 from dolfinx import jit
 from mpi4py import MPI
+
+from thinlayer.compilation import acquire, release, workshop
 
 _LOADED: dict[tuple[Path, int], Any] = {}  # modules of compiled sources, by path and time of their last change
 EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
@@ -59,17 +60,23 @@ def _module_file(source: Path) -> Path:
 
 
 def _build(source: Path) -> None:
-    """Compile, in a folder of its own: another process may be doing the same."""
+    """Compile, unless another process has done so."""
     file = _module_file(source)
     if file.exists():
         return
-    file.parent.mkdir(parents=True, exist_ok=True)
-    text = source.read_text(encoding="utf-8")
-    builder = cffi.FFI()
-    builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
-    builder.set_source(file.name.split(".")[0], text, extra_compile_args=["-O2"])
-    with tempfile.TemporaryDirectory(dir=file.parent) as folder:
-        Path(builder.compile(tmpdir=folder)).replace(file)
+    name = file.name.split(".")[0]
+    acquire(file.parent, name)
+    try:
+        if file.exists():
+            return
+        text = source.read_text(encoding="utf-8")
+        builder = cffi.FFI()
+        builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
+        builder.set_source(name, text, extra_compile_args=["-O2"])
+        with workshop(file.parent, name) as work:
+            Path(builder.compile(tmpdir=work)).replace(file)
+    finally:
+        release(file.parent, name)
 
 
 def _load(source: Path) -> Any:

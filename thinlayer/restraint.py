@@ -14,10 +14,10 @@ from typing import TypeVar
 
 from petsc4py import PETSc
 
+from thinlayer.balance import aim
 from thinlayer.equations import Equations, Interval
 from thinlayer.failure import NoEquilibrium, SolveError
 from thinlayer.linear_solvers import mark, tell_multigrid
-from thinlayer.newton import enough
 from thinlayer.options import PREFIX, OptionValue, defaults
 from thinlayer.state import State
 
@@ -170,7 +170,7 @@ class Restraint:
             self._r.scale(-1.0)
             self._solve_linear(A, self._r, self._d)
             sizes.append(self._search(max(sizes[-MEMORY:])))
-            allowed = max(TOLERANCE * self._stiffness * self._distance(self.x), enough(self.equations, self.x))
+            allowed = max(TOLERANCE * self._stiffness * self._distance(self.x), aim(self.equations, self.x))
             if sizes[-1] <= allowed:
                 return True
         return False
