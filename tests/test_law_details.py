@@ -176,13 +176,6 @@ def test_rigid_sublayers_in_time(theta, stiffer):
         assert found == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
 
 
-def test_a_torn_sublayer_under_an_elastic_one_in_pascals_per_metre():
-    """Nothing is stiff where it opens: it takes all of the jump, in any unit."""
-    torn = MohrCoulombMonodirectional(7e13, 4e13, C=0.0, Omega=30.0, unilateral=True)
-    history = drive(Stack((0.5, torn), (0.5, LinearElastic(7e13, 4e13))), [{"w_T": 1e-6, "w_N": 2e-6}])
-    assert history.tractions == pytest.approx(0.0, abs=1e-12 * 4e13 * 2e-6)
-
-
 # ---------------------------------------------------------------- prescribed tractions
 @dataclass(frozen=True)
 class Dashpot(Law):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -136,8 +137,14 @@ def _varying(law: Law, x: Array, t: float) -> dict[str, Array]:
     return given
 
 
-def _kinds(law: Law) -> list[type[Law]]:
-    return [type(one) for one in parts(law)]
+def _kinds(law: Law) -> list[tuple[type[Law], str]]:
+    """Class of each sublayer, and what it declares beside its parameters: that is in the compiled code."""
+    kinds = []
+    for one in parts(law):
+        parameters = one.parameters()
+        choices = [(f.name, getattr(one, f.name)) for f in fields(one) if f.name not in parameters]
+        kinds.append((type(one), repr(choices)))
+    return kinds
 
 
 def _numbers(law: Law) -> list[Array]:

@@ -20,6 +20,11 @@ typedef struct {
     double t[3], g[3], step[3];
 } sublayer;
 
+/* A normal, and the parts across and along S of each unit strain, see `across_and_along`. */
+typedef struct {
+    double n[3], across[6][3], along[6][6];
+} frame;
+
 static const double root2 = 1.4142135623730951, FARTHEST = 1e3, NO_STRAIN = 1e-13, LIGHT = 1e-6;
 
 static void call(function *law, sublayer *a)
@@ -66,6 +71,17 @@ static void across_and_along(const double *e, const double *n, double *g, double
     add_share(along, back, n);
     for (int k = 0; k < 6; k++) largest = fmax(largest, fabs(e[k])), left = fmax(left, fabs(along[k]));
     if (left <= NO_STRAIN * largest) memset(along, 0, 6 * sizeof(double));
+}
+
+static void turn_to(frame *S, const double *n)
+{
+    if (memcmp(S->n, n, sizeof S->n) == 0) return;
+    memcpy(S->n, n, sizeof S->n);
+    for (int k = 0; k < 6; k++) {
+        double unit[6] = {0};
+        unit[k] = 1;
+        across_and_along(unit, n, S->across[k], S->along[k]);
+    }
 }
 
 /* Solve A x = b in place for `columns` right-hand sides, rows of A and b `stride` apart; returns whether A, whose entries are
@@ -123,20 +139,16 @@ static int tractions(sublayer *layers, int count, const double *along, const dou
  * slopes of both along the components of strain as well. A singular K_i (a sublayer that yields) is allowed. Of several
  * nothing tells the jumps: `added` to each K_i, a part of its largest entry, does. Rows are scaled by that entry, t by the
  * smallest of them; the last rows are light, so that none of them is the pivot of a jump that its own sublayer can tell. */
-static int linearised(sublayer *layers, int count, const double *n, double *A, int columns, double added)
+static int linearised(sublayer *layers, int count, const frame *S, double *A, int columns, double added)
 {
     const int size = 3 * count + 3, stride = size + 7;
-    double softest = INFINITY, along[6][6];
+    double softest = INFINITY;
     memset(A, 0, size * stride * sizeof(double));
     for (int i = 0; i < count; i++)
         if (layers[i].stiffness > 0) softest = fmin(softest, layers[i].stiffness);
     if (!isfinite(softest)) softest = 1; /* nothing has a stiffness */
-    for (int k = 0; k < 6 && columns > 1; k++) {
-        double unit[6] = {0}, g[3];
-        unit[k] = 1;
-        across_and_along(unit, n, g, along[k]);
-        for (int j = 0; j < 3; j++) A[(3 * count + j) * stride + size + 1 + k] = LIGHT * g[j];
-    }
+    for (int k = 0; k < 6 && columns > 1; k++)
+        for (int j = 0; j < 3; j++) A[(3 * count + j) * stride + size + 1 + k] = LIGHT * S->across[k][j];
     for (int i = 0; i < count; i++) {
         const sublayer *a = &layers[i];
         const double largest = a->stiffness > 0 ? a->stiffness : softest;
@@ -146,9 +158,13 @@ static int linearised(sublayer *layers, int count, const double *n, double *A, i
             row[3 * count + j] = -softest / largest;
             A[(3 * count + j) * stride + 3 * i + j] = LIGHT * a->fraction;
             row[size] = -a->t[j] / largest;
-            for (int k = 0; k < 6 && columns > 1; k++)
-                for (int m = 0; m < 6; m++) row[size + 1 + k] -= a->across[m][j] * along[k][m] / largest;
         }
+        for (int k = 0; k < 6 && columns > 1; k++)
+            for (int m = 0; m < 6; m++) {
+                const double x = S->along[k][m] / largest;
+                if (x == 0) continue; /* most are, where n is an axis */
+                for (int j = 0; j < 3; j++) A[(3 * i + j) * stride + size + 1 + k] -= a->across[m][j] * x;
+            }
     }
     if (!solve(A, size, stride, columns)) return 0;
     for (int j = 0; j < 3; j++) A[(3 * count + j) * stride + size] *= softest;
@@ -156,10 +172,10 @@ static int linearised(sublayer *layers, int count, const double *n, double *A, i
 }
 
 /* 1, or 2 if several sublayers yield; 0: none found. */
-static int step_of(sublayer *layers, int count, const double *n, double *A, int columns)
+static int step_of(sublayer *layers, int count, const frame *S, double *A, int columns)
 {
-    if (linearised(layers, count, n, A, columns, 0)) return 1;
-    return linearised(layers, count, n, A, columns, 1e-8) ? 2 : 0;
+    if (linearised(layers, count, S, A, columns, 0)) return 1;
+    return linearised(layers, count, S, A, columns, 1e-8) ? 2 : 0;
 }
 
 /* Let the sublayers' jumps add up to that of the whole: what rounding has left goes to each in proportion to its own. */
@@ -185,8 +201,9 @@ static void add_up(sublayer *layers, int count, const double *whole)
  * A step is halved while the work of the tractions along it, which grows with its length if the laws are monotone, is more
  * than half of that at its beginning. Converged: jumps to 1e-9 and tractions to 1e-8, or nothing but rounding is left of
  * either: along null vectors of several K_i jumps stay where they are. Steps end at FARTHEST times the strains. */
-static int in_series(sublayer *layers, int count, const double *e, const double *n, double *A, double *s, double C[6][6])
+static int in_series(sublayer *layers, int count, const double *e, const frame *S, double *A, double *s, double C[6][6])
 {
+    const double *n = S->n;
     const int size = 3 * count + 3, stride = size + 7;
     double slope = 0, length = 0, strains = 0, g[3], along[6];
     int converged = 0, iteration = 0;
@@ -210,7 +227,7 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
                 continue;
             }
         }
-        const int kind = step_of(layers, count, n, A, 1);
+        const int kind = step_of(layers, count, S, A, 1);
         if (!kind) return 0;
         double whole = 0, largest = 0, force = 0, apart = 0, rounding = 0;
         for (int k = 0; k < 6; k++) whole = fmax(whole, fabs(e[k]));
@@ -244,23 +261,20 @@ static int in_series(sublayer *layers, int count, const double *e, const double 
         const int close = apart <= 1e-8 * force + 1e-14 * rounding;
         converged = close && largest <= 1e-9 * whole;
     }
-    if (!converged || !step_of(layers, count, n, A, 7)) return 0;
+    if (!converged || !step_of(layers, count, S, A, 7)) return 0;
     memset(s, 0, 6 * sizeof(double));
     memset(C, 0, 36 * sizeof(double));
-    for (int k = 0; k < 6; k++) {
-        double unit[6] = {0}, across[3], strain[6];
-        unit[k] = 1;
+    for (int k = 0; k < 6; k++)
         for (int i = 0; i < count; i++) {
             const sublayer *a = &layers[i];
-            double change[3];
-            across_and_along(unit, n, across, strain);
+            double change[3], strain[6];
+            memcpy(strain, S->along[k], sizeof strain);
             for (int j = 0; j < 3; j++) change[j] = A[(3 * i + j) * stride + size + 1 + k];
             add_share(strain, change, n);
             s[k] += a->fraction * a->out[k];
             for (int j = 0; j < 6; j++)
                 for (int m = 0; m < 6; m++) C[j][k] += a->fraction * tangent(a)[6 * j + m] * strain[m];
         }
-    }
     for (int i = 0; i < count; i++)
         for (int j = 0; j < 3; j++) layers[i].g[j] -= g[j];
     return 1;
@@ -294,6 +308,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
         next = a->out + 45 + a->memory;
     }
     double *system = next;
+    frame S = {0};
     const double *numbers_of = parameters;
     for (int k = 0; k < points; k++, e += m, e_old += m, q += width, q_new += width, n += 3) {
         double now[6] = {0}, s[6], D[6][6];
@@ -317,7 +332,8 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
         }
         if (!varying) numbers_of = parameters;
         if (count > 1) {
-            if (!in_series(layers, count, now, n, system, s, D)) s[0] = NAN;
+            turn_to(&S, n);
+            if (!in_series(layers, count, now, &S, system, s, D)) s[0] = NAN;
         } else {
             memcpy(layers->in, now, sizeof now);
             evaluate(layers);
