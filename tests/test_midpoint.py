@@ -59,6 +59,7 @@ SECOND_ORDER = {
     "Stack of two times": Stack((0.3, RELAXING), (0.7, CREEP)),
     "Stack with Norton": Stack((0.4, ELASTIC), (0.6, Norton(60.0, 40.0, eta=9.0, p=1.5))),
     "Slipping": Slipping(1400.0, 400.0, 300.0, 0.0),  # a TractionLaw that does not declare it is linear
+    "Slipping, not linear": Slipping(400.0, 400.0, 300.0, 900.0),
 }
 
 
@@ -122,7 +123,6 @@ REFUSED = {
     "with memory": (Hardening(60.0, 40.0), "Hardening answers at once, and not linearly"),
     "plasticity of one's own": (Mises(60.0, 40.0, 0.6), "Mises answers at once, and not linearly"),
     "jumps": (Cohesive(20.0, 1e-7), "Cohesive answers at once, and not linearly"),
-    "jumps with memory": (Slipping(1400.0, 400.0, 300.0, 9.0), "Slipping answers at once, and not linearly"),
 }
 
 

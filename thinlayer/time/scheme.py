@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ from forms.series import parts
 from thinlayer.equations import Equations
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
+from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.points import LawPoints
 
 SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, and of jumps in any unit, that laws are asked about
-STRAIGHT = 1e-6  # relative: what the local solver of a Stack leaves
+LENGTHS = (1.0, 1e12, 1e30)  # of steps, in any unit
+STRAIGHT = 1e-6  # relative
 ENDS = "theta = 1"
 
 
@@ -48,13 +51,16 @@ def require_ends(model: Model, theta: float) -> None:
 
 
 def require_time_scale(equations: Equations, theta: float) -> None:
-    """The same by asking laws that are not linear and have no rate: their answer to a sudden strain must be. Collective."""
+    """The same by asking laws that are not linear and have no rate: their answer must take time, or be linear. Collective.
+
+    In a Stack each law must say so itself.
+    """
     if theta == 1:
         return
     for p in equations.laws.points:
         laws = parts(p.points.law)
         unsure = [law for law in laws if not (law.linear or law.rate)]
-        if unsure and (p.points.law.rate or not _straight(p)):
+        if unsure and (len(laws) > 1 or not (_straight(p) or _takes_time(p))):
             raise ModelError(f"theta is {theta}; {_swings(unsure[0])}")
 
 
@@ -67,11 +73,24 @@ def _swings(law: Any) -> str:
 
 def _straight(points: LawPoints) -> bool:
     """Whether stresses are proportional to sudden strains, small and large. Collective."""
-    e = np.cos(np.arange(points.count * len(points.slots), dtype=float)).reshape(points.count, len(points.slots))
-    stiffness = []
-    for size in SIZES:
-        stress = points.respond(size * e, 0 * e, points.rest(), 0.0, 1.0).stress / size
-        stiffness.append(stress)
+    stiffness = [points.respond(e, 0 * e, points.rest(), 0.0, 1.0).stress / size for size, e in _strains(points)]
     apart = np.abs(np.array(stiffness) - stiffness[0]).max(initial=0.0)
     good = bool(apart <= STRAIGHT * np.abs(stiffness[0]).max(initial=0.0))  # False for NaN
     return not points.domain.comm.allreduce(int(not good))
+
+
+def _takes_time(points: LawPoints) -> bool:
+    """Whether the answer to some strain depends on how long a step takes: the law creeps or relaxes. Collective."""
+    differs = False
+    for _, e in _strains(points):
+        sudden, *slow = (points.respond(e, 0 * e, points.rest(), dt, 1.0) for dt in (0.0, *LENGTHS))
+        for answer in slow:
+            pairs = ((sudden.stress, answer.stress), (sudden.memory, answer.memory))
+            differs = differs or not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+    return bool(points.domain.comm.allreduce(int(differs)))
+
+
+def _strains(points: LawPoints) -> Iterator[tuple[float, Array]]:
+    """Strains of all sizes, and the sizes."""
+    e = np.cos(np.arange(points.count * len(points.slots), dtype=float)).reshape(points.count, len(points.slots))
+    return ((size, size * e) for size in SIZES)
