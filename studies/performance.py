@@ -228,14 +228,14 @@ class Bench:
 def peak(work: Callable[[], object]) -> float:
     """Largest memory that this process takes during some work, on top of what it had, MB; Linux only."""
     ctypes.CDLL(None).malloc_trim(0)  # what was freed goes back to the system
-    Path("/proc/self/clear_refs").write_text("5")  # forget the largest so far
+    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # forget the largest so far
     before = _status("VmRSS")
     work()
     return max(_status("VmHWM") - before, 0.0)
 
 
 def _status(name: str) -> float:
-    for line in Path("/proc/self/status").read_text().splitlines():
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith(name):
             return int(line.split()[1]) / 1024
     return float("nan")

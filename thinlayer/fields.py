@@ -226,12 +226,12 @@ def write(solution: State | History, path: str | Path) -> None:
 def _make_room(path: Path, size: int) -> None:
     """Make the folder of files of about this size; raises OSError where they cannot be written."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".pvd":
-        path.open("wb").close()
-    elif path.exists() and not path.is_dir():
-        raise FileExistsError(errno.EEXIST, "there is a file of this name, not a folder of a writer", str(path))
     if shutil.disk_usage(path.parent).free < size or not os.access(path.parent, os.W_OK):
         raise OSError(errno.ENOSPC, "the disk is full, or not to be written", str(path))
+    if path.suffix == ".pvd":
+        path.open("ab").close()
+    elif path.exists() and not path.is_dir():
+        raise FileExistsError(errno.EEXIST, "there is a file of this name, not a folder of a writer", str(path))
 
 
 def _require_whole(path: Path) -> None:
