@@ -214,6 +214,7 @@ def test_rotated_structure(angle):
     one = solved(joint, law, setup)
     c, s = np.cos(angle), np.sin(angle)
     two = solved(joint.rotated(angle), law, setup | {"tractions": {"TOP": (5 * c + 12 * s, 5 * s - 12 * c)}})
+    assert two.along[-1] == one.along[-1] == pytest.approx(6.0)
     way = slice(None, None, 1 if np.cos(angle) > 0 else -1)  # a report starts at the lower coordinates
     assert two.p[way] == pytest.approx(one.p, rel=1e-6, abs=1e-6)
     assert two.u_T[way] == pytest.approx(one.u_T, rel=1e-6, abs=1e-10)
@@ -454,6 +455,7 @@ def test_traction_of_the_surface_is_that_of_the_nodes(make):
     free = report.x[:, 0] < report.x[:, 0].max() - 1e-6  # a support holds the last node
     assert -t[free, 1] == pytest.approx(report.p[free], rel=1e-7, abs=1e-7)
     assert t[free, 0] == pytest.approx(report.t_T[free, 0], rel=1e-7, abs=1e-7)
+    assert t[~free, 0] == pytest.approx(0.0, abs=1e-12)  # the reaction there is the support's too
 
 
 def test_frames_in_three_dimensions():

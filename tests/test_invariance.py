@@ -88,4 +88,5 @@ def test_mirrors_and_numbers():
     known = answers(joint, 0.2, load)
     flip = np.array([-1.0, 1.0])
     assert answers(replace(joint, points=joint.points * flip), 0.2, load * flip) == pytest.approx(known, rel=1e-9)
+    assert answers(joint.swapped(), 0.2, load) == pytest.approx(known, rel=1e-9)  # tractions are of both sides alike
     assert answers(renumbered(joint), 0.2, load) == pytest.approx(known, rel=1e-9)

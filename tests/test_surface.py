@@ -10,11 +10,11 @@ import pytest
 import ufl
 
 from forms import LinearElastic
-from geometry import block, ring
+from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.test_non_monotone_models import PURE
 from thinlayer import Model, ModelError, PhaseReport, Surface, ThinLayer, march, solve
-from thinlayer.state import Report, State
+from thinlayer.state import Audit, Report, State
 
 STEEL = LinearElastic(3.0, 2.0)
 RADIUS = 1.2
@@ -58,6 +58,7 @@ def test_profile_around_a_circle(degree):
         assert (np.sign(steps) == np.sign(steps[0])).all()
         assert np.hypot(*x.T) == pytest.approx(RADIUS)
         assert len(x) == len(np.unique(one.table.vertices[one.surface_rows]))
+        assert x[1, 1] < 0 < x[-1, 1]  # towards the lower of the first one's neighbours
         assert x[0] == pytest.approx(x[np.lexsort(np.rint(x[:, ::-1] * 1e9).T)[0]])
         assert y == pytest.approx(x[:, 1], abs=0.05 if degree == 2 else 1e-12)
         found.append(x)
@@ -72,17 +73,17 @@ def test_profile_of_an_arc():
 
 
 def test_fronts_around_a_circle():
-    """Phase 1 where y > .3 on a closed S: two fronts, each between neighbours."""
+    """Phases that grow with y on a closed S: more than half where y > .3, which is between neighbours in two places."""
     model = on(ring(0.8, RADIUS, 2.0, 0.3), PURE)
     (quadrature,) = model.quadratures
     memory = np.zeros((quadrature.count, sum(int(np.prod(s)) for s in PURE.internal.values())))
     x = quadrature.columns.centres[quadrature.columns.of]
-    memory[:, list(PURE.internal).index("phase")] = x[:, 1] > 0.3
+    memory[:, list(PURE.internal).index("phase")] = 0.5 + (x[:, 1] - 0.3) / 1.6
     report = PhaseReport(State(model, None, 0.0, Report("newton", 0, 0.0, 0.0), memory=(memory,)))
     places, phase = report.profile()
     assert (np.abs(np.diff(polar(places))) < 0.4).all()
-    assert phase == pytest.approx((places[:, 1] > 0.3).astype(float))
-    assert report.fronts[:, 1] == pytest.approx(0.3, abs=0.15)
+    assert phase == pytest.approx(0.5 + (places[:, 1] - 0.3) / 1.6)
+    assert report.fronts[:, 1] == pytest.approx(0.3)
     assert sorted(np.sign(report.fronts[:, 0])) == [-1, 1]
     assert np.hypot(*report.fronts.T) == pytest.approx(RADIUS, rel=0.03)
 
@@ -159,3 +160,45 @@ def test_a_rigid_base_has_one_side():
     )
     found, surface = solve(model), Surface(model)
     assert surface.profile(found.u)[1] == pytest.approx(surface.profile(surface.jump(found))[1], abs=1e-14)
+
+
+def test_loads_of_one_body_in_the_states_of_a_march():
+    """Of each state its own: what the upper body weighs at that time goes through S, and does the work."""
+    joint = sandwich(1.0, 0.5, 0.7, 0.25)
+    setup = {"body": STEEL, "supports": {"BOTTOM": 0.0}, "body_force": {"UPPER": lambda x, t: (0.0, t)}}
+    for build in (Model.interface, Model.full):
+        history = march(build(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), **setup), [1.0, 2.0])
+        energies = [one.energies() for one in history]
+        assert [2 * (one["bodies"] + one["layer"]) for one in energies] == pytest.approx(
+            [one["loads"] for one in energies], rel=1e-9
+        )
+        assert energies[2]["loads"] == pytest.approx(4 * energies[1]["loads"], rel=1e-9)
+        if build == Model.interface:
+            surface = Surface(history.model)
+        for one in history:
+            assert surface.integral(surface.traction(one)[1]) == pytest.approx(0.7 * one.t, rel=1e-9)
+
+
+@pytest.mark.parametrize("depth", [None, 1.0])
+def test_frame_of_s(depth):
+    """Tangents (n_2, -n_1) in 2D, the first and the third axis in 3D; the normal is last."""
+    joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=depth, cell="hexahedron" if depth else "quadrilateral").rotated(0.3)
+    data = {"layer": ThinLayer(FOURIER_LAYER, 0.1), "body": STEEL, "supports": {"BOTTOM": 0.0}, "element": "Q1"}
+    surface = Surface(Model.interface(joint, **data))
+    n, along = np.array([-np.sin(0.3), np.cos(0.3)]), np.array([np.cos(0.3), np.sin(0.3)])
+    f = 2 * along + 5 * n
+    known = [2.0, 5.0]
+    if depth:
+        f, known = np.append(f, 3.0), [2.0, 3.0, 5.0]
+    _, found = surface.profile(surface.frame(ufl.as_vector(f.tolist())))
+    assert np.abs(found) == pytest.approx(np.tile(known, (len(found), 1)))
+    assert found[:, -1] == pytest.approx(5.0)
+
+
+def test_imbalance():
+    """What is supplied less where it went, over the largest of the terms and of the energy that is stored."""
+    assert Audit(supplied=2.0, stored=1.0, dissipated=0.5, remainder=0.25).imbalance == pytest.approx(0.125)
+    assert Audit(supplied=1.0, stored=2.0, dissipated=0.5, remainder=0.0).imbalance == pytest.approx(-0.75)
+    assert Audit(supplied=1.0, stored=0.8, total=10.0).imbalance == pytest.approx(0.02)
+    assert Audit().imbalance == 0.0
+    assert np.isnan(Audit(supplied=1.0, stored=float("nan")).imbalance)
