@@ -117,7 +117,7 @@ def compiled(folder, timeout=1):
 KILLED = FORM + "cffi.FFI.compile = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)\ncompiled(sys.argv[1])"
 SLOW = FORM + (
     "build = cffi.FFI.compile\n"
-    "cffi.FFI.compile = lambda *a, **k: (print(flush=True), time.sleep(2.5), build(*a, **k))[2]\n"
+    "cffi.FFI.compile = lambda *a, **k: (os.write(1, b'#\\n'), time.sleep(2.5), build(*a, **k))[2]\n"
     "compiled(sys.argv[1])"
 )
 
