@@ -12,6 +12,7 @@ import numpy as np
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.options import OptionValue
+from thinlayer.ranges import warn_of_model, warn_of_states
 from thinlayer.solvers import Solver, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
 from thinlayer.time.checkpoint import Pace
@@ -63,6 +64,9 @@ def march(
             compared, functions are not. Without it the files of the same march are replaced, those of another one refused.
         options, method: of the solver, see `solve`.
 
+    Warns:
+        RangeWarning: as in `solve`; of the accepted states that are kept, once, at the end.
+
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; a checkpoint that does not fit.
         SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
@@ -81,7 +85,10 @@ def march(
     with Solver(model, options=options, method=method) as solver:
         solver.equations.check_times([start, *plan.targets])
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
-        return TimeStepping(solver, journal, plan, start, theta).run(resume)
+        warn_of_model(model)
+        history = TimeStepping(solver, journal, plan, start, theta).run(resume)
+    warn_of_states(list(history))
+    return history
 
 
 def _follow(
@@ -97,7 +104,10 @@ def _follow(
         require_no_time(solver.equations)
         folder = Path(out) if out else None
         journal = Journal(solver.equations, Pace(None), dict(observe or {}), keep, folder, choices, directed=True)
-        return PathFollowing(solver, journal, path, start, options).run(resume)
+        warn_of_model(model)
+        history = PathFollowing(solver, journal, path, start, options).run(resume)
+    warn_of_states(list(history))
+    return history
 
 
 def _number(name: str, value: Any) -> float:
