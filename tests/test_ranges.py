@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from forms import Anisotropic, KelvinVoigt, Law, LinearElastic, Maxwell, MohrCou
 from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
 from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
+from tests.test_parallel import mpirun
 from thinlayer import Model, ModelError, ThinLayer, march, solve
 from thinlayer.failure import RangeWarning
 from thinlayer.ranges import _Faces, _strata, free_rim, pressure_excess
@@ -288,3 +290,28 @@ def test_bodies_that_overlap():
     assert "at t = 1 the layer closes by 4 times" in found[0]
     linear = Model.interface(joint, layer=ThinLayer(LinearElastic(1.0, 1.0), 0.1), **setup)
     assert told(lambda: solve(linear, t=1.0))[1] == []  # as good as a smaller one
+
+
+ON_RANKS = """
+from forms import LinearElastic
+from geometry import sandwich
+from thinlayer import Model, ThinLayer, solve
+
+joint = sandwich(1.0, 0.5, 0.5, 0.25, h_S=0.125)
+layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 1 / 16)
+setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+solve(Model.interface(joint, layer=layer, body=LinearElastic.young(1e5, 0.3), **setup))
+"""
+
+
+def test_told_once_on_all_ranks():
+    """Some of the ranks have no part of S."""
+    done = [mpirun(ranks, "-c", ON_RANKS) for ranks in (1, 3)]
+    for run in done:
+        assert run.returncode == 0, run.stderr
+        assert [run.stderr.count("RangeWarning: the layer is nearly incompressible" + end) for end in (":", " (")] == [
+            1,
+            1,
+        ]
+    one, three = (re.findall(r"RangeWarning: .*", run.stderr) for run in done)
+    assert one == three

@@ -197,7 +197,7 @@ class _Faces:
         owned = domain.original_cells[: domain.mesh.topology.index_map(joint.dim).size_local]
         local = np.flatnonzero(place[owned] >= 0)
         dofs = np.asarray(model.V.dofmap.list)[local][:, : joint.corners.shape[1]]
-        values = state.u.x.array.reshape(-1, joint.dim)[dofs].reshape(len(local), -1)
+        values = state.u.x.array.reshape(-1, joint.dim)[dofs].reshape(len(local), dofs.shape[1] * joint.dim)
         wanted = needed if model.comm.rank == 0 else needed[:0]
         values = carry(model.comm, owned[local], values, wanted)
         if model.comm.rank:
