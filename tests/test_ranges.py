@@ -218,7 +218,7 @@ def test_rubber_is_told_before_and_after():
     eps = 1 / 16
     for nu, before, after in (
         (0.3, None, None),
-        (0.45, "1.12", "1.12"),
+        (0.45, "1.12", None),
         (0.49, "1.34", "1.34"),
         (0.4999, "20.7", "20.6"),
     ):
@@ -228,9 +228,9 @@ def test_rubber_is_told_before_and_after():
         if before is None:
             assert found == []
             continue
-        assert len(found) == 2
+        assert len(found) == (2 if after else 1)
         assert f"about {before} times too stiff" in found[0]
-        assert f"the layer alone is {after} times too stiff" in found[1]
+        assert not after or f"the layer alone is {after} times too stiff" in found[1]
     _, found = told(lambda: march(model, [1.0, 2.0, 3.0]))
     assert len(found) == 2
 

@@ -26,6 +26,9 @@ from thinlayer.model import Model
 from thinlayer.state import State
 
 NEARLY = 0.5  # delta/eps, nu = 3/8: below it what free ends relax is no pressure along S
+LONG = (
+    1.0  # delta/eps, nu = 6/13: below it what jumps found at free ends relax is within a thickness of them, and local
+)
 SHARE = 0.1  # of a layer's stiffness: errors of this size are told
 OVERLAP = 2.0  # closing over thickness: from 1 on bodies overlap, here by another thickness
 JUMPS = 1e-9  # modulus along S over mu, rounding: a law with less sees jumps alone
@@ -54,7 +57,7 @@ def warn_of_states(states: Sequence[State]) -> None:
         return
     if not (states[0].model.linear or _of_jumps(strata)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if strata and law.linear and not law.pointwise and strata[0].length > NEARLY:
+    if strata and law.linear and not law.pointwise and strata[0].length > LONG:
         _warn_of_pressure(max(found, key=lambda faces: np.abs(faces.opening).max()), strata[0])
 
 
