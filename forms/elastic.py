@@ -9,9 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 import ufl
+from scipy.spatial.transform import Rotation
 
 from forms.declarations import is_number
-from forms.kinematics import Expr, layer_frame
+from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame, lift
 from forms.law import Law, LawError, Step, require
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -82,6 +83,17 @@ class LinearElastic(LinearLaw):
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid)
 
+    def gradient(self, e: Expr, n: Expr) -> Expr:
+        """The part that grows through the layer leaves its faces' tractions as they are: its stress times n is zero.
+
+        What stretches one face and squeezes the other is met by displacements that are parabolas through the thickness,
+        without which a nearly incompressible layer would lock.
+        """
+        normal = ufl.outer(lift(n), lift(n))
+        along = ufl.Identity(3) - normal
+        in_plane = along * e * along
+        return in_plane - self.lmbda / (self.lmbda + 2 * self.mu) * ufl.tr(in_plane) * normal
+
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})
 
@@ -139,6 +151,19 @@ class Anisotropic(LinearLaw):
         s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt)
         index = {pair: k for k, pair in enumerate(VOIGT)} | {pair[::-1]: k for k, pair in enumerate(VOIGT)}
         return turn * ufl.as_tensor([[s[index[i, j]] for j in range(3)] for i in range(3)]) * turn.T
+
+    def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        place = {pair: k for k, pair in enumerate(VOIGT)}
+        place |= {(j, i): k for (i, j), k in place.items()}
+        rows = np.array([[place[i, j] for j in range(3)] for i in range(3)])
+        C = np.asarray(self.C, float)[rows[:, :, None, None], rows[None, None]]
+        if self.frame == "layer":
+            axis = np.pad(n, (0, 3 - len(n)))
+            turn = Rotation.align_vectors(axis[None], [[0.0, 1.0, 0.0]])[0].as_matrix()
+            C = np.einsum("ia,jb,kc,ld,abcd->ijkl", turn, turn, turn, turn, C, optimize=True)
+        first, second = np.array(MANDEL).T
+        weight = np.where(first == second, 1.0, ROOT2)
+        return np.asarray(C[first[:, None], second[:, None], first, second] * np.outer(weight, weight))
 
     def plane_stress(self) -> Anisotropic:
         C, out = self.C, OUT_OF_PLANE

@@ -231,6 +231,31 @@ class Law:
         stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
         return ufl.inner(self.stress(step), step.e - step.e_old) - stored - self.dissipated(step)
 
+    def gradient(self, e: Expr, n: Expr) -> Expr:
+        """How the strain grows through a layer under an interface law of order 1, (3, 3): across its whole thickness.
+
+        Args:
+            e: what a layer whose displacements are linear through its thickness would have, sym(grad_S [u]), (3, 3).
+            n: director, (d,).
+        """
+        return e
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether the law gives this gradient itself; else the layer is held to displacements linear through it."""
+        return type(self).gradient is not Law.gradient
+
+    def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+        """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not say.
+
+        The isotropic one of the parameters lmbda and mu, if the law has them. Parameters are numbers.
+        """
+        named = self.parameters()
+        if not {"lmbda", "mu"} <= named.keys() or np.ndim(named["lmbda"]) or np.ndim(named["mu"]):
+            return None
+        identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        return float(named["lmbda"]) * np.outer(identity, identity) + 2 * float(named["mu"]) * np.eye(6)
+
     def plane_stress(self) -> Law:
         """The law of in-plane strains whose out-of-plane stresses are zero."""
         raise LawError(f"plane stress is not defined for {type(self).__name__}; use plane='strain'")

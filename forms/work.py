@@ -92,10 +92,10 @@ def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Point
     """A layer's law on S.
 
     A traction law acts on the jump itself: strain sym([u] (x) n), weight 1. Of other laws, order 0: strain
-    sym([u] (x) n)/eps, one point of weight eps. Order 1: displacements linear through the thickness of the layer, strain
+    sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the thickness of the layer,
     e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
-    e1 = sym(grad_S [u]). For an energy quadratic in the strain that is the thickness integral of
-    eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    e1 = sym(grad_S [u]), or what `Law.gradient` makes of it. For an energy quadratic in the strain that is the thickness
+    integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
     """
 
     def jump_part(u: Expr) -> Expr:
@@ -113,7 +113,7 @@ def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Point
     def at(z: float) -> Callable[[Expr], Expr]:
         def point_strain(u: Expr) -> Expr:
             upper, lower = along(u, sides.upper), along(u, sides.lower)
-            return jump_part(u) + (upper + lower) / 2 + z * (upper - lower)
+            return jump_part(u) + (upper + lower) / 2 + z * law.gradient(upper - lower, sides.n)
 
         return point_strain
 

@@ -36,6 +36,37 @@ def spring(lmbda: float, mu: float) -> np.ndarray:
     return J
 
 
+def next_order(lmbda: float, mu: float, eps: float, locked: bool = False) -> np.ndarray:
+    """Transfer across the interface law of order 1 of a layer with real moduli, from its energy over half a wave.
+
+    Strains of a mode with jumps (U, V) and means <U>, <V>: e0 = (k <U>, V/eps, U/eps - k <V>) in 11, 22, 2 12, and
+    e1 = (k U, e, g): locked, (e, g) = (0, -k V); else what leaves no stress on the faces, (-lmbda k U/M, 0).
+    """
+    M = lmbda + 2 * mu
+    C = np.array([[M, lmbda, 0], [lmbda, M, 0], [0, 0, mu]])
+    e0 = np.array([[0, 0, K, 0], [0, 1 / eps, 0, 0], [1 / eps, 0, 0, -K]])
+    e1 = np.array(
+        [[K, 0, 0, 0], [0, 0, 0, 0], [0, -K, 0, 0]] if locked else [[K, 0, 0, 0], [-lmbda * K / M, 0, 0, 0], [0] * 4]
+    )
+    energy = eps * e0.T @ C @ e0 + eps / 12 * e1.T @ C @ e1
+    faces = np.block([[-np.eye(2), np.eye(2)], [np.eye(2) / 2, np.eye(2) / 2]])  # jumps and means of (lower, upper)
+    stiffness = faces.T @ energy @ faces
+    below, across, above = stiffness[:2, :2], stiffness[:2, 2:], stiffness[2:, 2:]
+    moved = np.linalg.solve(across, np.hstack([-below, -np.eye(2)]))  # upper displacements of the lower (U, V, S, T)
+    return np.vstack([moved, np.hstack([across.T, np.zeros((2, 2))]) + above @ moved])
+
+
+def next_order_errors(lmbda: float, mu: float, eps: float, locked: bool = False) -> tuple[float, float]:
+    """Errors as in `sweep_errors` of the law of order 1, for moduli per thickness, in kept geometry."""
+    body, layer = expm(strip(*BODY) * HEIGHT), expm(strip(lmbda * eps, mu * eps) * eps)
+    limit = next_order(lmbda * eps, mu * eps, eps, locked)
+    found = []
+    for between in (layer, limit):
+        _, below, above, _ = clamped(body, between, body)
+        found.append(((below[2:] + above[2:]) / 2, (above - below)[:2]))
+    return tuple(float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in zip(*found, strict=True))
+
+
 def clamped(*factors: np.ndarray) -> list[np.ndarray]:
     """States z at the bottom and above each factor (bottom to top) for a clamped bottom and the given top traction."""
     whole = np.linalg.multi_dot(factors[::-1]) if len(factors) > 1 else factors[0]

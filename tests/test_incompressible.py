@@ -134,6 +134,7 @@ def test_three_dimensions(cell):
         assert errors[1][quantity] < 0.6 * errors[0][quantity]
 
 
+@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of the penalty
 @pytest.mark.parametrize("cell", CELLS)
 def test_s_that_ends_inside(cell):
     """A crack filled with an incompressible layer cannot open, but it slides; beside it the bodies are bonded."""
@@ -293,6 +294,7 @@ def test_close_to_the_limit_however_thin():
     assert rows[-1]["error_jump"] < 2e-4
 
 
+@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # that is what it is about
 @pytest.mark.parametrize("build", BUILDS)
 def test_nearly_incompressible_layers(build):
     """Elastic layers with growing lmbda come to it with order 1 in mu/lmbda, until their own cells lock."""

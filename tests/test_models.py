@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import ufl
@@ -12,7 +14,9 @@ from forms import Anisotropic, Law, LawError, LinearElastic, MohrCoulomb, Stack
 from geometry import GeometryError, block, sandwich
 from tests.limit_load_run import dragged
 from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, solve
+from thinlayer.failure import RangeWarning
 from thinlayer.solvers import Solver
+from thinlayer.surface import nodal_forces
 
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
 BODY = LinearElastic.young(100.0, 0.3)
@@ -330,3 +334,52 @@ def test_compare_on_a_part_of_s():
     for name in ("jump", "traction"):  # squares of differences add up
         sizes = [(one[f"error_{name}"] * one[name]) ** 2 for one in (inner, outer, whole)]
         assert sizes[0] + sizes[1] == pytest.approx(sizes[2], rel=1e-9)
+
+
+# ---------------------------------------------------------------- loads on sides
+def total(model):
+    """Sum of the nodal forces of its loads, (d,)."""
+    forces = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V)))
+    own = model.V.dofmap.index_map.size_local * model.joint.dim
+    return forces.x.array[:own].reshape(-1, model.joint.dim).sum(axis=0)
+
+
+@pytest.mark.parametrize("name", ["LEFT", "LEFT/UPPER", "LEFT/LOWER"])
+@pytest.mark.parametrize("depth", [None, 0.6])
+def test_a_load_on_a_side_is_the_same_in_all_models(name, depth):
+    """Where the bodies gave up room, the layer carries what acted there, but for a load of its own."""
+    joint = sandwich(1.0, 0.2, 0.5, 0.5, depth=depth)
+    load, area = np.array([0.7, -0.2, 0.4])[: joint.dim], depth or 1.0
+    data = {"layer": ThinLayer(GLUE, 0.1), "body": BODY, "supports": {"BOTTOM": 0.0}}
+    height = {"LEFT": 0.7, "LEFT/UPPER": 0.5, "LEFT/LOWER": 0.2}[name]
+    models = [
+        Model.interface(joint, tractions={name: load}, **data),
+        Model.full(joint, tractions={name: load}, **data),
+        Model.full(joint, tractions={name: load}, bodies="extended", **data),
+    ]
+    for model in models:
+        assert total(model) == pytest.approx(load * height * area, rel=1e-10)
+    alone = Model.full(joint, tractions={name: load, "LEFT/LAYER": 3 * load}, bodies="extended", **data)
+    given_up = 0.1 if name == "LEFT" else 0.05
+    assert total(alone) == pytest.approx(load * (height - given_up + 3 * 0.1) * area, rel=1e-10)
+
+
+def test_a_load_on_a_side_of_a_base_or_under_a_profile():
+    pillar = block(1.0, 0.5, 0.25)
+    data = {"layer": ThinLayer(GLUE, 0.1), "body": BODY, "supports": {"TOP": 0.0}, "bodies": "extended"}
+    assert total(Model.full(pillar, tractions={"LEFT": (2.0, 0.5)}, **data)) == pytest.approx([1.0, 0.25])
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    wedge = data | {"layer": ThinLayer(GLUE, 0.1, profile=lambda x: 1 + x[0])}
+    assert total(Model.full(joint, tractions={"RIGHT/UPPER": (2.0, 0.5)}, **wedge)) == pytest.approx([1.0, 0.25])
+
+
+def test_a_load_that_the_layer_cannot_share():
+    """Two bodies end at the same named side of the layer, and one of them is loaded."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    far = (joint.points[joint.corners].mean(axis=1)[:, 0] > 0.5) & (joint.side > 0)
+    sides = np.concatenate([joint.facets["LEFT"], joint.facets["RIGHT"]])
+    parts = {"regions": (*joint.regions, "END"), "region": np.where(far, 2, joint.region), "upper": ("UPPER", "END")}
+    joint = replace(joint, facets={**joint.facets, "SIDES": sides}, **parts)
+    data = {"layer": ThinLayer(GLUE, 0.1), "body": BODY, "supports": {"BOTTOM": 0.0}, "bodies": "extended"}
+    with pytest.warns(RangeWarning, match=r"'SIDES/END': other bodies than 'END'.*Load 'SIDES', or 'SIDES/LAYER'"):
+        Model.full(joint, tractions={"SIDES/END": (1.0, 0.0)}, **data)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
+import ufl
+from scipy.linalg import expm
 
 from forms import LawError, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, sandwich
 from studies.hard_layer import LAYERS
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, ModelError, ThinLayer, compare, march, observed_orders, solve
+from tests import reference
+from thinlayer import Model, ModelError, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer.failure import RangeWarning
 
 # |t_full - t_order1| in L2(S) of the Fourier problem, from transfer matrices
-TRACTION_ERRORS = {1 / 8: 2.380e-3, 1 / 16: 6.512e-4, 1 / 32: 1.662e-4, 1 / 64: 4.170e-5}
+TRACTION_ERRORS = {1 / 8: 1.885e-3, 1 / 16: 5.320e-4, 1 / 32: 1.371e-4, 1 / 64: 3.452e-5}
 
 
 def rows(law_at, eps, cell, order=1, h=1 / 32):
@@ -35,12 +41,55 @@ def test_soft_layer(cell):
         assert orders[-2:] == pytest.approx([2.0, 2.0], abs=0.1)
 
 
+@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # that the layer alone is too stiff
+@pytest.mark.parametrize("nu", [0.3, 0.49, 0.499, 0.4999])
+def test_layer_that_keeps_its_volume(nu):
+    """Order 2 whatever nu; a law whose displacements are linear through the layer would lock."""
+    law, eps = LinearElastic.shear(40.0, nu), (1 / 8, 1 / 16, 1 / 32)
+    found = rows(lambda e: law, eps, "quadrilateral", h=1 / 16)
+    for k, quantity in enumerate(("error_traction", "error_jump")):
+        errors = [row[quantity] for row in found]
+        right, locked = (
+            [reference.next_order_errors(law.lmbda, law.mu, e, way)[k] for e in eps] for way in (False, True)
+        )
+        assert errors == pytest.approx(right, rel=0.05)  # cells are as large as the thickest layer is thick
+        assert all(wrong > 1.15 * error for wrong, error in zip(locked, errors, strict=True))
+        assert observed_orders(eps, errors)[-1] == pytest.approx(2.0, abs=0.2)
+
+
+def test_fourier_states_of_the_next_order():
+    """Amplitudes of jump and traction on S against transfer matrices, nu = 0.499 in an eighth of the width."""
+    joint, setup = fourier(1 / 16, cell="quadrilateral")
+    eps, law = 1 / 8, LinearElastic.shear(40.0, 0.499)
+    with pytest.warns(RangeWarning):
+        state = solve(Model.interface(joint, layer=ThinLayer(law, eps, order=1), **setup))
+    body = expm(reference.strip(*reference.BODY) * reference.HEIGHT)
+    found = []
+    for locked in (False, True):
+        layer = reference.next_order(law.lmbda * eps, law.mu * eps, eps, locked)
+        _, below, above, _ = reference.clamped(body, layer, body)
+        found.append((above - below)[:2])
+    (right, wrong), surface = found, Surface(state.model)
+    x = ufl.SpatialCoordinate(state.model.domain.mesh)[0]
+    w = surface.jump(state)
+    sizes = [2 * surface.integral(w[0] * ufl.sin(ufl.pi * x)), 2 * surface.integral(w[1] * ufl.cos(ufl.pi * x))]
+    assert sizes == pytest.approx(right, rel=1e-4)
+    assert max(abs(a / b - 1) for a, b in zip(sizes, wrong, strict=True)) > 0.2
+
+
 @pytest.mark.parametrize("law", LAYERS.values(), ids=LAYERS)
 def test_layer_with_moduli_held(law):
-    eps = (1 / 32, 1 / 64, 1 / 128)
-    errors = [row["error_traction"] for row in rows(law.per_thickness, eps, "quadrilateral")]
-    assert all(order >= 2.5 for order in observed_orders(eps, errors)[1:])
-    limit_law = rows(law.per_thickness, eps[:1], "quadrilateral", order=0)[0]["error_traction"]
+    eps = (1 / 32, 1 / 128, 1 / 256, 1 / 512)
+    found = rows(law.per_thickness, eps, "quadrilateral")
+    errors = [row["error_traction"] for row in found]
+    for e, error in zip(eps, errors, strict=True):  # what the laws leave, less than the error of either model's mesh
+        moduli = law.lmbda / e, law.mu / e
+        assert error == pytest.approx(reference.next_order_errors(*moduli, e)[0], rel=0.02)
+        assert error < reference.next_order_errors(*moduli, e, locked=True)[0]
+    assert all(order >= 2.5 for order in observed_orders(eps, errors)[2:])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RangeWarning)  # of the hard layer
+        limit_law = rows(law.per_thickness, eps[:1], "quadrilateral", order=0)[0]["error_traction"]
     assert errors[0] < 0.1 * limit_law
 
 

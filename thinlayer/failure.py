@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
+import ffcx  # noqa: F401  (see below)
 from mpi4py import MPI
 
 from forms.declarations import RangeWarning as RangeWarning
+
+if not logging.getLogger().handlers:  # FFCx has sent all warnings to a log, which nobody reads
+    logging.captureWarnings(capture=False)
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:

@@ -11,6 +11,7 @@ from dolfinx import fem
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
+from thinlayer.failure import warn
 from thinlayer.loads import Coordinates, Load, ModelError, vector
 
 BodyForce = Load | Mapping[str, Load]
@@ -42,9 +43,14 @@ class Forces:
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         if tractions is not None and not isinstance(tractions, Mapping):
             raise ModelError(f"tractions is {tractions!r}; it must be {{facet name: traction}}")
-        for name, load in (tractions or {}).items():
+        tractions = tractions or {}
+        for name, load in tractions.items():
             values = self._outer(name)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
+            side = f"{name.split('/')[0]}/{LAYER}"
+            if side not in tractions and (share := self._share(name)):
+                what, loaded, _ = self._loads[-1]
+                self._loads.append((what, share * loaded, ds(domain.values(side))))
         for name, load in self._by_region(body_force).items():
             self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
         self._everywhere = dx
@@ -70,6 +76,35 @@ class Forces:
         if not values and not name.endswith(f"/{LAYER}"):
             raise ModelError(f"traction on {name!r}: this facet set is empty")
         return values
+
+    def _share(self, name: str) -> float:
+        """How much of a traction on bodies the layer's side takes over: that of its room which these bodies gave up.
+
+        With kept bodies nothing. Else the loads of the full and of the interface model add up to the same.
+        """
+        band = self.domain.joint.band
+        whole, _, region = name.partition("/")
+        if (
+            band is None
+            or band.bodies == "kept"
+            or region == LAYER
+            or f"{whole}/{LAYER}" not in self.domain.facet_values
+        ):
+            return 0.0
+        joint = band.base
+        facets = joint.facets[whole]
+        cells = joint.table.cells[joint.table.index(facets), 0]
+        loaded = joint.region[cells] == joint.regions.index(region) if region else np.ones(len(cells), bool)
+        ends = joint.sheet.rim[joint.sheet.rim.on(facets)]
+        sides = [np.ones(len(cells), bool)] if joint.rigid_base else [joint.side[cells] < 0, joint.side[cells] > 0]
+        covered = [ends.on(facets[loaded & side]) for side in sides]
+        if any(some.any() and not some.all() for some in covered):
+            warn(
+                f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, which carries nothing of "
+                f"it; the load is smaller than the interface model's. Load {whole!r}, or {whole + '/' + LAYER!r} as well",
+                self.domain.comm,
+            )
+        return sum(bool(some.all()) for some in covered) / len(sides)
 
     def _by_region(self, body_force: BodyForce | None) -> dict[str, Load]:
         regions = self.domain.joint.bodies

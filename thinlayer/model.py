@@ -20,6 +20,7 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from forms.series import Stack, parts
+from forms.tangent import average_lame, tangent_at_rest
 from forms.traction import TractionLaw
 from geometry.domain import Domain
 from geometry.inflation import check_layering, inflate
@@ -38,6 +39,7 @@ from thinlayer.rigid import require_support
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 PLANES = ("strain", "stress")
 LARGEST_EPS = 1e6  # thickness over the bodies' size: beyond, their coordinates have fewer than ten digits left
+LOCKING = 12.0  # lmbda/mu where displacements linear through the layer add a third to the error of order 1 in the jump
 
 
 class Model:
@@ -114,7 +116,8 @@ class Model:
             body: law of the bodies (moduli: stress), or region name -> law.
             supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer.
             tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that
-                returns d components. On the bodies only; name "NAME/LAYER" to load the side of the layer.
+                returns d components. On the bodies, and with bodies="extended" on the part of the layer's side that was
+                theirs, so that the loads of all models are the same; name "NAME/LAYER" to load that side by itself.
             body_force: (d,) force per volume in the bodies, likewise, or region name -> force.
             plane: "strain" or "stress" (linear elastic laws only).
             element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
@@ -204,6 +207,22 @@ class Model:
             raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
         if len(self.joint.bonded):
             raise ModelError("order=1 needs an S that does not end inside the bodies: its law has gradients at the tip")
+        self._check_locking()
+
+    def _check_locking(self) -> None:
+        """Refuse laws whose displacements stay linear through the layer where its volume is held: they would lock."""
+        assert self.layer is not None
+        law = self.layer.real_law(self.plane)
+        C = None if law.relaxes else tangent_at_rest(law, self.joint.interface_normals[0])
+        if C is None:
+            return
+        lmbda, mu = average_lame(C)
+        if lmbda > LOCKING * mu:
+            raise ModelError(
+                f"order=1 of {type(law).__name__} with lmbda/mu = {lmbda / mu:.4g} at rest (nu = "
+                f"{lmbda / (lmbda + mu) / 2:.4g}); allowed: at most {LOCKING:g} (nu = {LOCKING / (LOCKING + 1) / 2:.4f}), "
+                "beyond which the next term locks; use order=0, the meshed layer (Model.full), or LinearElastic"
+            )
 
     # ---------------------------------------------------------------- spaces
     @cached_property

@@ -21,6 +21,7 @@ from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.newton import FLAT, NEWTON, YIELDING
 from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set, require_all_read, require_known_values
+from thinlayer.ranges import warn_of_model, warn_of_states
 from thinlayer.restraint import Restraint
 from thinlayer.state import Report, State
 
@@ -47,6 +48,9 @@ def solve(
         like: under a contact law, a state of the same joint with a similar contact status, such as that of another load or
             thickness; it saves "condensed" and "multigrid" Newton steps, the other methods do not use it.
 
+    Warns:
+        RangeWarning: an interface model, or its result, is outside the range of its law.
+
     Raises:
         SolveError: no convergence, or no unique solution. OptionError: a PETSc option that the solver does not read.
         ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
@@ -60,13 +64,16 @@ def solve(
         raise ModelError(f"t is {t!r}; it must be a finite number")
     require_hardening(model, "solve")
     with Solver(model, options=options, method=method, like=like) as solver:
+        warn_of_model(model)
         try:
-            return solver.step(solver.rest(t), t)
+            state = solver.step(solver.rest(t), t)
         except SolveError as error:
             if not solver.yields:
                 raise
             advice = "loads on a layer that yields may have a limit: let them grow in time, and march in small steps"
             raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
+    warn_of_states([state])
+    return state
 
 
 def require_hardening(model: Model, what: str) -> None:

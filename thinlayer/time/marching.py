@@ -13,6 +13,7 @@ from thinlayer.folder import owned
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.options import OptionValue
+from thinlayer.ranges import warn_of_model, warn_of_states
 from thinlayer.solvers import Solver, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
 from thinlayer.time.checkpoint import Pace
@@ -68,6 +69,9 @@ def march(
             are replaced, those of another one refused.
         options, method: of the solver, see `solve`.
 
+    Warns:
+        RangeWarning: as in `solve`; of the accepted states that are kept, once, at the end.
+
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; theta < 1 with a law whose state
             within a step says nothing of its ends (that yields, has phases, is not linear and answers at once, contact); a
@@ -91,7 +95,10 @@ def march(
         solver.equations.check_times([start, *plan.targets])
         require_time_scale(solver.equations, theta)
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
-        return TimeStepping(solver, journal, plan, start, theta).run(resume)
+        warn_of_model(model)
+        history = TimeStepping(solver, journal, plan, start, theta).run(resume)
+    warn_of_states(list(history))
+    return history
 
 
 def _follow(
@@ -107,7 +114,10 @@ def _follow(
         solver.equations.check_times([start, path.end])
         require_no_time(solver.equations)
         journal = Journal(solver.equations, Pace(None), dict(observe or {}), keep, folder, choices, directed=True)
-        return PathFollowing(solver, journal, path, start, options).run(resume)
+        warn_of_model(model)
+        history = PathFollowing(solver, journal, path, start, options).run(resume)
+    warn_of_states(list(history))
+    return history
 
 
 def _number(name: str, value: Any) -> float:

@@ -1,0 +1,138 @@
+"""S as a sheet: its area, its ends, gradients along it, and how high the bodies on it are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from geometry.topology import FloatArray, IntArray, node_jacobians
+
+if TYPE_CHECKING:
+    from geometry.joint import Joint
+
+TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
+VOLUMES = {"triangle": 1 / 2, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}  # of reference cells
+CLOSED = 0.1  # length of the mean of unit normals below which there is no normal to speak of
+
+
+@dataclass(frozen=True)
+class Rim:
+    """Ridges where S ends: vertices in 2D, edges in 3D.
+
+    Attributes:
+        vertices: (n, d - 1) of the joint.
+        simplex: (n,) which simplex of the sheet ends there.
+        outward: (n, d) unit vectors along S, normal to the ridge.
+        depth: (n,) extent of the simplex along them.
+        length: (n,) of the ridges, in 2D 1.
+    """
+
+    vertices: IntArray
+    simplex: IntArray
+    outward: FloatArray
+    depth: FloatArray
+    length: FloatArray
+
+    def __getitem__(self, which: npt.NDArray[np.bool_]) -> Rim:
+        return Rim(*(getattr(self, f.name)[which] for f in fields(self)))
+
+    def on(self, facets: IntArray) -> npt.NDArray[np.bool_]:
+        """(n,) whether each ridge belongs to one of these facets, given by vertices."""
+        pairs = list(combinations(range(facets.shape[1]), self.vertices.shape[1]))
+        found = [_keys(facets[:, list(pair)]) for pair in pairs]
+        return np.asarray(np.isin(_keys(self.vertices), np.concatenate(found)))
+
+
+def _keys(ridges: IntArray) -> IntArray:
+    """(n,) a number for each ridge, given by one vertex or two."""
+    ordered = np.sort(ridges, axis=1)
+    return np.asarray((ordered[:, 0] << 32) + ordered[:, -1])
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """S as n straight simplices between its vertices; a quadrilateral is two triangles.
+
+    Attributes:
+        joint: the joint.
+    """
+
+    joint: Joint
+
+    @cached_property
+    def parts(self) -> tuple[IntArray, IntArray]:
+        """Facet of S, and which of its corners, of each simplex: (n,), (n, d)."""
+        count = len(self.joint.surface)
+        corners = TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
+        return np.tile(np.arange(count), len(corners)), np.repeat(np.array(corners), count, axis=0)
+
+    @cached_property
+    def vertices(self) -> IntArray:
+        """(n, d) vertices of the joint."""
+        facet, corner = self.parts
+        return np.asarray(self.joint.surface[facet[:, None], corner])
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(n, d, d) unit normals of S at the vertices."""
+        facet, corner = self.parts
+        return self.joint.node_normals[facet[:, None], corner]
+
+    @cached_property
+    def mean_normal(self) -> FloatArray:
+        """(d,) of length 1; of an S that is closed, that of its first facet."""
+        mean = self.joint.interface_normals.mean(axis=0)
+        length = np.linalg.norm(mean)
+        return np.asarray(mean / length if length > CLOSED else self.joint.interface_normals[0])
+
+    @cached_property
+    def _edges(self) -> FloatArray:
+        x = self.joint.points[self.vertices]
+        return np.asarray(x[:, 1:] - x[:, :1])
+
+    @cached_property
+    def gradients(self) -> FloatArray:
+        """(n, d, d) gradient along S of the function that is 1 at a vertex and linear, for each vertex."""
+        others = np.swapaxes(np.linalg.pinv(self._edges), 1, 2)
+        return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(n,) of the simplices."""
+        gram = np.linalg.det(self._edges @ np.swapaxes(self._edges, 1, 2))
+        return np.asarray(np.sqrt(gram) / math.factorial(self.joint.dim - 1))
+
+    @cached_property
+    def rim(self) -> Rim:
+        """Where S ends at the outer boundary; tips inside the bodies are left out."""
+        joint, count = self.joint, len(self.vertices)
+        ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
+        _, first, times = np.unique(_keys(ridges), return_index=True, return_counts=True)
+        first = first[times == 1]
+        opposite, simplex = np.divmod(first, count)
+        outward = -self.gradients[simplex, opposite]
+        steepness = np.linalg.norm(outward, axis=1)
+        x = joint.points[ridges[first]]
+        length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(first))
+        rim = Rim(ridges[first], simplex, outward / steepness[:, None], 1 / steepness, length)
+        outer = np.setdiff1d(np.flatnonzero(joint.table.cells[:, 1] < 0), joint.surface_rows)
+        return rim[rim.on(joint.table.vertices[outer])]
+
+    @cached_property
+    def heights(self) -> tuple[float, ...]:
+        """Volume over the area of S, of what is below (nothing on a rigid base) and of what is above it.
+
+        Where S lies inside one body, of this body.
+        """
+        joint = self.joint
+        volumes = np.abs(node_jacobians(joint.points, joint.corners, joint.cell_type)).mean(axis=1)
+        volumes *= VOLUMES[joint.cell_type]
+        whole = [np.ones(len(volumes), bool)]
+        bodies = whole if joint.direction is not None or joint.rigid_base else [joint.side < 0, joint.side > 0]
+        return tuple(float(volumes[cells].sum() / self.areas.sum()) for cells in bodies)
