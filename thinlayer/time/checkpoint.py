@@ -165,14 +165,14 @@ class Checkpoint:
             content = json.loads(self.path.read_text(encoding="utf-8"))
             there, here = dict(json.loads(content["mark"])), json.loads(self.mark)
             pace = Pace(**content["pace"])
-            step, numbers = pace.step, (pace.largest, pace.weight)
+            step, numbers = pace.step, (*pace.largest, pace.weight)
             table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
             columns = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}
             for name in columns - {"iterations"}:
                 if not np.isfinite(table[name][np.array([row[name] is not None for row in table.rows])]).all():
                     raise ValueError(f"its column {name} is damaged")
             [int(n) for n in table["iterations"]]
-            if not len(table) or np.isnan(table["t"]).any() or not np.isfinite(numbers).all():
+            if not len(table) or np.isnan(table["t"]).any() or not np.isfinite(numbers).all() or len(numbers) != 4:
                 raise ValueError("its table is damaged")
             if not (step is None or (isinstance(step, float | int) and step > 0)):
                 raise ValueError("its step is damaged")
