@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +17,15 @@ class RangeWarning(UserWarning):
 def warn(message: str, comm: MPI.Intracomm) -> None:
     """Issue a RangeWarning on rank 0. Not collective: the other ranks do nothing."""
     if comm.rank == 0:
+        _show_warnings()
         warnings.warn(message, RangeWarning, stacklevel=3)
+
+
+def _show_warnings() -> None:
+    """Undo what FFCx does as it is imported, unless somebody listens: it sends warnings to a log that nobody sees."""
+    handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
+    if all(isinstance(handler, logging.NullHandler) for handler in handlers):
+        logging.captureWarnings(False)
 
 
 class SolveError(RuntimeError):
