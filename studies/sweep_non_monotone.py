@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +17,7 @@ from forms.traction import JumpStep
 from geometry import Joint, sandwich
 from studies.problems import FOURIER_BODY
 from studies.sweeping import Solution, Sweep, draw_rates, last
-from thinlayer import History, PhaseReport, Table, ThinLayer, observed_orders, plotting
+from thinlayer import History, PhaseReport, RangeWarning, Table, ThinLayer, observed_orders, plotting
 from thinlayer.record import Record
 
 OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
@@ -111,7 +112,10 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         record.say(f"meshed layer {law}, on S {wrong}")
         instead = partial(ThinLayer, wrong)
         sweep = Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law), case=name, instead=instead)
-        check_floors(record, name, sweep.run(thin, None, pictured=None), tables[case], floors)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RangeWarning)  # with lmbda + mu the stress falls: one of its errors
+            found = sweep.run(thin, None, pictured=None)
+        check_floors(record, name, found, tables[case], floors)
     unrelaxed(record, eps)
     draw(record)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+import warnings
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import ClassVar
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 import ufl
 
+from forms.law import Law
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
 from forms.traction import TractionLaw
 from geometry import block
@@ -30,7 +32,18 @@ from tests.arc_length_run import (
     tilted,
 )
 from tests.test_parallel import CLEAN, CLONE, mpirun
-from thinlayer import ArcLength, Model, ModelError, OptionError, SolveError, ThinLayer, march, piecewise, solve
+from thinlayer import (
+    ArcLength,
+    Model,
+    ModelError,
+    OptionError,
+    RangeWarning,
+    SolveError,
+    ThinLayer,
+    march,
+    piecewise,
+    solve,
+)
 
 C = HEIGHT / E  # compliance of the bar
 STEEP = Trilinear(k=7.0, fall=5.0, w_1=0.11, w_2=0.23, k_T=1.9)
@@ -249,6 +262,71 @@ def test_a_path_goes_on_without_force(k, w_0, first):
     x = history.model.V.tabulate_dof_coordinates()
     turned = np.column_stack([0.6 * (0.5 - x[:, 1]), 1 + 0.6 * x[:, 0]])  # the block is free, and as stiff as can be
     assert history.last.u.x.array.reshape(-1, 2) == pytest.approx(turned, abs=1e-6)
+
+
+# ---------------------------------------------------------------- softening that is not declared
+@dataclass(frozen=True)
+class Undeclared(Cohesive):
+    softens: ClassVar = False
+
+
+@dataclass(frozen=True)
+class Softer(Law):
+    """A body's law that says its stress falls."""
+
+    k: float
+    softens: ClassVar = True
+
+    def stress(self, step):
+        return self.k * step.e / (1 + ufl.inner(step.e, step.e))
+
+
+def told(model, times):
+    """RangeWarnings of a march, or of a solve at a time; and its result."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = march(model, times) if isinstance(times, list) else solve(model, times)
+    return [str(w.message) for w in caught if issubclass(w.category, RangeWarning)], result
+
+
+def test_softening_is_told_where_it_is_met():
+    """Stresses fall beyond w_0/sqrt(2), whatever the unit of length; what rises, or is declared, is not warned of."""
+    for unit in (1.0, 1e-3):
+        law = Undeclared(0.9, 0.11 * unit)
+        model = bar(law, lambda x, t, unit=unit: unit * t)
+        messages, history = told(model, [0.05, 0.1, 0.15, 0.2, 0.3])
+        (message,) = messages
+        falling = openings(history) > law.w_0 / math.sqrt(2)
+        assert f"at t = {history.t[falling][0]:g} the stress of Undeclared falls at 2 points" in message
+        assert "write softens = True" in message
+        assert not falling[:2].any()
+        assert told(model, 0.05)[0] == []
+        assert len(told(model, 0.3)[0]) == 1
+    with pytest.raises(ModelError, match="follow them from rest with march"):
+        solve(bar(Cohesive(0.9, 0.11)))
+
+
+def test_a_step_over_a_loop_is_told():
+    """Both states rise, on branches that a fall parts."""
+    law = replace(STEEP, fall=0.8)  # too little for the bar to snap back
+    ends = [w + C * sigma(law, w) for w in (0.05, 0.105, 0.232)]
+    assert told(bar(law), ends[:2])[0] == []
+    messages, history = told(bar(law), ends)
+    assert openings(history)[1:] == pytest.approx([0.05, 0.105, 0.232], rel=1e-9)
+    assert "the stress of Trilinear falls" in messages[0]
+
+
+def test_bodies_do_not_soften():
+    strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
+    with pytest.raises(ModelError, match=r"the stress of Softer falls as strains grow: .* in one row of cells"):
+        Model.interface(strip, body=Softer(3.0), layer=ThinLayer(LinearElastic(1.0, 1.0), 0.1), supports={"TOP": 0.0})
+
+
+def test_warnings_are_seen():
+    """On standard error, though FFCx sends warnings to a log that has no handler."""
+    script = "import ffcx, mpi4py.MPI as M, thinlayer.failure as f; f.warn('jumps exceed eps', M.COMM_WORLD)"
+    done = subprocess.run([sys.executable, "-c", script], cwd=CLONE, capture_output=True, text=True, timeout=60)
+    assert "RangeWarning: jumps exceed eps" in done.stderr
 
 
 # ---------------------------------------------------------------- where it ends

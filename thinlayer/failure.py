@@ -19,7 +19,15 @@ if not logging.getLogger().handlers:  # FFCx has sent all warnings to a log, whi
 def warn(message: str, comm: MPI.Intracomm) -> None:
     """Issue a RangeWarning on rank 0. Not collective: the other ranks do nothing."""
     if comm.rank == 0:
+        _show_warnings()
         warnings.warn(message, RangeWarning, stacklevel=3)
+
+
+def _show_warnings() -> None:
+    """Undo what FFCx does as it is imported, unless somebody listens: it sends warnings to a log that nobody sees."""
+    handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
+    if all(isinstance(handler, logging.NullHandler) for handler in handlers):
+        logging.captureWarnings(False)
 
 
 class SolveError(RuntimeError):

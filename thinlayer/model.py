@@ -266,6 +266,11 @@ class Model:
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             if laws[name].pointwise or laws[name].constrained or isinstance(laws[name], (TractionLaw, ContactLaw)):
                 raise ModelError(f"body {name!r}: {type(laws[name]).__name__} is for layers; bodies take elastic laws")
+            if laws[name].softens:
+                raise ModelError(
+                    f"body {name!r}: the stress of {type(laws[name]).__name__} falls as strains grow: all strain would "
+                    "gather in one row of cells; let a layer soften, on S"
+                )
         return laws
 
     def _sides(self) -> forms.Interface:

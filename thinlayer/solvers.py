@@ -15,7 +15,7 @@ from thinlayer.contact.solver import METHODS, ContactSolver, check_method, conta
 from thinlayer.continuation import Continuation
 from thinlayer.equations import Equations, Interval
 from thinlayer.equilibrium import Equilibrium
-from thinlayer.failure import SolveError
+from thinlayer.failure import SolveError, warn
 from thinlayer.linear_solvers import linear_solvers
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
@@ -138,6 +138,7 @@ class Solver:
             self._choices = self._choices[:1]
         self.equations = Equations(model)
         self._finder = self._contact_solver(like) if self.method in METHODS else self._equilibrium()
+        self._told = False  # whether a law that softens has been told
         self._settled = False  # whether a contact solver has read its options, which it does once
 
     def __enter__(self) -> Solver:
@@ -211,7 +212,23 @@ class Solver:
 
     def _state(self, old: State, t: float, theta: float, x: PETSc.Vec, report: Report) -> State:
         memory, audit = self.equations.audit(x)
+        self._tell_softening(t)
         return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
+
+    def _tell_softening(self, t: float) -> None:
+        """Warn, once, where the stress of a law falls that does not say so: at the same loads there may be other states."""
+        if self._told:
+            return
+        laws = self.equations.laws
+        name, points = laws.softened(self.equations.u.x.petsc_vec)
+        if name:
+            self._told = True
+            warn(
+                f"at t = {t:g} the stress of {name} falls at {points} points as jumps or strains grow: this equilibrium "
+                "may be one of several, and steps may pass over others; write softens = True in the class and follow "
+                "them on S with march(model, ArcLength(...))",
+                self.model.comm,
+            )
 
     def _find(self, old: State, thorough: bool) -> tuple[PETSc.Vec, int, float, int]:
         """Unknowns at the end of the step, all iterations, residual, number of solves that continuation took."""

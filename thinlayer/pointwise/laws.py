@@ -117,6 +117,20 @@ class PointLaws:
                     raise LawError(NOT_SYMMETRIC.format(type(p.points.law).__name__, skew))
         return [p.stiffness(r.tangent, lack) for p, r in zip(self.points, self._responses, strict=True)]
 
+    def softened(self, u: PETSc.Vec) -> tuple[str, int]:
+        """Name of a law that says nothing of softening and whose stresses fall at displacements u, the last response's.
+
+        And the number of points; "" and 0 if there is none. Not asked are laws that are linear or not symmetric, that have
+        a rate, bound stresses or switch phases: theirs fall for other reasons, or never.
+        """
+        for p, e_old, q, r in zip(self.points, self._e_old, self._begins, self._responses, strict=True):
+            law = p.points.law
+            if law.softens or law.linear or not law.symmetric or law.rate or law.yields or law.switches:
+                continue
+            if count := self.comm.allreduce(p.falls(p.strain(u), e_old, q, r)):
+                return type(law).__name__, count
+        return "", 0
+
     @property
     def memory(self) -> list[Array]:
         """Internal values of the last response."""

@@ -21,6 +21,7 @@ from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import Quadrature
 
 ROUNDED = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
+FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # parts of the tangent at rest that are added to one that may vanish
 
 
@@ -104,6 +105,30 @@ class LawPoints(Quadrature):
         k, name = int(at[0]), type(self.points.law).__name__
         what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
         return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])})"
+
+    def falls(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
+        """Number of this rank's points where stresses fall as the layer opens or slips, at strains e or since e_old.
+
+        Jumps v make the strains sym(v (x) n): stresses fall where the tangent's form is negative for one of them, or, of a
+        law that remembers nothing, where the work of the change of stress on the change of strain is.
+        """
+        law, m = self.points.law, len(self.slots)
+        v = np.eye(3)[: self.domain.joint.dim]
+        jumps = v[None, :, :, None] * self.n[:, None, None, :]
+        jumps = (jumps + jumps.swapaxes(2, 3)) / 2
+        rows = [jumps[..., i, j] * (1.0 if i == j else ROOT2) for i, j in (MANDEL[k] for k in self.slots)]
+        N = np.stack(rows, axis=-1).reshape(self.count, len(v), m)
+        A = N @ response.tangent @ N.swapaxes(1, 2)
+        size = np.abs(A).max(axis=(1, 2), initial=0.0)
+        known = np.isfinite(size) & (size > ROUNDED)
+        down = np.zeros(self.count, bool)
+        down[known] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[known] / 2)[:, 0] < -FALLING * size[known]
+        if not (law.internal or law.varies):
+            change = e - e_old
+            of_stress = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
+            sizes = np.linalg.norm(change, axis=1) * np.linalg.norm(of_stress, axis=1)
+            down |= np.sum(change * of_stress, axis=1) < -FALLING * sizes
+        return int(np.count_nonzero(down))
 
     def ease(self, ease: float) -> None:
         """Let the law answer from now on with an ease, see `Law.eased`; 0: the law itself."""

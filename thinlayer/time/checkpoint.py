@@ -165,11 +165,7 @@ class Checkpoint:
             content = json.loads(self.path.read_text(encoding="utf-8"))
             there, here = dict(json.loads(content["mark"])), json.loads(self.mark)
             pace = Pace(**content["pace"])
-<<<<<<< HEAD
-            step, numbers = pace.step, [*pace.largest, pace.weight]
-=======
             step, numbers = pace.step, (*pace.largest, pace.weight)
->>>>>>> time
             table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
             columns = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}
             for name in columns - {"iterations"}:
