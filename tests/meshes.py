@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import basix
 import gmsh
@@ -147,3 +148,13 @@ def grid(axes, inside, cell, keep=lambda x: np.ones(len(x), bool)):
         facets[name] = table.vertices[outer & np.isclose(points[table.vertices][..., k], axes[k][0]).all(axis=1)]
     facets["TOP"] = table.vertices[outer & np.isclose(points[table.vertices][..., 1], axes[1][-1]).all(axis=1)]
     return Joint(points, cells, cell, region, ("OUT", "IN"), facets, ("IN",), ("OUT",))
+
+
+def renumbered(joint, seed=3):
+    """The joint with its nodes and cells in another order."""
+    random = np.random.default_rng(seed)
+    nodes, cells = random.permutation(len(joint.points)), random.permutation(len(joint.cells))
+    points = np.empty_like(joint.points)
+    points[nodes] = joint.points
+    facets = {name: nodes[rows] for name, rows in joint.facets.items()}
+    return replace(joint, points=points, cells=nodes[joint.cells[cells]], region=joint.region[cells], facets=facets)

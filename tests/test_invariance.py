@@ -9,7 +9,7 @@ import pytest
 
 from forms import LinearElastic
 from geometry import GeometryError, block, disc, ring, sandwich
-from tests.test_surface import renumbered
+from tests.meshes import renumbered
 from thinlayer import Model, ThinLayer, compare, solve
 
 STEEL, GLUE = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)

@@ -9,30 +9,21 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic
+from forms import LinearElastic, NonMonotoneUnrelaxed
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
-from tests.test_non_monotone_models import PURE
+from tests.meshes import renumbered
 from thinlayer import Model, ModelError, PhaseReport, Surface, ThinLayer, march, solve
 from thinlayer.state import Audit, Report, State
 
 STEEL = LinearElastic(3.0, 2.0)
+PURE = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.05, np.diag([0.3, 0.7]))
 RADIUS = 1.2
 
 
 def on(joint, law=FOURIER_LAYER):
     held = "INSIDE" if "INSIDE" in joint.facets else "TOP"
     return Model.interface(joint, layer=ThinLayer(law, 0.1), body=STEEL, supports={held: 0.0})
-
-
-def renumbered(joint, seed=3):
-    """The joint with its nodes and cells in another order."""
-    random = np.random.default_rng(seed)
-    nodes, cells = random.permutation(len(joint.points)), random.permutation(len(joint.cells))
-    points = np.empty_like(joint.points)
-    points[nodes] = joint.points
-    facets = {name: nodes[rows] for name, rows in joint.facets.items()}
-    return replace(joint, points=points, cells=nodes[joint.cells[cells]], region=joint.region[cells], facets=facets)
 
 
 def polar(x):
