@@ -158,10 +158,11 @@ class Equilibrium:
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             ksp.solve(r, d)
-            if first and direct and d.norm() > UNDETERMINED * x.norm():
+            size = max(x.norm(), equations.old.norm())  # loads that end at zero leave displacements that are rounding
+            if first and direct and d.norm() > UNDETERMINED * size:
                 raise SolveError(
                     "no unique solution: rounding of the forces changes the displacements by "
-                    f"{d.norm() / x.norm():.1e} of themselves",
+                    f"{d.norm() / size:.1e} of themselves",
                     advice="does something resist every motion of the bodies, and every strain of the layer?",
                 )
             first = False
