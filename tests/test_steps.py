@@ -115,3 +115,11 @@ def test_the_estimate_is_the_error(theta, length):
     for factor, taken in ((1.15, True), (0.85, False)):
         history = march(one, Adaptive(length, first=length, tolerance=factor * error), theta=theta)
         assert (history.t.tolist() == [0.0, length / 2, length]) is taken
+
+
+def test_adaptive_steps_go_on_where_they_were(tmp_path):
+    """With the largest displacements, jumps and forces so far, which later steps are measured against."""
+    model, steps = column(Maxwell(0.6, 0.4, t1=0.7)), Adaptive(2.0, first=0.1, tolerance=2e-3, at=[1.0])
+    whole = march(model, steps)
+    march(model, Adaptive(1.0, first=0.1, tolerance=2e-3), out=tmp_path)
+    assert march(model, steps, out=tmp_path, resume=True).t == pytest.approx(whole.t, rel=1e-12)
