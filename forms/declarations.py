@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import math
+import warnings
 from collections.abc import Mapping
 from numbers import Real
 from typing import Any
@@ -17,6 +19,17 @@ class LawError(ValueError):
 
 class RangeWarning(UserWarning):
     """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy."""
+
+
+def warn_of_range(message: str, stacklevel: int = 3) -> None:
+    """Issue a RangeWarning, as if from `stacklevel` - 1 callers up.
+
+    FFCx sends all warnings to a log as it is imported; where nobody listens to it they are shown again.
+    """
+    handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
+    if all(isinstance(handler, logging.NullHandler) for handler in handlers):
+        logging.captureWarnings(False)
+    warnings.warn(message, RangeWarning, stacklevel=stacklevel)
 
 
 def is_number(value: Any) -> bool:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import ufl
 
-from forms.declarations import RangeWarning, is_number
+from forms.declarations import is_number, warn_of_range
 from forms.elastic import lame, require_moduli
 from forms.kinematics import Expr, lift
 from forms.law import Law, LawError, Step, require
@@ -55,11 +54,10 @@ class Plastic(Law):
         require(math.isfinite(self.C) and self.C >= 0, self, "C", self.C, ">= 0, finite")
         require(0 <= self.Omega < 90, self, "Omega", self.Omega, "0 <= Omega < 90 degrees")
         if 0 < self.Omega < RADIANS:
-            warnings.warn(
+            warn_of_range(
                 f"{type(self).__name__}: Omega is {self.Omega:g} degrees, next to no friction; angles are in degrees: "
                 f"{self.Omega:g} radians would be Omega = {math.degrees(self.Omega):.4g}",
-                RangeWarning,
-                stacklevel=5,
+                stacklevel=6,
             )
         require(self.C > 0 or self.Omega > 0, self, "C", self.C, "> 0 where Omega = 0: nothing would resist shear")
         require(0 <= self.h < 1, self, "h", self.h, "0 <= h < 1")

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import logging
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
-import ffcx  # noqa: F401  (see below)
 from mpi4py import MPI
 
 from forms.declarations import RangeWarning as RangeWarning
-
-if not logging.getLogger().handlers:  # FFCx has sent all warnings to a log, which nobody reads
-    logging.captureWarnings(capture=False)
+from forms.declarations import warn_of_range
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:
-    """Issue a RangeWarning on rank 0. Not collective: the other ranks do nothing."""
-    if comm.rank == 0:
-        _show_warnings()
-        warnings.warn(message, RangeWarning, stacklevel=3)
-
-
-def _show_warnings() -> None:
-    """Undo what FFCx does as it is imported, unless somebody listens: it sends warnings to a log that nobody sees."""
-    handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
-    if all(isinstance(handler, logging.NullHandler) for handler in handlers):
-        logging.captureWarnings(False)
+    """Issue a RangeWarning, to be called on all ranks: rank 0 shows it, and where it is made an error all have it."""
+    shown = warnings.showwarning
+    try:
+        if comm.rank:
+            warnings.showwarning = lambda *_, **__: None
+        warn_of_range(message, stacklevel=4)
+    finally:
+        warnings.showwarning = shown
 
 
 class SolveError(RuntimeError):
