@@ -6,14 +6,11 @@ import math
 from dataclasses import dataclass
 from numbers import Integral
 
-import numpy as np
-
 from forms.declarations import is_number
 from thinlayer.equations import Equations
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
-
-SIZES = (1e-6, 1e-3, 1.0)  # of strains that laws are asked about
+from thinlayer.time.scheme import takes_time
 
 
 @dataclass(frozen=True)
@@ -103,13 +100,7 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
 def require_no_time(equations: Equations) -> None:
     """Raise ModelError if a law's answer depends on how long a step takes. Collective."""
     for p in equations.laws.points:
-        rest, differs = p.rest(), False
-        for size in SIZES:
-            e = size * np.cos(np.arange(p.count * len(p.slots), dtype=float)).reshape(p.count, len(p.slots))
-            short, long = (p.respond(e, np.zeros_like(e), rest, dt, 1.0) for dt in (1e-3, 1e3))
-            for a, b in ((short.stress, long.stress), (short.memory, long.memory)):
-                differs = differs or not np.array_equal(a, b, equal_nan=True)
-        if equations.comm.allreduce(int(differs)):
+        if takes_time(p):
             raise ModelError(
                 f"{type(p.points.law).__name__} creeps or relaxes, and t is no time on a path: march in time"
             )

@@ -60,7 +60,7 @@ def require_time_scale(equations: Equations, theta: float) -> None:
     for p in equations.laws.points:
         laws = parts(p.points.law)
         unsure = [law for law in laws if not (law.linear or law.rate)]
-        if unsure and (len(laws) > 1 or not (_straight(p) or _takes_time(p))):
+        if unsure and (len(laws) > 1 or not (_straight(p) or takes_time(p))):
             raise ModelError(f"theta is {theta}; {_swings(unsure[0])}")
 
 
@@ -79,7 +79,7 @@ def _straight(points: LawPoints) -> bool:
     return not points.domain.comm.allreduce(int(not good))
 
 
-def _takes_time(points: LawPoints) -> bool:
+def takes_time(points: LawPoints) -> bool:
     """Whether the answer to some strain depends on how long a step takes: the law creeps or relaxes. Collective."""
     differs = False
     for _, e in _strains(points):

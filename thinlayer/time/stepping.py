@@ -179,7 +179,7 @@ class TimeStepping:
                 if self.plan.adaptive:
                     break
                 self._failed_at, self._shortest, self._journal.pace.step = None, False, t - old.t
-                self._journal.accept([state])
+                self._accept([state])
                 return True
             if t <= end:
                 break
