@@ -367,6 +367,7 @@ def test_bad_adaptive_steps():
         Adaptive(1.0, 0.1, at=[2.0])
 
 
+@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of bodies softer than the layer
 @pytest.mark.parametrize(
     ("change", "what"),
     [
