@@ -5,11 +5,13 @@ from __future__ import annotations
 import inspect
 import logging
 import math
+import sys
 import warnings
 from collections.abc import Mapping
 from numbers import Real
 from typing import Any
 
+OURS = ("forms", "geometry", "thinlayer")  # packages
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
@@ -21,15 +23,18 @@ class RangeWarning(UserWarning):
     """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy."""
 
 
-def warn_of_range(message: str, stacklevel: int = 3) -> None:
-    """Issue a RangeWarning, as if from `stacklevel` - 1 callers up.
+def warn_of_range(message: str) -> None:
+    """Issue a RangeWarning, at the line that called this package.
 
     FFCx sends all warnings to a log as it is imported; where nobody listens to it they are shown again.
     """
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
-    warnings.warn(message, RangeWarning, stacklevel=stacklevel)
+    level, frame = 1, sys._getframe()
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OURS:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, RangeWarning, stacklevel=level)
 
 
 def is_number(value: Any) -> bool:

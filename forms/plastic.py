@@ -57,7 +57,6 @@ class Plastic(Law):
             warn_of_range(
                 f"{type(self).__name__}: Omega is {self.Omega:g} degrees, next to no friction; angles are in degrees: "
                 f"{self.Omega:g} radians would be Omega = {math.degrees(self.Omega):.4g}",
-                stacklevel=6,
             )
         require(self.C > 0 or self.Omega > 0, self, "C", self.C, "> 0 where Omega = 0: nothing would resist shear")
         require(0 <= self.h < 1, self, "h", self.h, "0 <= h < 1")

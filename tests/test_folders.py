@@ -280,7 +280,8 @@ def test_nobody_reads():
 def test_an_interrupt_before_anything_has_begun():
     program = (
         "import os, signal\n"
-        "from thinlayer import cli\n"
+        "from thinlayer import cli, startup\n"
+        "startup.end_on_interrupt()\n"
         "cli.main = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
         "cli.start()\n"
     )

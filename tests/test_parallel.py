@@ -22,7 +22,8 @@ CLEAN |= {k: v for k, v in os.environ.items() if k.startswith("PRTE_MCA")}
 def mpirun(ranks: int, *command: str, cwd: Path = CLONE) -> subprocess.CompletedProcess:
     # ranks that wait leave the cores to those that compute: there may be fewer cores than ranks
     environment = CLEAN | {"PYTHONPATH": str(CLONE), "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
-    words = ["mpirun", "-n", str(ranks), sys.executable, *command]
+    # mpi4py ends all ranks where one has an error
+    words = ["mpirun", "-n", str(ranks), sys.executable, "-m", "mpi4py", *command]
     return subprocess.run(words, env=environment, cwd=cwd, capture_output=True, text=True, timeout=240)
 
 

@@ -18,7 +18,7 @@ def warn(message: str, comm: MPI.Intracomm) -> None:
     try:
         if comm.rank:
             warnings.showwarning = lambda *_, **__: None
-        warn_of_range(message, stacklevel=4)
+        warn_of_range(message)
     finally:
         warnings.showwarning = shown
 

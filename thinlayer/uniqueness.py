@@ -79,7 +79,7 @@ class RigidMotions:
         of[dofs] = number[model.domain.original_cells[: len(dofs)]][:, None]
         here = np.repeat(of[:owned], bs)[:, None] == np.arange(count)
         motions = np.stack([f.x.array[: owned * bs] for f in rigid_motions(V, joint).values()], axis=1)
-        return (here[:, :, None] * motions[:, None, :]).reshape(owned * bs, -1)
+        return (here[:, :, None] * motions[:, None, :]).reshape(owned * bs, count * motions.shape[1])
 
     def require_resisted(self, A: PETSc.Mat) -> None:
         """Raise SolveError if a tangent, its supports taken in or not, lets a piece move that nothing else holds."""
