@@ -144,6 +144,19 @@ def test_threshold_and_dissipation(w, slip, friction, cohesion):
     assert again == pytest.approx(t, abs=1e-12)
 
 
+@pytest.mark.parametrize("w", [(0.02, -0.3), (-0.01, 0.02, -0.4), (0.5, 0.2)])
+def test_tractions_are_the_slope_of_what_is_stored(w):
+    """Where nothing slides, and where S is open."""
+    law, w = IncrementalCoulomb(K_N, K_T, F), np.array([w])
+    slip, h = np.zeros((1, w.shape[1] - 1)), 1e-5
+    if w[0, -1] > 0:
+        slip = law.slip_after(w, slip)  # no traction is left
+    for k, t in enumerate(law.traction(w, slip)[0]):
+        d = h * np.eye(w.shape[1])[k]
+        slope = (law.energies(w + d, slip)[0] - law.energies(w - d, slip)[0]) / (2 * h)
+        assert slope[0] == pytest.approx(t, rel=1e-7, abs=1e-9)
+
+
 def test_stiffness_of_a_layer():
     law = HolonomicCoulomb.of_layer(15.0, 5.0, friction=0.3)
     assert (law.K_N, law.K_T, law.friction, law.cohesion) == (25.0, 5.0, 0.3, 0.0)
