@@ -19,13 +19,13 @@ from collections.abc import Iterator
 from contextlib import chdir, contextmanager
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import dolfinx.jit
 import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
 
-_LOCKS: dict[Path, IO[bytes]] = {}  # lock files by folder; never closed, which would free the process's locks
+_LOCKS: dict[Path, int] = {}  # descriptors of lock files by folder; never closed, which would free the process's locks
 
 
 class CacheError(OSError):
@@ -61,7 +61,7 @@ def _lock(folder: Path, name: str, how: int) -> None:
     byte = int(hashlib.sha256(name.encode()).hexdigest()[:15], 16)
     try:
         if folder not in _LOCKS:
-            _LOCKS[folder] = (folder / ".thinlayer.lock").open("a+b")
+            _LOCKS[folder] = os.open(folder / ".thinlayer.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         fcntl.lockf(_LOCKS[folder], how, 1, byte)
     except OSError:  # a file system without locks: the same may be compiled twice, and the last one is kept
         pass

@@ -9,6 +9,9 @@ from contextlib import contextmanager
 from petsc4py import PETSc
 
 PREFIX = "thinlayer_"
+# PETSc's errors that values of options lead to: not supported, wrong, out of range, wrong state, user's function missing,
+# unknown type, no such factorisation
+OF_OPTIONS = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 _PLACED: set[str] = set()  # names in PETSc's database, without the prefix, that are there by `defaults`
 
@@ -64,13 +67,17 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
     names = [name for name in unread() if name not in _PLACED.intersection(ours)]
     if names:
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
-        raise OptionError(f"PETSc options not read by the {solver} solver: {listed}; -{PREFIX}help lists what it reads")
+        raise OptionError(
+            f"PETSc options not read by the {solver} solver: {listed}; a direct solver has no tolerances, "
+            f"-{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
+        )
 
 
 def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
     """Raise OptionError instead of a PETSc error that says that the value of an option is not known or out of range."""
-    if error.ierr in (62, 63, 86):  # PETSC_ERR_ARG_WRONG, PETSC_ERR_ARG_OUTOFRANGE, PETSC_ERR_ARG_UNKNOWN_TYPE
+    if error.ierr in OF_OPTIONS:
         found = {k.removeprefix(PREFIX): v for k, v in PETSc.Options().getAll().items() if k.startswith(PREFIX)}
         theirs = [name for name in found if name not in _PLACED.intersection(ours)]
         given = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
-        raise OptionError(f"a PETSc option has a value that PETSc does not take, among: {given}") from error
+        if theirs:
+            raise OptionError(f"a PETSc option has a value that PETSc does not take, among: {given}") from error

@@ -130,7 +130,9 @@ class Solver:
         _check_like(model, like)
         if self.method == "linear" and not model.linear:
             raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
-        if options is not None and not isinstance(options, Mapping):
+        if options is not None and not (
+            isinstance(options, Mapping) and all(isinstance(name, str) for name in options)
+        ):
             raise OptionError(f"options is {options!r}; it must be {{name without prefix: value}}")
         self._given = dict(options or {})
         self._choices = [{}] if self.method in METHODS else linear_solvers(model)
