@@ -201,6 +201,19 @@ def test_soft_layers_are_not_slippery():
     assert mean_jump(model, solve(model))[1] == pytest.approx(-1.0 / M, rel=1e-4)
 
 
+def test_a_meshed_layer_that_hardly_resists():
+    """Loads that do not push it leave its slip to rounding, which the second solve of the refinement shows."""
+
+    def made(K_T):
+        layer = ThinLayer(Anisotropic.springs(1e3, K_T), 0.1)
+        return Model.full(PLATES, layer=layer, body=STEEL, supports=HELD, tractions={"TOP": (0, -1.0)})
+
+    with pytest.raises(SolveError, match="no unique solution: rounding of the forces changes the displacements"):
+        solve(made(1e-11))
+    slip = solve(made(1e-3)).u.x.array.reshape(-1, 2)[:, 0]
+    assert abs(slip.mean()) < 1e-3 * np.abs(slip).max()
+
+
 def test_pieces():
     """Bodies on both sides of S are two pieces, in the interface model alone; S that ends inside them leaves one."""
     assert pieces(linear())[1] == 2
