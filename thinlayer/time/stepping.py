@@ -174,7 +174,7 @@ class TimeStepping:
             except NoEquilibrium as run_away:
                 sign, self._run_away = (t, run_away.growth), t
             except SolveError:
-                sign = sign if self.plan.adaptive else None
+                pass  # what was seen farther on still says that there is a limit before
             else:
                 if self.plan.adaptive:
                     break
