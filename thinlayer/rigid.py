@@ -25,12 +25,23 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]
     for i in range(d):
         for j in range(i + 1, d):
             rows[f"rotation {AXES[i]}{AXES[j]}"] = lambda x, i=i, j=j: _rotation(x, i, j, centre, size)
-    motions = {}
+    motions, places = {}, _places(V)
     for name, motion in rows.items():
         motions[name] = f = fem.Function(V)
-        f.interpolate(motion)
-        f.x.scatter_forward()
+        if places is not None:
+            f.x.array.reshape(-1, d).T[:] = motion(places)
+        else:
+            f.interpolate(motion)
+            f.x.scatter_forward()
     return motions
+
+
+def _places(V: fem.FunctionSpace) -> npt.NDArray[np.float64] | None:
+    """Places (3, n) that unknowns are displacements of; None where they are other moments."""
+    try:
+        return np.asarray(V.tabulate_dof_coordinates().T)
+    except RuntimeError:
+        return None
 
 
 def _rotation(

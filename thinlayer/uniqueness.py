@@ -58,50 +58,54 @@ class RigidMotions:
 
     @cached_property
     def _free(self) -> tuple[Array, Array]:
-        """Motions, (displacements of this rank, n), and the combinations of them that supports allow, (n, m)."""
+        """Motions that supports allow, (displacements of this rank, m), and their parts, (m, motions of pieces)."""
         motions = self._motions()
         at_supports = motions[self.held]
         gram = self.model.comm.allreduce(at_supports.T @ at_supports)
         values, vectors = np.linalg.eigh(gram)
         allowed = vectors[:, values <= HELD * max(values[-1], 1.0)]
-        motions[self.held] = 0.0
-        return motions, allowed
+        free = motions @ allowed
+        free[self.held] = 0.0
+        return free, allowed.T
 
     def _motions(self) -> Array:
         """Translations and rotations of each piece, of size 1 for the structure, at the displacements of this rank."""
         model, joint = self.model, self.model.domain.joint
         V = model.V
         number, count = pieces(model)
-        self._names = [joint.regions[joint.region[np.flatnonzero(number == k)[0]]] for k in range(count)]
+        self._names = [joint.regions[joint.region[int((number == k).argmax())]] for k in range(count)]
         owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
-        of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int64)
+        of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
         of[dofs] = number[model.domain.original_cells[: len(dofs)]][:, None]
-        here = np.repeat(of[:owned], bs)[:, None] == np.arange(count)
-        motions = np.stack([f.x.array[: owned * bs] for f in rigid_motions(V, joint).values()], axis=1)
-        return (here[:, :, None] * motions[:, None, :]).reshape(owned * bs, count * motions.shape[1])
+        of = of[:owned]
+        rigid = [f.x.array[: owned * bs].reshape(owned, bs) for f in rigid_motions(V, joint).values()]
+        motions = np.zeros((count, len(rigid), owned, bs))
+        for k in range(count):
+            here = of == k
+            for out, motion in zip(motions[k], rigid, strict=True):
+                np.copyto(out, motion, where=here[:, None])
+        return motions.reshape(count * len(rigid), owned * bs).T
 
     def require_resisted(self, A: PETSc.Mat) -> None:
         """Raise SolveError if a tangent, its supports taken in or not, lets a piece move that nothing else holds."""
-        motions, allowed = self._free
-        if not allowed.shape[1]:
+        free, parts = self._free
+        if not len(parts):
             return
-        n = len(motions)
         v, f = A.createVecs()
-        forces = np.zeros_like(motions)
-        for k in np.flatnonzero(np.abs(allowed).max(axis=1) > 0):
-            v.set(0.0)
-            v.array[:n] = motions[:, k]
+        v.set(0.0)
+        forces = np.empty_like(free)
+        for k, motion in enumerate(free.T):
+            v.array[: len(motion)] = motion
             A.mult(v, f)
-            forces[:, k] = f.array_r[:n]
+            forces[:, k] = f.array_r[: len(motion)]
         v.destroy()
         f.destroy()
-        G = allowed.T @ self.model.comm.allreduce(motions.T @ forces) @ allowed
-        _, sizes, rows = np.linalg.svd(G)
+        _, sizes, rows = np.linalg.svd(self.model.comm.allreduce(free.T @ forces))
         if sizes[-1] > RESISTED * self._stiffness or not np.isfinite(sizes[-1]):
             return
         raise SolveError(
-            f"no unique solution: {self._described(allowed @ rows[-1])}, and neither supports nor the layer resist it "
+            f"no unique solution: {self._described(rows[-1] @ parts)}, and neither supports nor the layer resist it "
             "(to what rounding tells)",
             advice="add supports, or give the layer's law a stiffness in this direction",
         )
