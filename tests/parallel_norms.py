@@ -95,7 +95,11 @@ def norms() -> dict[str, float]:
             sandwich(1.0, 1.0, 1.0, 1.0, cell="quadrilateral"),
             {
                 "body": hard,
-                "supports": {"BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2}},
+                "supports": {
+                    "BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2},
+                    "LEFT/UPPER": {"x": 0.01},
+                    "RIGHT/LOWER": {"y": 0.02},
+                },
                 "tractions": {"TOP": (1.0, 2.0)},
             },
             soft,
