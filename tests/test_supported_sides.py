@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from forms import HolonomicCoulomb, LinearElastic
-from geometry import sandwich
+from geometry import block, sandwich
 from thinlayer import Model, Surface, ThinLayer, compare, solve
 
 BODY = LinearElastic(30.0, 20.0)
@@ -79,6 +79,46 @@ def test_a_support_of_one_body_in_contact():
     model = Model.interface(one, layer=law, body=BODY, supports=supports, tractions=loads, element="Q1")
     x, found = Surface(model).profile(Surface(model).traction(solve(model)))
     assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=1e-7)  # the contact solver's tolerance
+
+
+@pytest.mark.parametrize(
+    ("cell", "element", "layer", "tolerance"),
+    [
+        ("quadrilateral", "Q2", LAYER, EXACT),
+        ("triangle", "P1", LAYER, EXACT),
+        ("hexahedron", "Q1", LAYER, EXACT),
+        ("quadrilateral", "Q1", HolonomicCoulomb(K_N, K_T, 0.5), 1e-7),
+    ],
+)
+def test_supports_that_move_the_bodies_apart(cell, element, layer, tolerance):
+    """Where they hold both, no reaction tells the traction: it goes on as beside them, and is uniform if it is."""
+    one = joint(cell)
+    (lower, upper), loads, t = uniform(one)
+    supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper, "RIGHT/LOWER": lower}
+    del loads["RIGHT/LOWER"]
+    model = Model.interface(one, layer=layer, body=BODY, supports=supports, tractions=loads, element=element)
+    x, found = Surface(model).profile(Surface(model).traction(solve(model)))
+    assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=tolerance)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_a_support_that_moves_a_body_on_a_rigid_base(cell):
+    """u = w + a y above the base, of one stress."""
+    depth = 0.8 if cell == "hexahedron" else None
+    one = block(1.6, 0.7, 0.4, depth=depth, cell=cell)
+    d = one.dim
+    a, n = np.array([0.02, -0.03, 0.01])[:d], np.eye(d)[1]
+    strain = (np.outer(a, n) + np.outer(n, a)) / 2
+    stress = BODY.lmbda * np.trace(strain) * np.eye(d) + 2 * BODY.mu * strain
+    t = stress @ n
+    w = t / np.where(n > 0, K_N, K_T)
+    moved = {axis: lambda x, _, k=k: float(w[k]) + float(a[k]) * x[1] for k, axis in enumerate("xyz"[:d])}
+    normals = {"TOP": n, "RIGHT": np.eye(d)[0]} | ({"BACK": -np.eye(d)[2], "FRONT": np.eye(d)[2]} if d == 3 else {})
+    loads = {name: tuple(map(float, stress @ normal)) for name, normal in normals.items()}
+    data = {"supports": {"LEFT": moved}, "tractions": loads, "element": "P1" if d == 2 else "Q1"}
+    model = Model.interface(one, layer=LAYER, body=BODY, **data)
+    x, found = Surface(model).profile(Surface(model).traction(solve(model)))
+    assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=EXACT)
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
