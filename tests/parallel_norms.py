@@ -77,6 +77,7 @@ def norms() -> dict[str, float]:
     soft, hard = LinearElastic.young(30.0, 0.1), LinearElastic.young(12.0, 0.4)
     rotated = sandwich(1.0, 0.5, 0.7, 0.15, h_S=0.05).rotated(0.4)
     pinned = {"BOTTOM": 0.0, tuple(rotated.points[rotated.facets["S"][0, 0]]): {"x": 0.0}}
+    pinned |= {"RIGHT/UPPER": {"y": 0.01}, "RIGHT/LOWER": {"y": 0.02}}
     push = {"TOP": lambda x, t: (0.5 * x[0], -1.0), "LEFT/UPPER": (0.2, 0.0)}
     structures = {
         "fourier P2": (*fourier(1 / 8), FOURIER_LAYER, {}),
@@ -95,7 +96,11 @@ def norms() -> dict[str, float]:
             sandwich(1.0, 1.0, 1.0, 1.0, cell="quadrilateral"),
             {
                 "body": hard,
-                "supports": {"BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2}},
+                "supports": {
+                    "BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2},
+                    "LEFT/UPPER": {"x": 0.01},
+                    "RIGHT/LOWER": {"y": 0.02},
+                },
                 "tractions": {"TOP": (1.0, 2.0)},
             },
             soft,

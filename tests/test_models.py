@@ -292,9 +292,9 @@ def test_bonded_bodies_are_the_stiff_limit():
         Surface(bonded.model)
 
 
-def test_components_held_by_a_side_support_are_left_out_of_the_traction():
-    """On both sides of S, even where only one is held: there the reaction is the support's too."""
-    change = {"supports": {"BOTTOM": 0.0, "LEFT/LOWER": {"x": 0.0}}}
+def test_components_that_supports_hold_on_both_sides_are_left_out_of_the_traction():
+    """There the reactions are the supports' too."""
+    change = {"supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}}
     for build in (Model.full, Model.interface):
         state = solve(build(JOINT, **(SETUP | change)))
         surface = Surface(Model.interface(JOINT, **(SETUP | change)))

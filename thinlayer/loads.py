@@ -225,9 +225,15 @@ class Supports:
         vertices = self.domain.vertices(self.domain.joint.nearest_point(place))
         return vertex_dofs(V, vertices, self.axes.index(axis))
 
-    def held(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
-        """All supported degrees of freedom of a space (local, unrolled, ghosts included). Collective."""
-        found = [self.dofs(V, place, axis) for place, components in self.entries for axis in components]
+    def held(
+        self, V: fem.FunctionSpace, entries: Sequence[tuple[Place, Mapping[str, Value]]] | None = None
+    ) -> npt.NDArray[np.int32]:
+        """All supported degrees of freedom of a space, or those of some entries (local, unrolled, ghosts included).
+
+        Collective.
+        """
+        entries = self.entries if entries is None else entries
+        found = [self.dofs(V, place, axis) for place, components in entries for axis in components]
         return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
 
     def conditions(self, V: fem.FunctionSpace) -> Conditions:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.classes import Condition, Restricted
 from ufl.domain import extract_domains
@@ -24,6 +25,7 @@ from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
 MASS_TOLERANCE = 1e-14
+SAME_PLACE = 1e-12  # of the largest displacement: jumps below are rounding
 
 
 def reaction(state: State) -> fem.Function:
@@ -134,12 +136,23 @@ class Surface:
     def traction(self, state: State) -> Expr:
         """Traction t = stress n on S, (d,), a UFL expression of degree 1 on S. Collective.
 
-        Mean over both faces of the bodies' reactions; components that a side support holds are left out (zero), because
-        the reaction there is the support's too. It is zero at nodes where S ends inside the bodies: nothing jumps there.
+        Mean over both faces of the bodies' reactions. Where a support holds a component of one body, its reaction there is
+        the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
+        (on a rigid base: of the body), no reaction tells it: it is zero where they hold the bodies together, as then the
+        layer is not strained, and the neighbours' mean where they move them apart. It is zero, too, at nodes where S ends
+        inside the bodies: nothing jumps there.
         """
         self._require_same_joint(state)
-        r = transfer(reaction(state), state.model, self.trace_space, self.model)
-        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, self._held)
+        r = reaction(state)
+        held, u = fem.Function(r.function_space), fem.Function(r.function_space)
+        held.x.array[state.model.supports.held(r.function_space, state.model.supports.given)] = 1.0
+        held.x.scatter_forward()
+        u.interpolate(state.u)
+        r, held, u = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held, u))
+        untold = self._tell_by_other_side(r, held.x.array > 0)
+        apart = untold & self._jumps(u)
+        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, untold, apart)
+        self._fill(t, untold, apart)
         if self.model.joint.rigid_base:
             return -self.sides.upper(t)
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
@@ -149,7 +162,8 @@ class Surface:
         f = self._expression(f, (self.model.joint.dim,))
         v = ufl.TestFunction(self.trace_space)
         r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
-        return self._divide_by_mass(r, np.empty(0, np.int32))
+        none = np.zeros(len(r.x.array), bool)
+        return self._divide_by_mass(r, none, none)
 
     def frame(self, f: Expr) -> Expr:
         """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
@@ -208,19 +222,69 @@ class Surface:
         f = self._expression(f)
         return float(np.sqrt(self.integral(self._expression(where, ()) * ufl.inner(f, f))))
 
-    @cached_property
-    def _held(self) -> np.ndarray:
-        """Supported trace degrees of freedom, on either side: one side's support counts for both."""
-        V = self.trace_space
-        mark = fem.Function(V)
-        mark.x.array[self.model.supports.held(V)] = 1.0
-        mark.x.scatter_forward()
+    def _tell_by_other_side(self, r: fem.Function, held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Replace nodal forces where they are held by minus those of the other side; where they are held there too.
+
+        Both sides of a node where S ends inside the bodies are one: there nothing is replaced.
+        """
         if self.model.joint.rigid_base:
-            return np.flatnonzero(mark.x.array > 0)
-        v, corners = ufl.TestFunction(V), {"quadrature_rule": "vertex", "quadrature_degree": 1}
-        measure = self.sides.measure(metadata=corners)
-        seen = nodal_forces(V, ufl.inner(mark("+"), v("-")) * measure + ufl.inner(mark("-"), v("+")) * measure)
-        return np.flatnonzero((mark.x.array > 0) | (seen.x.array > 0))
+            return held
+        there = fem.Function(self.trace_space)
+        there.x.array[:] = held
+        unknown = held & (self._of_other_side(there) > 0.5)
+        told = held & ~unknown & self._areas_at_corners.astype(bool)
+        r.x.array[told] = -self._of_other_side(r)[told]
+        return unknown
+
+    def _jumps(self, u: fem.Function) -> npt.NDArray[np.bool_]:
+        """Where a function of the trace space differs from side to side (on a rigid base: from zero)."""
+        largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
+        other = 0.0 if self.model.joint.rigid_base else self._of_other_side(u)
+        return np.asarray(np.abs(u.x.array - other) > SAME_PLACE * largest)
+
+    def _fill(self, t: fem.Function, untold: npt.NDArray[np.bool_], apart: npt.NDArray[np.bool_]) -> None:
+        """Set components that nodal forces do not tell: the mean of neighbours where the sides move apart, else zero."""
+        t.x.array[untold] = 0.0
+        sums, weights = self._times_mass(t.x.array), self._times_mass(~untold)
+        fill = apart[: len(sums)] & (weights > 0)
+        t.x.array[: len(sums)][fill] = sums[fill] / weights[fill]
+        t.x.scatter_forward()
+
+    def _times_mass(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Mass matrix of S times the values at local degrees of freedom, those of this rank."""
+        mass, on_s = self._mass
+        x, y = mass.createVecs()
+        x.array[:] = values[: len(on_s)]
+        mass.mult(x, y)
+        found = y.array.copy()
+        x.destroy()
+        y.destroy()
+        return np.asarray(found)
+
+    def _of_other_side(self, f: fem.Function) -> npt.NDArray[np.float64]:
+        """Values of a function of the trace space at the same places on the other side of S; zero elsewhere."""
+        area = self._areas_at_corners
+        return np.divide(self._exchanged(f), area, out=np.zeros_like(area), where=area > 0)
+
+    @cached_property
+    def _areas_at_corners(self) -> npt.NDArray[np.float64]:
+        """What `_exchanged` weights values with."""
+        ones = fem.Function(self.trace_space)
+        ones.x.array[:] = 1.0
+        return self._exchanged(ones)
+
+    def _exchanged(self, f: fem.Function) -> npt.NDArray[np.float64]:
+        """Integral over S of the other side's values, by the rule that takes corners alone: each node sees one value."""
+        values, form = self._exchange
+        values.x.array[:] = f.x.array
+        return np.asarray(nodal_forces(self.trace_space, form).x.array)
+
+    @cached_property
+    def _exchange(self) -> tuple[fem.Function, fem.Form]:
+        """A function of the trace space, and the form that `_exchanged` assembles of it."""
+        f, v = fem.Function(self.trace_space), ufl.TestFunction(self.trace_space)
+        measure = self.sides.measure(metadata={"quadrature_rule": "vertex", "quadrature_degree": 1})
+        return f, fem.form((ufl.inner(f("+"), v("-")) + ufl.inner(f("-"), v("+"))) * measure)
 
     @cached_property
     def _mass(self) -> tuple[PETSc.Mat, np.ndarray]:
@@ -236,38 +300,47 @@ class Surface:
         return A, diagonal.array > 0
 
     def _divide_by_areas(self, r: fem.Function) -> fem.Function:
-        """Nodal forces over the areas of the nodes, as contact laws see them; zero where held."""
+        """Nodal forces over the areas of the nodes, as contact laws see them."""
         sides = (self.sides.upper,) if self.model.joint.rigid_base else (self.sides.upper, self.sides.lower)
         area = self._areas(*sides)
         t = fem.Function(self.trace_space)
         on_s = area > 0
         t.x.array[on_s] = r.x.array[on_s] / area[on_s]
-        t.x.array[self._held] = 0.0
         return t
 
-    def _divide_by_mass(self, r: fem.Function, left_out: np.ndarray) -> fem.Function:
-        """Solve M t = r on the nodes of S with the components `left_out` zero."""
+    def _divide_by_mass(
+        self, r: fem.Function, left_out: npt.NDArray[np.bool_], like_neighbours: npt.NDArray[np.bool_]
+    ) -> fem.Function:
+        """Solve M t = r on the nodes of S but for the components `left_out`.
+
+        They are zero, or as large as at the neighbour that sees them where `like_neighbours`: so the neighbours of what
+        is not known are those of a uniform traction.
+        """
         V = self.trace_space
         mass, on_s = self._mass
         owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-        keep = on_s.copy()
-        keep[left_out[left_out < owned]] = False
+        keep = on_s & ~left_out[:owned]
         first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
         rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)
         A = mass.createSubMatrix(rows, rows)
+        seen = A.getDiagonal()
+        seen.array[:] += self._times_mass(like_neighbours)[keep]
+        A.setDiagonal(seen)
         t = fem.Function(V)
         ksp = PETSc.KSP().create(self.model.comm)
         ksp.setOperators(A)
         ksp.setType("cg")
         ksp.getPC().setType("jacobi")
-        ksp.setTolerances(rtol=MASS_TOLERANCE, atol=1e-300, max_it=1000)
+        ksp.setTolerances(rtol=MASS_TOLERANCE, atol=0.0, max_it=1000)
         b = A.createVecLeft()
         x = A.createVecRight()
         b.array[:] = r.x.array[:owned][keep]
+        size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
+        b.array[:] /= size  # the solver squares forces: very small and very large ones have no squares
         ksp.solve(b, x)
-        t.x.array[:owned][keep] = x.array
+        t.x.array[:owned][keep] = x.array * size
         t.x.scatter_forward()
-        for thing in (A, b, x, rows, ksp):
+        for thing in (A, b, x, seen, rows, ksp):
             thing.destroy()
         return t
 

@@ -1,0 +1,148 @@
+"""Traction where a support of a side of the bodies meets S."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import HolonomicCoulomb, LinearElastic
+from geometry import block, sandwich
+from thinlayer import Model, Surface, ThinLayer, compare, solve
+
+BODY = LinearElastic(30.0, 20.0)
+LAYER = ThinLayer(LinearElastic(3.0, 2.0), 0.05)
+K_N, K_T = 7.0, 2.0
+STRESS = np.array([[0.7, 0.2, 0.1], [0.2, -0.9, 0.15], [0.1, 0.15, 0.3]])
+EXACT = 1e-9  # relative: rounding, times the condition of the stiffness
+
+
+def joint(cell="quadrilateral", angle=0.0):
+    depth = 0.8 if cell in ("tetrahedron", "hexahedron") else None
+    return sandwich(1.6, 0.5, 0.7, 0.4, cell=cell, depth=depth).rotated(angle)
+
+
+def uniform(one, angle=0.0, scale=1.0):
+    """Supports and loads of a uniform stress: functions of the place for each body, normal -> traction, normal of S."""
+    d = one.dim
+    stress = scale * STRESS[:d, :d]
+    lmbda, mu = BODY.lmbda, BODY.mu
+    strain = (stress - lmbda / (d * lmbda + 2 * mu) * np.trace(stress) * np.eye(d)) / (2 * mu)
+    n = np.array([-np.sin(angle), np.cos(angle), 0.0])[:d]
+    t = stress @ n
+    w = (t @ n) / K_N * n + (t - (t @ n) * n) / K_T
+
+    def lower(k):
+        return lambda x, _: sum(float(strain[k, i]) * x[i] for i in range(d))
+
+    def upper(k):
+        return lambda x, _: lower(k)(x, _) + float(w[k])
+
+    along = np.array([np.cos(angle), np.sin(angle), 0.0])[:d]
+    loads = {"TOP": t, "LEFT/UPPER": -stress @ along, "RIGHT/LOWER": stress @ along}
+    if d == 3:
+        loads |= {"BACK": -stress[:, 2], "FRONT": stress[:, 2]}
+    supports = [{axis: f(k) for k, axis in enumerate("xyz"[:d])} for f in (lower, upper)]
+    return supports, {name: tuple(map(float, load)) for name, load in loads.items()}, t
+
+
+@pytest.mark.parametrize(
+    ("cell", "element", "angle"),
+    [
+        ("quadrilateral", "Q2", 0.0),
+        ("quadrilateral", "S2", 0.4),
+        ("triangle", "P2", 0.4),
+        ("triangle", "P1", 0.0),
+        ("hexahedron", "Q1", 0.3),
+        ("tetrahedron", "P1", 0.0),
+    ],
+)
+def test_a_support_of_one_body_takes_nothing_from_the_traction(cell, element, angle):
+    """Uniform stress: one end of the lower body is held, the other end of the upper body."""
+    one = joint(cell, angle)
+    (lower, upper), loads, t = uniform(one, angle)
+    supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper}
+    model = Model.interface(one, layer=LAYER, body=BODY, supports=supports, tractions=loads, element=element)
+    surface = Surface(model)
+    found = surface.traction(solve(model))
+    x, values = surface.profile(found)
+    assert values == pytest.approx(np.tile(t, (len(x), 1)), rel=EXACT)
+    area = 1.6 * (0.8 if one.dim == 3 else 1.0)
+    assert [surface.integral(found[k]) for k in range(one.dim)] == pytest.approx(t * area, rel=EXACT)
+
+
+def test_a_support_of_one_body_in_contact():
+    """Stick, where nodes carry forces over their areas."""
+    one = joint()
+    (lower, upper), loads, t = uniform(one)
+    law = HolonomicCoulomb(K_N, K_T, 0.5)
+    supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper}
+    model = Model.interface(one, layer=law, body=BODY, supports=supports, tractions=loads, element="Q1")
+    x, found = Surface(model).profile(Surface(model).traction(solve(model)))
+    assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=1e-7)  # the contact solver's tolerance
+
+
+@pytest.mark.parametrize(
+    ("cell", "element", "layer", "tolerance"),
+    [
+        ("quadrilateral", "Q2", LAYER, EXACT),
+        ("triangle", "P1", LAYER, EXACT),
+        ("hexahedron", "Q1", LAYER, EXACT),
+        ("quadrilateral", "Q1", HolonomicCoulomb(K_N, K_T, 0.5), 1e-7),
+    ],
+)
+def test_supports_that_move_the_bodies_apart(cell, element, layer, tolerance):
+    """Where they hold both, no reaction tells the traction: it goes on as beside them, and is uniform if it is."""
+    one = joint(cell)
+    (lower, upper), loads, t = uniform(one)
+    supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper, "RIGHT/LOWER": lower}
+    del loads["RIGHT/LOWER"]
+    model = Model.interface(one, layer=layer, body=BODY, supports=supports, tractions=loads, element=element)
+    x, found = Surface(model).profile(Surface(model).traction(solve(model)))
+    assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=tolerance)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_a_support_that_moves_a_body_on_a_rigid_base(cell):
+    """u = w + a y above the base, of one stress."""
+    depth = 0.8 if cell == "hexahedron" else None
+    one = block(1.6, 0.7, 0.4, depth=depth, cell=cell)
+    d = one.dim
+    a, n = np.array([0.02, -0.03, 0.01])[:d], np.eye(d)[1]
+    strain = (np.outer(a, n) + np.outer(n, a)) / 2
+    stress = BODY.lmbda * np.trace(strain) * np.eye(d) + 2 * BODY.mu * strain
+    t = stress @ n
+    w = t / np.where(n > 0, K_N, K_T)
+    moved = {axis: lambda x, _, k=k: float(w[k]) + float(a[k]) * x[1] for k, axis in enumerate("xyz"[:d])}
+    normals = {"TOP": n, "RIGHT": np.eye(d)[0]} | ({"BACK": -np.eye(d)[2], "FRONT": np.eye(d)[2]} if d == 3 else {})
+    loads = {name: tuple(map(float, stress @ normal)) for name, normal in normals.items()}
+    data = {"supports": {"LEFT": moved}, "tractions": loads, "element": "P1" if d == 2 else "Q1"}
+    model = Model.interface(one, layer=LAYER, body=BODY, **data)
+    x, found = Surface(model).profile(Surface(model).traction(solve(model)))
+    assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=EXACT)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_a_layer_pressed_onto_a_body_between_walls(cell):
+    """t_N = -1 of stiff bodies, in both models: at the walls as elsewhere, and in sum."""
+    one = sandwich(4.0, 1.0, 1.0, 0.5, cell=cell)
+    walls = {"BOTTOM": 0.0, "LEFT/LOWER": 0.0, "RIGHT/LOWER": 0.0}
+    data = {"layer": LAYER, "body": LinearElastic(3e5, 2e5), "supports": walls, "tractions": {"TOP": (0.0, -1.0)}}
+    limit, full = (solve(build(one, **data)) for build in (Model.interface, Model.full))
+    surface = Surface(limit.model)
+    for state, local, total in ((limit, 1e-3, 1e-6), (full, 0.02, 1e-3)):  # the meshed layer bulges at its sides
+        t = surface.traction(state)
+        assert surface.profile(t[1])[1] == pytest.approx(-1.0, rel=local)
+        assert surface.integral(t[1]) == pytest.approx(-4.0, rel=total)
+    assert compare(full, limit)["error_traction"] < 0.03
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e-30, 1e100])
+def test_tractions_of_any_size(scale):
+    """Forces whose squares are no numbers."""
+    one = joint("triangle")
+    (lower, upper), loads, t = uniform(one, scale=scale)
+    supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper}
+    model = Model.interface(one, layer=LAYER, body=BODY, supports=supports, tractions=loads)
+    surface = Surface(model)
+    x, found = surface.profile(surface.traction(solve(model)))
+    assert found / scale == pytest.approx(np.tile(t / scale, (len(x), 1)), rel=EXACT)
