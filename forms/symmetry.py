@@ -8,6 +8,7 @@ numbers, where what they say holds with other ones than those given too.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -213,11 +214,8 @@ class Sample:
 
     def energy(self, change: Array | float) -> float | None:
         """Energy where the stress is asked for, with a change of the strain; None if it cannot be evaluated."""
-        step = self.law.told(self._step(np.asarray(change / THETA)))
-        try:
-            return float(ufl.as_ufl(self.law.energy(step))((0.0,)))
-        except Exception:  # as above
-            return None
+        energy = _evaluated(lambda: self.law.energy(self.law.told(self._step(np.asarray(change / THETA)))))
+        return None if energy is None else float(energy)
 
     def skew(self, one: Array, other: Array, change: float) -> float:
         """one : C : other - other : C : one, over their size, by central differences; NaN if they cannot be evaluated."""
@@ -232,12 +230,16 @@ class Sample:
         return None if up is None or down is None else up - down
 
 
-def _evaluated(tensor: Callable[[], Expr]) -> Array | None:
+def _evaluated(expression: Callable[[], Expr]) -> Array | None:
+    """The numbers of an expression; None if it has none."""
     try:
-        found: Any = expand_derivatives(ufl.as_ufl(tensor()))  # once, not for each component
-        return np.array([[float(found((0.0,), component=(i, j))) for j in range(3)] for i in range(3)])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # UFL warns where it finds no number
+            found: Any = expand_derivatives(ufl.as_ufl(expression()))  # once, not for each component
+            values = [float(found((0.0,), component=place)) for place in np.ndindex(*found.ufl_shape)]
     except Exception:  # whatever a law contains that has no number: the compiler will say what is wrong with it
         return None
+    return np.reshape(values, found.ufl_shape)
 
 
 def _tensor(a: Array) -> Any:
