@@ -12,6 +12,8 @@ from numbers import Real
 from typing import Any
 
 OURS = ("forms", "geometry", "thinlayer")  # packages
+DEFAULTS = ("forms.law", "forms.traction")  # modules of the base classes
+SHAPES = ((), (3,), (3, 3))  # of internal variables
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
@@ -65,7 +67,34 @@ def require_declarations(law: Any) -> None:
             raise LawError(
                 f"{kind.__name__}: parameters() gives a function for {name}; it must give a number, NaN where it varies"
             )
+    for name, shape in law.internal.items():
+        if shape not in SHAPES:
+            allowed = ", ".join(map(str, SHAPES))
+            raise LawError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
+    _require_asked(law)
     _require_phases(law)
+
+
+def _require_asked(law: Any) -> None:
+    """Refuse a method, or a law otherwise, that nobody would ask: what it says would be ignored."""
+    kind, name = type(law), type(law).__name__
+    advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
+    if advancing and not law.internal:
+        raise LawError(
+            f"{name} has a method {advancing[0]} and no internal variables; write internal = {{name: shape}}"
+        )
+    if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.has_energy:
+        raise LawError(f"{name} declares a dissipation and no energy; write a method energy(step) too")
+    if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
+        raise LawError(f"{name} has a method at, and says that no parameters vary; write varies = True in the class")
+    if _own(kind, "otherwise") and kind.otherwise is not None and not law.pointwise:
+        raise LawError(f"{name} has a law otherwise, and holds everywhere; write a method holds(step), a UFL condition")
+
+
+def _own(kind: Any, name: str) -> bool:
+    """Whether a class has something of this name that is not the default of all laws."""
+    defining = next((one for one in kind.__mro__ if name in vars(one)), None)
+    return defining is not None and defining.__module__ not in DEFAULTS
 
 
 def _require_phases(law: Any) -> None:

@@ -23,9 +23,12 @@ class Step(NamedTuple):
     """What a law is told at one point, over a time step from t to t + dt.
 
     Attributes:
-        e: strain at the end of the step, (3, 3).
-        n: director of the layer, (d,): unit, from the lower to the upper body. None inside a body.
-        e_old: strain at the beginning. None where there is no time.
+        e: strain at the end of the step, (3, 3). Laws without rate and internal variables are told of no step: for their
+            stress and `holds`, in a body, in the layer, on S and in a `Stack`, it is the strain at t + theta dt.
+        n: director of the layer: unit, from the lower to the upper body. None inside a body. (3,) for laws that act at
+            points (`Law.pointwise`, and in a `Stack`), in 2D with a zero; (d,) for those whose stress is a part of a form.
+            `forms.kinematics.lift(n)` is (3,) in both.
+        e_old: strain at the beginning. None where there is no time, and for laws without rate and internal variables.
         q: internal variables at the beginning, by name.
         dt: length of the step; 0 at a sudden load. None where there is no time.
         theta: where in the step the balance of forces holds: 1 (backward Euler) down to 1/2 (midpoint).
@@ -189,6 +192,10 @@ class Law:
         """Stress at t + theta dt, (3, 3), symmetric, UFL."""
         raise LawError(f"{type(self).__name__} gives no stress; a law needs a method stress(step)")
 
+    def told(self, step: Step) -> Step:
+        """What the stress is asked with: of laws without rate and internal variables the strain at t + theta dt alone."""
+        return step if self.rate or self.internal else Step(step.mid, step.n)
+
     def advance(self, step: Step) -> dict[str, Expr]:
         """Internal variables at the end of the step, by name, UFL."""
         return {}
@@ -229,7 +236,7 @@ class Law:
             increments = {name: new[name] - step.q[name] for name in new}
             return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
         stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
-        return ufl.inner(self.stress(step), step.e - step.e_old) - stored - self.dissipated(step)
+        return ufl.inner(self.stress(self.told(step)), step.e - step.e_old) - stored - self.dissipated(step)
 
     def gradient(self, e: Expr, n: Expr) -> Expr:
         """How the strain grows through a layer under an interface law of order 1, (3, 3): across its whole thickness.
@@ -308,7 +315,8 @@ def explained(law: Law, method: str) -> Iterator[None]:
         raise LawError(
             f"{type(law).__name__}.{method}: {type(error).__name__}: {text}. Laws are UFL: ufl.exp, "
             "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
-            f"or internal variables; step.q has {sorted(law.internal) or 'nothing'}"
+            "or internal variables; step.n has 2 components in 2D where a law does not act at points, "
+            f"forms.kinematics.lift(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"
         ) from error
 
 

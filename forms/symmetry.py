@@ -1,14 +1,16 @@
-"""Whether stresses and tangents of laws written in UFL are as symmetric as the solvers take them to be.
+"""Whether laws written in UFL are as symmetric, as linear and as elastic as they say and the solvers take them to be.
 
-An upper triangle is all that is read of a stress, and of a matrix that is said to be symmetric: what is missing below
-would be lost without a word. Laws are evaluated with numbers, a few milliseconds for each; once for all numbers, where
-other ones than those given do not break the symmetry either.
+An upper triangle is all that is read of a stress, of an internal tensor, and of a matrix that is said to be symmetric: what
+is missing below would be lost without a word. Laws are evaluated with numbers, a few milliseconds for each; once for all
+numbers, where what they say holds with other ones than those given too.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,30 +18,40 @@ import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
 
+from forms.kinematics import Expr
 from forms.law import Law, LawError, Step
+from forms.trace import named
+from forms.traction import TractionLaw
 
 Array = npt.NDArray[np.float64]
 STRESS, TANGENT = 1e-10, 1e-5  # relative differences: rounding, and divided differences
+ENERGY = 1e-12  # rounding of an energy, over its size
 SIZES = (0.01, 0.3)  # of the strains
 CHANGE = 1e-3  # of the strains, for divided differences
+THETA = 0.7  # of the step
 APART = 0.1  # of the numbers given: how far from them others are tried
-_FOUND: set[tuple[Any, ...]] = (
-    set()
-)  # laws whose stress, or tangent, is as symmetric as they say, whatever their numbers
+_FOUND: set[tuple[Any, ...]] = set()  # laws whose stress, or tangent, is what they say, whatever their numbers
 NOT_SYMMETRIC = (
     "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
     "write symmetric = False in the class, or correct it"
 )
+NOT_LINEAR = (
+    "{} says linear = True, but is not: its stress is not affine in the strain; "
+    "leave linear out of the class, or correct the stress"
+)
 
 
-def require_symmetric_stress(law: Law, key: int) -> None:
-    """Raise LawError if a law in UFL gives a stress that is not symmetric; silent if it cannot be evaluated.
+def require_declared_stress(law: Law, key: int) -> None:
+    """Raise LawError unless what a law in UFL computes is what it declares; silent if it cannot be evaluated.
+
+    Stress and internal tensors are symmetric; the stress is affine in the strain if the law says `linear`; of a law that
+    says `symmetric` and has neither rate nor internal variables it is the derivative of the energy, if there is one.
 
     Args:
         law: with the numbers of this run.
         key: of what it computes from any numbers, see `forms.trace`.
     """
-    _for_all_numbers(law, ("stress", key), _stress_is_symmetric)
+    _for_all_numbers(law, ("stress", key, law.linear, law.symmetric), _is_declared)
 
 
 def require_symmetric_tangent(law: Law, key: int) -> None:
@@ -64,22 +76,90 @@ def _for_all_numbers(law: Law, key: tuple[Any, ...], require: Callable[[Law], No
     _FOUND.add(key)
 
 
-def _stress_is_symmetric(law: Law) -> None:
+def _is_declared(law: Law) -> None:
     for size in SIZES:
-        stress = _Sample(law, size).stress()
-        if stress is None:
-            return
-        skew, largest = np.abs(stress - stress.T).max(), np.abs(stress).max()
-        if skew > STRESS * largest:
+        sample = Sample(law, size)
+        _stress_is_symmetric(sample)
+        if named(law) is None:  # laws of this package are tested to be what they say
+            keeps_its_word(sample)
+
+
+def keeps_its_word(sample: Sample) -> None:
+    """Raise LawError unless internal tensors are symmetric, and the stress is as linear and elastic as a law says."""
+    law = sample.law
+    _memory_is_symmetric(sample)
+    if law.linear:
+        _stress_is_linear(sample)
+    if law.has_energy and law.symmetric and not (law.rate or law.internal):
+        _stress_is_of_energy(sample)
+
+
+def _skew(tensor: Array) -> float:
+    """How far a tensor is from its transpose, over its size; 0 within rounding."""
+    skew, largest = np.abs(tensor - tensor.T).max(), np.abs(tensor).max()
+    return float(skew / largest) if skew > STRESS * largest else 0.0
+
+
+def _stress_is_symmetric(sample: Sample) -> None:
+    stress = sample.stress()
+    if stress is not None and (skew := _skew(stress)):
+        raise LawError(
+            f"{type(sample.law).__name__}.stress is not symmetric: it differs from its transpose by {skew:.1e} of "
+            "its size; use ufl.sym"
+        )
+
+
+def _memory_is_symmetric(sample: Sample) -> None:
+    told = "evolve" if isinstance(sample.law, TractionLaw) else "advance"
+    for name, tensor in sample.tensors().items():
+        if skew := _skew(tensor):
             raise LawError(
-                f"{type(law).__name__}.stress is not symmetric: it differs from its transpose by {skew / largest:.1e} of "
-                "its size; use ufl.sym"
+                f"{type(sample.law).__name__}.{told}[{name!r}] is not symmetric: it differs from its transpose by "
+                f"{skew:.1e} of its size; internal tensors (3, 3) are symmetric: use ufl.sym, or vectors (3,)"
             )
+
+
+def _stress_is_linear(sample: Sample) -> None:
+    """Second differences vanish, also across no strain."""
+    middle = sample.stress()
+    mid = THETA * sample.e + (1 - THETA) * sample.e_old
+    across = [2 / THETA * mid, 2 * sample.e] if sample.law.rate or sample.law.internal else [2 / THETA * mid]
+    for change in (sample.random_strain(), *across):
+        up, down = sample.stress(change), sample.stress(-change)
+        if middle is None or up is None or down is None:
+            return
+        apart, largest = np.abs(up + down - 2 * middle).max(), max(np.abs(a).max() for a in (up, down, middle))
+        if apart > STRESS * largest:
+            raise LawError(NOT_LINEAR.format(type(sample.law).__name__))
+
+
+def _stress_is_of_energy(sample: Sample) -> None:
+    stress, along = sample.stress(), sample.random_strain()
+    if stress is None:
+        return
+    first, closer = (partial(_without_energy, sample, stress, share * CHANGE * along) for share in (1.0, 0.5))
+    if (apart := first()) and abs(closer() - apart) < 0.1 * abs(apart):  # else a kink is near
+        raise LawError(
+            f"{type(sample.law).__name__}: the derivative of the energy by the strain is not the stress, it is "
+            f"{abs(apart):.1e} of the stress away; correct one of them, or write symmetric = False in the class if the "
+            "stress has no energy"
+        )
+
+
+def _without_energy(sample: Sample, stress: Array, change: Array) -> float:
+    """Part of the stress's work on a small change that is not in the energy; 0 within rounding, or if it is not known."""
+    up, down = sample.energy(change), sample.energy(-change)
+    if up is None or down is None:
+        return 0.0
+    work, size = 2 * np.sum(stress * change), 2 * np.linalg.norm(stress) * np.linalg.norm(change)
+    rest = up - down - work
+    lost = abs(rest) > TANGENT * size + ENERGY * max(abs(up), abs(down))
+    return float(rest / (size or abs(rest))) if lost else 0.0
 
 
 def _tangent_is_symmetric(law: Law) -> None:
     for size in SIZES:
-        sample = _Sample(law, size)
+        sample = Sample(law, size)
         one, other = (sample.random_strain() for _ in range(2))
         skew = sample.skew(one, other, CHANGE)
         if not abs(skew) > TANGENT:
@@ -89,14 +169,14 @@ def _tangent_is_symmetric(law: Law) -> None:
             raise LawError(NOT_SYMMETRIC.format(type(law).__name__, abs(closer)))
 
 
-class _Sample:
+class Sample:
     """A law at one point, with numbers that no axis or plane prefers."""
 
     def __init__(self, law: Law, size: float) -> None:
         self.law, self.random, self.size = law, np.random.default_rng(3), size
-        self.e, self.e_old = self.random_strain(), self.random_strain()
         self.n = self.random.normal(size=3)
         self.n /= np.linalg.norm(self.n)
+        self.e, self.e_old = self.random_strain(), self.random_strain()
         shapes: Any = {
             (): lambda: ufl.as_ufl(size * self.random.random()),
             (3,): lambda: ufl.as_vector(self.n.tolist()),
@@ -106,17 +186,36 @@ class _Sample:
         }
 
     def random_strain(self) -> Array:
+        """Of a law of jumps sym(w (x) n)."""
         a = self.random.normal(size=(3, 3))
+        if isinstance(self.law, TractionLaw):
+            a = np.outer(a[0], self.n)
         return np.asarray(self.size * (a + a.T) / 2)
 
-    def stress(self, change: Array | float = 0.0) -> Array | None:
+    def _step(self, change: Array | float) -> Step:
         n = ufl.as_vector(self.n.tolist())
-        step = Step(_tensor(self.e + change), n, _tensor(self.e_old), self.q, ufl.as_ufl(0.1), ufl.as_ufl(0.7))
-        try:
-            stress: Any = expand_derivatives(ufl.as_ufl(self.law.stress(step)))  # once, not for each component
-            return np.array([[float(stress((0.0,), component=(i, j))) for j in range(3)] for i in range(3)])
-        except Exception:  # whatever a law contains that has no number: the compiler will say what is wrong with it
-            return None
+        return Step(_tensor(self.e + change), n, _tensor(self.e_old), self.q, ufl.as_ufl(0.1), ufl.as_ufl(THETA))
+
+    def stress(self, change: Array | float = 0.0) -> Array | None:
+        """Stress (3, 3) with a change of the strain; None if it cannot be evaluated."""
+        return _evaluated(lambda: self.law.stress(self.law.told(self._step(change))))
+
+    def tensors(self) -> dict[str, Array]:
+        """New internal variables of shape (3, 3), those that can be evaluated."""
+        found = {}
+        for name, shape in self.law.internal.items():
+            tensor = _evaluated(partial(self._advanced, name)) if shape == (3, 3) else None
+            if tensor is not None:
+                found[name] = tensor
+        return found
+
+    def _advanced(self, name: str) -> Expr:
+        return self.law.advance(self._step(0.0))[name]
+
+    def energy(self, change: Array | float) -> float | None:
+        """Energy where the stress is asked for, with a change of the strain; None if it cannot be evaluated."""
+        energy = _evaluated(lambda: self.law.energy(self.law.told(self._step(np.asarray(change / THETA)))))
+        return None if energy is None else float(energy)
 
     def skew(self, one: Array, other: Array, change: float) -> float:
         """one : C : other - other : C : one, over their size, by central differences; NaN if they cannot be evaluated."""
@@ -129,6 +228,18 @@ class _Sample:
     def _along(self, direction: Array, change: float) -> Array | None:
         up, down = self.stress(change * direction), self.stress(-change * direction)
         return None if up is None or down is None else up - down
+
+
+def _evaluated(expression: Callable[[], Expr]) -> Array | None:
+    """The numbers of an expression; None if it has none."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # UFL warns where it finds no number
+            found: Any = expand_derivatives(ufl.as_ufl(expression()))  # once, not for each component
+            values = [float(found((0.0,), component=place)) for place in np.ndindex(*found.ufl_shape)]
+    except Exception:  # whatever a law contains that has no number: the compiler will say what is wrong with it
+        return None
+    return np.reshape(values, found.ufl_shape)
 
 
 def _tensor(a: Array) -> Any:

@@ -16,7 +16,7 @@ from typing import Any
 import basix.ufl
 import numpy as np
 import ufl
-from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue
+from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue, Zero
 from ufl.core.expr import Expr as Node
 
 from forms.kinematics import Expr, from_mandel
@@ -87,10 +87,14 @@ def named(law: Law) -> tuple[Any, ...] | None:
 
 
 def stress_key(law: Law, d: int | None) -> int:
-    """Key of the stress of a law that is a part of a form, told a director of d components (None: in a body).
+    """Key of the stress, and the energy if there is one, of a law that is a part of a form.
+
+    Args:
+        law: the law.
+        d: number of components of the director that it is told; None in a body.
 
     Raises:
-        LawError: a law that fails, or decides by a number.
+        LawError: a law that fails, decides by a number, or has no stress at all.
     """
     known = named(law)
     if known is None:
@@ -104,8 +108,17 @@ def _stress_key(law: Law, d: int | None) -> int:
     point = symbolic(law)
     director: Expr = point.step.n
     n = None if d is None else ufl.as_vector([director[i] for i in range(d)])
+    step = Step(point.step.e, n)
     with explained(law, "stress"), undecided(law, "stress"):
-        return key([shaped(law, "stress", point.law.stress(Step(point.step.e, n)), (3, 3))])
+        stress = shaped(law, "stress", point.law.stress(step), (3, 3))
+    if isinstance(stress, Zero):
+        raise LawError(
+            f"{type(law).__name__}.stress is zero, whatever the strain; a law of this kind needs a stiffness"
+        )
+    if not law.has_energy:
+        return key([stress])
+    with explained(law, "energy"), undecided(law, "energy"):
+        return key([stress, shaped(law, "energy", point.law.energy(step), ())])
 
 
 def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:

@@ -12,19 +12,19 @@ from forms.law import Law, LawError, Step, shaped
 
 
 class JumpStep(NamedTuple):
-    """What a traction law is told at one point of S; as `Step`, with jumps (3,) for strains."""
+    """What a traction law is told at one point of S; as `Step`, with jumps (3,) for strains, and n (3,) in 2D too."""
 
     w: Expr
-    w_old: Expr
+    w_old: Expr | None
     n: Expr
     q: Mapping[str, Expr]
-    dt: Expr
+    dt: Expr | None
     theta: Expr
 
     @property
     def mid(self) -> Expr:
         """Jump at t + theta dt."""
-        return self.theta * self.w + (1 - self.theta) * self.w_old
+        return self.w if self.w_old is None else self.theta * self.w + (1 - self.theta) * self.w_old
 
     @property
     def rate(self) -> Expr:
@@ -39,7 +39,8 @@ class JumpStep(NamedTuple):
         def jump(e: Expr) -> Expr:
             return 2 * ufl.dot(e, n) - ufl.dot(ufl.dot(e, n), n) * n
 
-        return cls(jump(step.e), jump(step.e_old), n, step.q, step.dt, step.theta)
+        w_old = None if step.e_old is None else jump(step.e_old)
+        return cls(jump(step.e), w_old, n, step.q, step.dt, step.theta)
 
 
 class _NoRate(JumpStep):

@@ -12,10 +12,12 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
+from ufl.algorithms.check_arities import ArityMismatch
 
 from forms.elastic import LinearElastic
-from forms.symmetry import require_symmetric_stress, require_symmetric_tangent
-from forms.trace import stress_key
+from forms.law import LawError
+from forms.symmetry import require_declared_stress, require_symmetric_tangent
+from forms.trace import named, stress_key
 from forms.work import energy, work
 from thinlayer.balance import free_norm, require_equilibrium
 from thinlayer.contact.springs import ContactSprings
@@ -72,14 +74,22 @@ class Equations:
         forms = [p for p in model.points if not p.law.pointwise]
         for p in forms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
-            require_symmetric_stress(p.law, computed)
+            require_declared_stress(p.law, computed)
             require_symmetric_tangent(p.law, computed)
         proportional = [p.proportional for p in forms]
         linear = [p for p, yes in zip(forms, proportional, strict=True) if yes]
         self._curved = [p for p, yes in zip(forms, proportional, strict=True) if not yes]
         trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
         pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in model.bodies]
-        self.K = dolfinx.fem.petsc.assemble_matrix(fem.form(work(pattern, trial, test)))
+        try:
+            stiffness = fem.form(work(pattern, trial, test))
+        except ArityMismatch as error:
+            names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
+            raise LawError(
+                f"{names} says linear = True, but is not, or not in a way that UFL sees: {error}; "
+                "leave linear out of the class"
+            ) from error
+        self.K = dolfinx.fem.petsc.assemble_matrix(stiffness)
         self.K.assemble()
         if not linear:
             self.K.zeroEntries()

@@ -29,7 +29,7 @@ from forms.kinematics import Expr, mandel
 from forms.law import Law, LawError, Step, explained, shaped
 from forms.point import PointLaw
 from forms.series import Stack
-from forms.symmetry import require_symmetric_stress
+from forms.symmetry import require_declared_stress
 from forms.trace import SIZES, Symbolic, key, named, require_numbers_alone, symbolic, undecided
 from forms.traction import TractionLaw
 from thinlayer.compiled import SourceError, library
@@ -162,7 +162,7 @@ def _compiled(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
     computed = key(outputs.all)
     if comm.allreduce(int(computed not in _COMPILED)):
         require_numbers_alone(law, point.numbers, outputs.all)
-        require_symmetric_stress(law, computed)
+        require_declared_stress(law, computed)
         expression, module, _ = jit.ffcx_jit(comm, (_point_expression(point, outputs), np.zeros((1, 1))))
         address = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64))
         _COMPILED[computed] = address, (expression, module)
@@ -192,7 +192,7 @@ def _outputs(law: Law, point: Symbolic) -> _Outputs:
     of_jumps = isinstance(law, TractionLaw)
     told = "traction" if of_jumps else "stress"
     with explained(law, told), undecided(law, told):
-        stress = mandel(shaped(law, "stress", one.stress(step), (3, 3)))
+        stress = mandel(shaped(law, "stress", one.stress(one.told(step)), (3, 3)))
     told = "evolve" if of_jumps else "advance"
     with explained(law, told), undecided(law, told):
         new = one.advance(step)
@@ -221,7 +221,7 @@ def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
 def _nan_unless(law: Law, step: Step) -> Expr:
     if type(law).holds is Law.holds:
         return 0.0
-    condition = law.holds(step)
+    condition = law.holds(law.told(step))
     if not isinstance(condition, Condition):
         allowed = "a UFL condition: ufl.lt(a, b), ufl.And(c, d), ..."
         raise LawError(f"{type(law).__name__}.holds gives {repr(condition)[:80]}; it must give {allowed}")

@@ -1,0 +1,292 @@
+"""Laws are told the same in all places, and what they declare is what they do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import ufl
+
+import forms
+from forms import Anisotropic, KelvinVoigt, Law, LawError, LinearElastic, Maxwell, Stack, TractionLaw
+from forms.elastic import lame
+from forms.symmetry import SIZES, Sample, keeps_its_word
+from forms.viscous import isotropic_energy
+from geometry import sandwich
+from thinlayer import Model, Surface, ThinLayer, drive, march, solve
+
+L, M = 3.0, 2.0  # moduli per thickness; lmbda + 2 mu = 7
+EPS, CREEP = 0.1, 0.5
+ROUNDED = 1e-9  # relative: the solver's residual
+STEEL = LinearElastic.young(E=210e3, nu=0.3)
+HELD = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+
+
+def own(parent: type[Law] = Law, **names) -> Law:
+    """A law of two moduli, of these methods and declarations."""
+    powers = {} if parent is TractionLaw else {"powers": {"l": 1, "m": 1}}
+    return dataclass(frozen=True)(
+        type("Own", (parent,), {"__annotations__": {"l": "float", "m": "float"}, **powers} | names)
+    )(L, M)
+
+
+def of_end(law, step):
+    return lame(law.l, law.m, step.e)
+
+
+def of_mid(law, step):
+    return lame(law.l, law.m, step.mid)
+
+
+@cache
+def joint():
+    return sandwich(width=2, lower=1, upper=1, h=1, cell="quadrilateral")
+
+
+def column(law, kind=Model.interface, tractions=(0, 1.0), body=STEEL):
+    layer = law if isinstance(law, TractionLaw) else ThinLayer(law, EPS)
+    return kind(joint(), layer=layer, body=body, supports=HELD, tractions={"TOP": tractions})
+
+
+def opening(law, kind, theta, steps=4):
+    """Mean opening of a column whose load grows as t, at t = 1, and what is not balanced in energy."""
+    load = lambda x, t: (0, t)
+    history = march(column(law, kind, load), [(k + 1) / steps for k in range(steps)], theta=theta)
+    S = Surface(column(law, tractions=load))
+    mean = S.integral(S.frame(S.jump(history.last))[1]) / S.integral(ufl.as_ufl(1.0))
+    return mean, max(abs(row["imbalance"] or 0.0) for row in history.table.rows)
+
+
+# ---------------------------------------------------------------- what laws without memory are told
+def energy(law, step):
+    return isotropic_energy(law.l, law.m, step.e)
+
+
+@pytest.mark.parametrize("theta", [0.5, 0.7])
+def test_a_sublayer_without_memory_answers_where_forces_balance(theta):
+    """Written with step.e or step.mid, on S and in the meshed layer, the same law."""
+    creeping = KelvinVoigt(L, M, CREEP, CREEP)
+    expected, _ = opening(Stack((0.4, LinearElastic(L, M)), (0.6, creeping)), Model.interface, theta)
+    for stress in (of_end, of_mid):
+        law = Stack((0.4, own(stress=stress, energy=energy, linear=True)), (0.6, creeping))
+        for kind in (Model.interface, Model.full):
+            found, imbalance = opening(law, kind, theta)
+            assert found == pytest.approx(expected, rel=1e-6)  # the meshed layer's corners are those of S to the solver
+            assert imbalance < ROUNDED
+
+
+def test_a_traction_law_without_memory_answers_where_forces_balance():
+    """A spring of 7 under a load that grows as t opens by 1/7 at t = 1, whatever theta."""
+    for told in ("w", "mid"):
+        law = own(TractionLaw, traction=lambda law, step, told=told: (law.l + 2 * law.m) * getattr(step, told))
+        assert opening(law, Model.interface, 0.5)[0] == pytest.approx(1 / 7, rel=1e-6)
+
+
+def test_energies_at_points_are_those_of_the_stress_that_was_told():
+    """Not quadratic: the remainder is the work less what is stored, which vanishes nowhere by itself."""
+
+    def hardening(law, step):
+        return lame(law.l, law.m, step.e) * (1 + 0 * law.l) + law.m * ufl.inner(step.e, step.e) * step.e
+
+    def stored(law, step):
+        return energy(law, step) + law.m / 4 * ufl.inner(step.e, step.e) ** 2
+
+    law = own(stress=hardening, energy=stored, holds=lambda law, step: ufl.lt(ufl.tr(step.e), 10.0))
+    path = [{"w_T": 0.1 * k, "w_N": 0.2 * k * k} for k in range(1, 4)]
+    history = drive(law, path, dt=0.5, theta=0.5)
+    jumps = np.vstack([np.zeros(2), history.jumps])
+    middle = (jumps[1:] + jumps[:-1]) / 2
+    e = np.zeros((3, 3, 3))
+    e[:, 0, 1] = e[:, 1, 0] = middle[:, 0] / 2
+    e[:, 1, 1] = middle[:, 1]
+    square = np.einsum("kij,kij->k", e, e)[:, None, None]
+    stress = L * np.einsum("kii->k", e)[:, None, None] * np.eye(3) + 2 * M * e + M * square * e
+    assert history.stress == pytest.approx(stress, rel=1e-12)
+    work = np.sum(history.tractions * np.diff(jumps, axis=0), axis=1)
+    stored_change = np.diff(np.concatenate([[0.0], history.energies[:, 0]]))
+    assert history.energies[:, 1:].sum(axis=1) + stored_change == pytest.approx(work, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["e_old", "dt", "rate"])
+def test_laws_without_memory_are_told_of_no_step(name):
+    """Neither in a form nor at points; the message says what they need."""
+    law = own(
+        stress=lambda law, step: (
+            of_mid(law, step) + 0.5 * law.m * (step.e - step.e_old if name == "e_old" else getattr(step, name) * step.e)
+        )
+    )
+    for ask in (lambda: drive(law, [{"w_T": 0.1, "w_N": 0.2}]), lambda: solve(column(law))):
+        with pytest.raises(LawError, match=r"rate = True"):
+            ask()
+
+
+# ---------------------------------------------------------------- what is not what it says
+@pytest.mark.parametrize("place", [(0, 1), (1, 0)])
+@pytest.mark.parametrize("parent", [Law, TractionLaw])
+def test_an_internal_tensor_must_be_symmetric(place, parent):
+    """Its lower triangle is not kept."""
+
+    def new(law, step):
+        e = step.e[1, 1] if parent is Law else step.w[1]
+        return {"q": ufl.as_tensor([[e if (i, j) == place else 0 for j in range(3)] for i in range(3)])}
+
+    method = (
+        {"advance": new, "stress": of_mid}
+        if parent is Law
+        else {"evolve": new, "traction": lambda law, step: law.l * step.mid}
+    )
+    law = own(parent, internal={"q": (3, 3)}, **method)
+    with pytest.raises(LawError, match=r"Own\.(advance|evolve)\['q'\] is not symmetric"):
+        drive(law, [{"w_T": 0.1, "w_N": 0.2}])
+
+
+CURVED = {
+    "sqrt": lambda law, step: law.l * ufl.sqrt(1 + ufl.inner(step.e, step.e)) * step.e,
+    "square": lambda law, step: law.m * step.e + law.l * ufl.tr(step.e) ** 2 * ufl.Identity(3),
+    "exp": lambda law, step: law.m * step.e * ufl.exp(ufl.inner(step.e, step.e)),
+    "two slopes": lambda law, step: law.m * step.e + law.l * abs(ufl.tr(step.e)) * ufl.Identity(3),
+    "swelling": lambda law, step: law.l * (1 + ufl.tr(step.e)) ** 2 * ufl.Identity(3),
+}
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_a_law_that_says_linear_is(name):
+    """In a layer, in a body and at points."""
+    law = own(stress=CURVED[name], linear=True)
+    for ask in (
+        lambda: solve(column(law)),
+        lambda: solve(column(LinearElastic(L, M), body=law)),
+        lambda: drive(law, [{"w_T": 0.1, "w_N": 0.2}]),
+    ):
+        with pytest.raises(LawError, match="Own says linear = True, but is not"):
+            ask()
+
+
+def test_a_law_that_ufl_does_not_take_for_linear():
+    """Linear in numbers, by functions that are not."""
+    law = own(
+        stress=lambda law, step: ufl.ln(ufl.exp(law.m * ufl.tr(step.e))) * ufl.Identity(3) + law.m * step.e, linear=True
+    )
+    with pytest.raises(LawError, match="Own says linear = True, but is not, or not in a way that UFL sees"):
+        solve(column(law))
+
+
+@pytest.mark.parametrize("linear", [True, False])
+@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+def test_a_law_without_stress(kind, linear):
+    for law, body in ((own(stress=lambda law, step: 0 * step.e, linear=linear), STEEL),):
+        for layer, of_body in ((law, body), (LinearElastic(L, M), law)):
+            with pytest.raises(LawError, match=r"Own\.stress is zero"):
+                solve(column(layer, kind, body=of_body))
+
+
+def test_an_energy_whose_derivative_is_not_the_stress():
+    """In a form and at points; a law that says it has none may note any."""
+    five = lambda law, step: 5 * energy(law, step)
+    for ask in (lambda law: solve(column(law)), lambda law: drive(law, [{"w_T": 0.1, "w_N": 0.2}])):
+        ask(own(stress=of_end, energy=energy))
+        with pytest.raises(LawError, match="the derivative of the energy by the strain is not the stress"):
+            ask(own(stress=of_end, energy=five))
+        ask(own(stress=of_end, energy=five, symmetric=False))
+
+
+def test_an_energy_of_jumps():
+    """Of a traction law, along jumps alone."""
+
+    def along(law, step):
+        w = 2 * ufl.dot(step.e, step.n) - ufl.dot(ufl.dot(step.e, step.n), step.n) * step.n
+        return law.l / 2 * ufl.inner(w, w)
+
+    spring = lambda law, step: law.l * step.w
+    drive(own(TractionLaw, traction=spring, energy=along), [{"w_T": 0.1, "w_N": 0.2}])
+    with pytest.raises(LawError, match="the derivative of the energy"):
+        drive(
+            own(TractionLaw, traction=spring, energy=lambda law, step: 2 * along(law, step)), [{"w_T": 0.1, "w_N": 0.2}]
+        )
+
+
+CHI = [[0, 0], [0, 1]]
+OURS = [
+    LinearElastic(L, M),
+    Anisotropic(np.diag([3.0, 4, 5, 1, 2, 3]), "layer"),
+    KelvinVoigt(L, M, CREEP, 0.3),
+    Maxwell(L, M, CREEP, 0.6),
+    forms.Norton(L, M, 1.5, 1.5),
+    forms.Incompressible(M),
+    forms.MohrCoulomb(L, M, 0.4, 30, psi=10),
+    forms.MohrCoulombMonodirectional(L, M, 0.4, 30, 0.1, unilateral=True),
+    forms.NonMonotone(1.0, 10.0, 1.5, 0.15, CHI),
+    forms.NonMonotoneUnrelaxed(1.0, 10.0, 1.5, 0.15, CHI),
+]
+
+
+@pytest.mark.parametrize("law", OURS, ids=lambda law: type(law).__name__)
+def test_laws_of_this_package_are_what_they_say(law):
+    """They are not asked where they are solved."""
+    array = lambda value, _: ufl.as_tensor(value.tolist()) if isinstance(value, np.ndarray) else value
+    for size in SIZES:
+        sample = Sample(law.mapped(array), size)
+        assert sample.stress() is not None
+        keeps_its_word(sample)
+
+
+# ---------------------------------------------------------------- what would be ignored
+@pytest.mark.parametrize(
+    ("parent", "names", "message"),
+    [
+        (Law, {"advance": lambda law, step: {"q": step.e}}, "a method advance and no internal variables"),
+        (Law, {"evolve": lambda law, step: {"q": step.e}}, "a method evolve and no internal variables"),
+        (TractionLaw, {"evolve": lambda law, step: {"q": step.w}}, "a method evolve and no internal variables"),
+        (Law, {"at": lambda law, x, t: {"l": x[0]}}, "a method at, and says that no parameters vary"),
+        (Law, {"at": lambda law, x, t: {"l": x[0]}, "varies": False}, "a method at, and says that no parameters vary"),
+        (Law, {"dissipation": lambda law, step: 1.0}, "a dissipation and no energy"),
+        (
+            Law,
+            {"otherwise": property(lambda law: LinearElastic(law.l, law.m))},
+            "a law otherwise, and holds everywhere",
+        ),
+        (
+            Law,
+            {"internal": {"q": (2, 2)}},
+            r"internal variable 'q' has the shape \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)",
+        ),
+    ],
+)
+def test_what_nobody_would_ask_of_a_law_is_refused(parent, names, message):
+    """As the law is made."""
+    names = names | {"stress" if parent is Law else "traction": of_mid}
+    with pytest.raises(LawError, match=message):
+        own(parent, **names)
+
+
+def test_what_depends_on_numbers_is_not_refused():
+    """A law whose parameters vary or not, as it is given."""
+
+    @dataclass(frozen=True)
+    class Sometimes(Law):
+        k: float
+        slope: float = 0.0
+        powers: ClassVar = {"k": 1}
+
+        @property
+        def varies(self):
+            return self.slope != 0
+
+        def at(self, x, t):
+            return {"k": self.k * (1 + self.slope * x[0])}
+
+        def stress(self, step):
+            return self.k * step.mid
+
+    assert not Sometimes(1.0).varies
+    assert Sometimes(1.0, 0.5).varies
+
+
+def test_a_director_of_two_components_is_told_of():
+    """In 2D, where the stress is a part of a form."""
+    law = own(stress=lambda law, step: of_mid(law, step) + law.m * ufl.outer(step.n, step.n) * ufl.tr(step.e))
+    with pytest.raises(LawError, match=r"lift\(step.n\) has 3"):
+        solve(column(law))
