@@ -149,9 +149,15 @@ def model_of(layer: Law, kind: Any = Model.interface, body: Law = STIFF, **data:
 @pytest.mark.parametrize("kind", [Model.interface, Model.full])
 @pytest.mark.parametrize(
     "law",
-    [Own(-6.0, -2.5), Own(9.0, -2.5), Own(-6.0, 2.5), Remembering(-6.0, -2.5), Stack((0.4, Own(6.0, 2.5)), (0.6, Own(9.0, -2.5)))],
+    [
+        Own(-6.0, -2.5),
+        Own(9.0, -2.5),
+        Own(-6.0, 2.5),
+        Remembering(-6.0, -2.5),
+        Stack((0.4, Own(6.0, 2.5)), (0.6, Own(9.0, -2.5))),
+    ],
     ids=["all", "shear", "normal", "memory", "sublayer"],
-)  # fmt: skip
+)
 def test_negative_layer(law, kind):
     """lmbda + 2 mu or mu, whichever is lower; parameters per thickness are told as real ones."""
     wrong = law.laws[1] if isinstance(law, Stack) else law
