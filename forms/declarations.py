@@ -26,17 +26,19 @@ class RangeWarning(UserWarning):
 
 
 def warn_of_range(message: str) -> None:
-    """Issue a RangeWarning, at the line that called this package.
-
-    FFCx sends all warnings to a log as it is imported; where nobody listens to it they are shown again.
-    """
-    handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
-    if all(isinstance(handler, logging.NullHandler) for handler in handlers):
-        logging.captureWarnings(False)
+    """Issue a RangeWarning, at the line that called this package."""
+    show_warnings()
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OURS:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, RangeWarning, stacklevel=level)
+
+
+def show_warnings() -> None:
+    """FFCx sends all warnings to a log as it is imported: where nobody listens to it, show them again."""
+    handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
+    if all(isinstance(handler, logging.NullHandler) for handler in handlers):
+        logging.captureWarnings(False)
 
 
 def is_number(value: Any) -> bool:

@@ -32,6 +32,13 @@ def require_moduli(law: Law, lmbda: float, mu: float) -> None:
     require(math.isfinite(lmbda) and lmbda > bound, law, "lmbda", lmbda, f"> -2 mu/3 = {bound:g}")
 
 
+def isotropic_stiffness(law: Law, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(6, 6) in Mandel's order, of the parameters lmbda and mu: `Law.stiffness` of laws that are isotropic at rest."""
+    named = law.parameters()
+    identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    return float(named["lmbda"]) * np.outer(identity, identity) + 2 * float(named["mu"]) * np.eye(6)
+
+
 class LinearLaw(Law):
     """A law with a constant stiffness tensor."""
 
@@ -60,6 +67,7 @@ class LinearElastic(LinearLaw):
     lmbda: float
     mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
+    stiffness = isotropic_stiffness
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+import numpy.typing as npt
+
 from forms.elastic import LinearLaw, lame
 from forms.kinematics import Expr
 from forms.law import Step, positive
@@ -34,3 +37,6 @@ class Incompressible(LinearLaw):
     def stress(self, step: Step) -> Expr:
         """The stress without p I."""
         return lame(0, self.mu, step.mid)
+
+    def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return 2 * float(self.mu) * np.eye(6)

@@ -255,13 +255,9 @@ class Law:
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
         """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not say.
 
-        The isotropic one of the parameters lmbda and mu, if the law has them. Parameters are numbers.
+        Parameters are numbers. A law that does not say is evaluated where it matters, see `forms.tangent`.
         """
-        named = self.parameters()
-        if not {"lmbda", "mu"} <= named.keys() or np.ndim(named["lmbda"]) or np.ndim(named["mu"]):
-            return None
-        identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-        return float(named["lmbda"]) * np.outer(identity, identity) + 2 * float(named["mu"]) * np.eye(6)
+        return None
 
     def plane_stress(self) -> Law:
         """The law of in-plane strains whose out-of-plane stresses are zero."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import ufl
 
 from forms.declarations import is_number
-from forms.elastic import lame, require_moduli
+from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
 from forms.law import Law, LawError, Step, require
 from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
@@ -68,6 +68,7 @@ class Phases(Law):
     powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1, "C": -1}
     functions: ClassVar = ("alpha", "C", "T")
     phases: ClassVar = True
+    stiffness = isotropic_stiffness
 
     def check(self) -> None:
         self._check_material()

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import ufl
 
 from forms.declarations import is_number, warn_of_range
-from forms.elastic import lame, require_moduli
+from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, lift
 from forms.law import Law, LawError, Step, require
 from forms.point import PointLaw
@@ -48,6 +48,7 @@ class Plastic(Law):
     internal: ClassVar = {"plastic": (3, 3)}
     quadratic: ClassVar = True
     yields: ClassVar = True
+    stiffness = isotropic_stiffness
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)

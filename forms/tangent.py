@@ -10,10 +10,13 @@ import ufl
 from ufl.algorithms import expand_derivatives
 
 from forms.kinematics import MANDEL, ROOT2
-from forms.law import Law, Step
+from forms.law import Law, LawError, Step
+from forms.point import PointLaw
+from forms.traction import TractionLaw
 
 Array = npt.NDArray[np.float64]
 SMALL = 1e-6  # strain of the divided differences: far from yielding, and far from their rounding
+NEGATIVE = 1e-6  # of a tangent's size: that much below zero is no rounding, nor an error of divided differences
 LONG = 1e30  # time step in which what depends on rates has come to rest
 
 
@@ -21,7 +24,8 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     """d stress/d strain of a law for small strains from rest, (6, 6) in Mandel's order; None if it cannot be evaluated.
 
     A law with memory answers at once, as to a sudden load; of a law with a rate it is what remains when all is at rest.
-    Laws that declare no stiffness are evaluated, which takes up to a second.
+    Of an incompressible layer it is that of the stress without the pressure. Laws that declare no stiffness are evaluated,
+    which takes some milliseconds.
 
     Args:
         law: with numbers for parameters.
@@ -30,6 +34,10 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     declared = law.stiffness(n)
     if declared is not None:
         return declared
+    if law.pointwise:
+        n = np.pad(n, (0, 3 - len(n)))
+    if isinstance(law, PointLaw):
+        return _of_kernel(law, n)
     columns = []
     for i, j in MANDEL:
         e = np.zeros((3, 3))
@@ -42,6 +50,21 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     return C if np.isfinite(C).all() else None
 
 
+def _of_kernel(law: PointLaw, n: Array) -> Array | None:
+    """Tangent that a function of one point, not compiled, fills at rest; None if it is written in C or fails."""
+    if law.source is not None:
+        return None
+    tangent, zero, memory = np.zeros((6, 6)), np.zeros(6), np.zeros(law.memory)
+    values = [np.ravel(np.asarray(value, float)) for value in law.parameters().values()]
+    given = zero, zero.copy(), memory, LONG if law.rate else 0.0, 1.0, n, np.concatenate([np.empty(0), *values])
+    try:
+        with np.errstate(all="ignore"):
+            type(law).kernel(*given, np.zeros(6), tangent, memory.copy(), np.zeros(3))
+    except Exception:  # the model says what is wrong with it
+        return None
+    return tangent if np.isfinite(tangent).all() else None
+
+
 def _stress(law: Law, e: Array, n: Array) -> Array | None:
     """Stress (6,) of a strain after rest; None if the law is not written in UFL, or has no number there."""
     zero = ufl.as_matrix(np.zeros((3, 3)).tolist())
@@ -52,13 +75,47 @@ def _stress(law: Law, e: Array, n: Array) -> Array | None:
         named = law.mapped(lambda value, _: ufl.as_tensor(value.tolist()) if np.ndim(value) else float(value))
         step = Step(ufl.as_matrix(e.tolist()), ufl.as_vector(n.tolist()), zero, q, dt, 1.0)
         stress: Any = expand_derivatives(ufl.as_ufl(named.stress(step)))
-        return mandel(np.array([[float(stress((0.0,), component=(i, j))) for j in range(3)] for i in range(3)]))
+        return np.array([float(stress((0.0,), component=(i, j))) * (1.0 if i == j else ROOT2) for i, j in MANDEL])
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
 
 
+def rests_by_itself(law: Law) -> bool:
+    """Whether a layer's law must not push its faces apart as they part or slip, for what `tangent_at_rest` says of it.
+
+    Not asked of laws that say `softens`, nor where divided differences do not answer: of laws that remember and have a
+    rate, and of laws of jumps that are not linear (what a small jump is they alone know).
+    """
+    return not (law.softens or (law.rate and law.internal) or (isinstance(law, TractionLaw) and not law.linear))
+
+
+def require_stable_layer(law: Law, C: Array | None, n: Array) -> None:
+    """Raise LawError if n.C.n of a layer's tangent at rest has a negative eigenvalue; silent if it is not known."""
+    N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
+    if C is not None and np.isfinite(C).all():
+        _require_stable(law, "across the layer (of n.C.n)", N @ C @ N.T, C)
+
+
+def require_stable_body(law: Law, C: Array | None, d: int) -> None:
+    """Raise LawError if a body's tangent at rest has a negative eigenvalue, among strains of dimension d; likewise."""
+    slots = [k for k, (_, j) in enumerate(MANDEL) if j < d]
+    if C is not None and np.isfinite(C).all():
+        _require_stable(law, "(of C)", C[np.ix_(slots, slots)], C)
+
+
+def _require_stable(law: Law, what: str, A: Array, C: Array) -> None:
+    """Eigenvalues: the symmetric part alone of a law without an energy may be negative."""
+    lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
+    if lowest < -NEGATIVE * size:
+        raise LawError(
+            f"{type(law).__name__}: the stiffness at rest is negative, the smallest eigenvalue {what} is {lowest:.4g}, the "
+            f"largest entry of C {size:.4g}; allowed: >= 0. Check the signs of the stress and of the parameters (real ones)"
+        )
+
+
 def mandel(a: Array) -> Array:
-    """A symmetric (3, 3) tensor of numbers as a vector (6,) in Mandel's order."""
+    """A symmetric tensor of numbers, (2, 2) or (3, 3), as a vector (6,) in Mandel's order."""
+    a = np.pad(a, (0, 3 - len(a)))
     return np.array([a[i, j] if i == j else ROOT2 * a[i, j] for i, j in MANDEL])
 
 

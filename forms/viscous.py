@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import ufl
 
-from forms.elastic import lame, require_moduli
+from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr
 from forms.law import Law, Step, positive, require
 
@@ -28,6 +28,7 @@ class SpringBesideDashpot(Law):
     mu: float
     rate = True
     quadratic = True
+    stiffness = isotropic_stiffness
 
     def _viscous(self, step: Step) -> Expr:
         raise NotImplementedError
@@ -103,6 +104,7 @@ class Maxwell(Law):
     linear: ClassVar = True
     internal: ClassVar = {"stress": (3, 3)}
     quadratic: ClassVar = True
+    stiffness = isotropic_stiffness
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)

@@ -125,7 +125,7 @@ def opened(model, upper):
 
 
 def excess(model, upper):
-    (layer,) = _strata(model.layer.real_law("strain"), model.joint.sheet.mean_normal)
+    (layer,) = _strata(model)
     return pressure_excess(opened(model, upper), layer)
 
 

@@ -9,11 +9,12 @@ from typing import Any
 from mpi4py import MPI
 
 from forms.declarations import RangeWarning as RangeWarning
-from forms.declarations import warn_of_range
+from forms.declarations import show_warnings, warn_of_range
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:
     """Issue a RangeWarning, to be called on all ranks: rank 0 shows it, and where it is made an error all have it."""
+    show_warnings()  # before it is looked at who shows them
     shown = warnings.showwarning
     try:
         if comm.rank:

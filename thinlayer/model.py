@@ -20,7 +20,14 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from forms.series import Stack, parts
-from forms.tangent import average_lame, tangent_at_rest
+from forms.tangent import (
+    Array,
+    average_lame,
+    require_stable_body,
+    require_stable_layer,
+    rests_by_itself,
+    tangent_at_rest,
+)
 from forms.traction import TractionLaw
 from geometry.domain import Domain
 from geometry.inflation import check_layering, inflate
@@ -85,6 +92,7 @@ class Model:
         self._check_choices(bodies)
         check_layering(sublayers, bodies, "sublayers")
         self.body_laws = self._body_laws(body)
+        self._check_stability()
         if kind == "interface" and not joint.rigid_base:
             require_no_branches(joint)
         self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
@@ -209,12 +217,36 @@ class Model:
             raise ModelError("order=1 needs an S that does not end inside the bodies: its law has gradients at the tip")
         self._check_locking()
 
+    @cached_property
+    def layer_at_rest(self) -> list[tuple[float, Law, Array | None]]:
+        """Fraction of the thickness, real law and tangent at rest (None: not known) of the layer, or of its sublayers."""
+        assert self.layer is not None
+        law = self.layer.real_law(self.plane)
+        strata = law.sublayers if isinstance(law, Stack) else ((1.0, law),)
+        n = self.joint.sheet.mean_normal
+        return [(a, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n)) for a, one in strata]
+
+    @cached_property
+    def bodies_at_rest(self) -> list[Array | None]:
+        """Tangents of the bodies' laws at rest; None: not known."""
+        n = self.joint.sheet.mean_normal
+        return [tangent_at_rest(in_plane(law, self.plane), n) for law in self.body_laws.values()]
+
+    def _check_stability(self) -> None:
+        """Refuse laws whose stiffness at rest is negative: what is found would be no equilibrium that lasts."""
+        for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
+            require_stable_body(law, C, self.joint.dim)
+        if self.kind == "bonded" or self.layer is None or isinstance(self.layer.law, ContactLaw):
+            return
+        for _, law, C in self.layer_at_rest:
+            if rests_by_itself(law):
+                require_stable_layer(law, C, self.joint.sheet.mean_normal)
+
     def _check_locking(self) -> None:
         """Refuse laws whose displacements stay linear through the layer where its volume is held: they would lock."""
         assert self.layer is not None
-        law = self.layer.real_law(self.plane)
-        C = None if law.relaxes else tangent_at_rest(law, self.joint.interface_normals[0])
-        if C is None:
+        _, law, C = self.layer_at_rest[0]
+        if law.relaxes or C is None:
             return
         lmbda, mu = average_lame(C)
         if lmbda > LOCKING * mu:

@@ -13,7 +13,6 @@ import scipy.sparse.linalg
 
 from forms.contact import ContactLaw
 from forms.law import Law
-from forms.series import Stack
 from forms.tangent import average_lame, in_plane_modulus
 from forms.traction import TractionLaw
 from geometry.joint import LAYER, S
@@ -21,7 +20,6 @@ from geometry.sheet import Rim
 from geometry.topology import FloatArray, IntArray
 from thinlayer.exchange import carry
 from thinlayer.failure import warn
-from thinlayer.layer import in_plane
 from thinlayer.model import Model
 from thinlayer.state import State
 
@@ -31,6 +29,7 @@ LONG = (
 )
 SHARE = 0.1  # of a layer's stiffness: errors of this size are told
 OVERLAP = 2.0  # closing over thickness: from 1 on bodies overlap, here by another thickness
+VOLUME, HELD = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), 1e8  # trace of a strain; bulk modulus that holds it, over mu
 JUMPS = 1e-9  # modulus along S over mu, rounding: a law with less sees jumps alone
 
 
@@ -39,8 +38,8 @@ def warn_of_model(model: Model) -> None:
     law = _law_of_strains(model)
     if law is None:
         return
-    strata = _strata(law, model.joint.sheet.mean_normal)
-    if strata and not _of_jumps(strata):
+    strata = _strata(model)
+    if not _of_jumps(strata):
         _warn_of_thickness(model)
         _warn_of_hard_layer(model, strata)
     _warn_of_free_ends(model, strata)
@@ -51,13 +50,13 @@ def warn_of_states(states: Sequence[State]) -> None:
     law = _law_of_strains(states[0].model) if states else None
     if law is None:
         return
-    strata = _strata(law, states[0].model.joint.sheet.mean_normal)
+    strata = _strata(states[0].model)
     found = [faces for faces in map(_Faces.of, states) if faces]
     if not found:
         return
     if not (states[0].model.linear or _of_jumps(strata)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if strata and law.linear and not law.pointwise and strata[0].length > LONG:
+    if strata and law.linear and not law.pointwise and LONG < strata[0].length < math.inf:
         _warn_of_pressure(max(found, key=lambda faces: np.abs(faces.opening).max()), strata[0])
 
 
@@ -93,7 +92,7 @@ class Stratum:
 
     @property
     def length(self) -> float:
-        """Length of the pressure along S, over the thickness of the layer."""
+        """Length of the pressure along S, over the thickness of the layer; infinite if the layer is incompressible."""
         return self.fraction * math.sqrt(max(self.lmbda, 0.0) / (12 * self.mu))
 
     @property
@@ -101,16 +100,21 @@ class Stratum:
         """Under a normal traction, sides held."""
         return self.fraction / (self.lmbda + 2 * self.mu)
 
+    @classmethod
+    def of(cls, fraction: float, law: Law, C: FloatArray, n: FloatArray) -> Stratum | None:
+        """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
+        lmbda, mu = average_lame(C)
+        if law.constrained:
+            held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * HELD
+            return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
+        return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
-def _strata(law: Law, n: FloatArray) -> list[Stratum]:
-    """Those of a law whose stiffness is known."""
-    found = []
-    for fraction, one in law.sublayers if isinstance(law, Stack) else ((1.0, law),):
-        C = one.stiffness(n)
-        if C is None:
-            return []
-        found.append(Stratum(fraction, *average_lame(C), in_plane_modulus(C, n)))
-    return found
+
+def _strata(model: Model) -> list[Stratum]:
+    """Those of a layer whose tangents at rest are known; [] of another."""
+    n = model.joint.sheet.mean_normal
+    found = [None if C is None else Stratum.of(a, law, C, n) for a, law, C in model.layer_at_rest]
+    return [] if None in found else [stratum for stratum in found if stratum]
 
 
 def _of_jumps(strata: list[Stratum]) -> bool:
@@ -135,8 +139,8 @@ def _warn_of_hard_layer(model: Model, strata: list[Stratum]) -> None:
     """Order 0 leaves eps grad_S <u> out of the jump, eps t/E_body beside eps t/E_layer: more than all of it then."""
     layer, n = model.layer, model.joint.sheet.mean_normal
     assert layer is not None
-    bodies = [in_plane(law, model.plane).stiffness(n) for law in model.body_laws.values()]
-    if layer.order == 1 or any(C is None for C in bodies):
+    bodies = model.bodies_at_rest
+    if layer.order == 1 or not strata or any(C is None for C in bodies):
         return
     softest = min(in_plane_modulus(C, n) for C in bodies if C is not None)
     hardest = max(stratum.along for stratum in strata)
@@ -161,6 +165,14 @@ def _warn_of_free_ends(model: Model, strata: list[Stratum]) -> None:
         return
     rim = free_rim(model)
     if not len(rim.vertices):
+        return
+    if any(stratum.length == math.inf for stratum in nearly):
+        warn(
+            "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as of a layer "
+            "that is held there; one that is free is squeezed out, and its jump is not zero; mesh the layer (Model.full), "
+            "or support its sides if they are held",
+            model.comm,
+        )
         return
     width = float(model.joint.sheet.areas.sum() / rim.length.sum())
     whole, lost, longest = sum(stratum.compliance for stratum in strata), 0.0, 0.0

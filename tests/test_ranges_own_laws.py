@@ -1,0 +1,217 @@
+"""What is told, and refused, of laws of one's own: as of the laws that compute the same and declare their stiffness."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, Incompressible, Law, LawError, LinearElastic, PointLaw, Stack, TractionLaw
+from forms.elastic import lame
+from forms.tangent import tangent_at_rest
+from geometry import block, sandwich
+from studies.problems import FOURIER_LAYER, fourier
+from tests.own_laws import Mises, StandardSolid
+from thinlayer import Model, ThinLayer, solve
+from thinlayer.failure import RangeWarning
+
+STIFF = LinearElastic.young(1e5, 0.3)
+
+
+@dataclass(frozen=True)
+class Own(Law):
+    """Isotropic elasticity that says nothing of its stiffness."""
+
+    a: float
+    b: float
+    powers: ClassVar = {"a": 1, "b": 1}
+    linear: ClassVar = True
+
+    def stress(self, step):
+        return lame(self.a, self.b, step.e)
+
+
+class Remembering(Own):
+    internal: ClassVar = {"nothing": ()}
+
+    def advance(self, step):
+        return {"nothing": step.q["nothing"]}
+
+
+@dataclass(frozen=True)
+class Compiled(PointLaw):
+    """The same as a function of one point."""
+
+    a: float
+    b: float
+    powers: ClassVar = {"a": 1, "b": 1}
+
+    @staticmethod
+    def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):
+        for i in range(6):
+            stress[i] = 2 * parameters[1] * e[i]
+            tangent[i, i] = 2 * parameters[1]
+        for i in range(3):
+            for j in range(3):
+                stress[i] += parameters[0] * e[j]
+                tangent[i, j] += parameters[0]
+        return True
+
+
+def told(action):
+    """The messages of its RangeWarnings."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        action()
+    return [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
+
+
+# ---------------------------------------------------------------- tangents at rest
+@pytest.mark.parametrize("kind", [Own, Remembering, Compiled])
+def test_tangent_of_own_laws(kind):
+    for n in (np.array([0.28, 0.96]), np.array([0.48, -0.64, 0.6])):
+        wanted = LinearElastic(6.0, 2.5).stiffness(n)
+        assert tangent_at_rest(kind(6.0, 2.5), n) == pytest.approx(wanted, abs=1e-9)  # of the rounding of differences
+
+
+def test_names_of_parameters_say_nothing():
+    """A law that remembers answers at once: the springs of both branches."""
+    found = tangent_at_rest(StandardSolid(6.0, 2.5, 1.5, 0.4), np.array([0.0, 1.0]))
+    assert found == pytest.approx(LinearElastic(6.0 - 2 * 1.5 / 3, 4.0).stiffness(np.array([0.0, 1.0])), abs=1e-9)
+
+
+# ---------------------------------------------------------------- thick, hard, nearly incompressible
+@pytest.mark.parametrize("law", [Own(60.0, 40.0), Compiled(60.0, 40.0), Mises(60.0, 40.0, 1e3), Incompressible(40.0)])
+def test_thicker_than_a_body(law):
+    joint = sandwich(2.0, 0.4, 0.7, 0.2)
+    held = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    for eps, messages in ((0.39, 0), (0.41, 1)):
+        model = Model.interface(joint, layer=ThinLayer(law, eps), body=STIFF, supports=held)
+        found = told(lambda model=model: solve(model))
+        assert len(found) == messages
+    assert "the layer is 0.41 thick, the thinner body 0.4 " in found[0]
+
+
+@pytest.mark.parametrize("kind", ["layer", "bodies", "incompressible"])
+def test_harder_than_a_body(kind):
+    """E/(1 - nu^2) against E/(1 - nu^2); 4 mu of an incompressible layer. The sides are held: only this is told."""
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    soft = LinearElastic.young(70.0, 0.3)
+    bodies = Own(soft.lmbda, soft.mu) if kind == "bodies" else soft
+    for factor, messages in ((0.99, 0), (1.01, 1)):
+        e = LinearElastic.young(70.0 * factor, 0.3).per_thickness(0.01)
+        law = {"layer": Own(e.lmbda, e.mu), "bodies": e, "incompressible": Incompressible(e.mu * 1.3 / 2 / 0.91)}[kind]
+        model = Model.interface(joint, layer=ThinLayer(law, 0.01), **(setup | {"body": bodies}))
+        found = told(lambda model=model: solve(model))
+        assert len(found) == messages
+        assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]
+
+
+def test_nearly_incompressible():
+    """Before and after the solve, word for word as of the law that declares its stiffness."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 8)
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+    rubber = LinearElastic.shear(16.0, 0.499)
+    messages = [
+        told(lambda law=law: solve(Model.interface(joint, layer=ThinLayer(law, 1 / 16), **setup)))
+        for law in (rubber, Own(rubber.lmbda, rubber.mu))
+    ]
+    assert len(messages[0]) == 2
+    assert messages[0] == messages[1]
+
+
+def test_incompressible_with_free_ends():
+    """[u_N] = 0 is told of where the layer's side is free, and nowhere else."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    for sides, messages in (({}, 1), ({"LEFT": {"x": 0.0}}, 1), ({"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, 0)):
+        supports = {"BOTTOM": 0.0, **sides}
+        data = dict(body=STIFF, supports=supports, tractions={"TOP": (0.0, -1.0)})
+        found = told(
+            lambda data=data: solve(Model.interface(joint, layer=ThinLayer(Incompressible(40.0), 0.1), **data))
+        )
+        assert len(found) == messages
+        assert not found or "the layer is incompressible and S has free ends" in found[0]
+    base = block(1.0, 0.5, 0.25, structured=True)
+    data = dict(body=STIFF, supports={"TOP": {"x": 0.0}})
+    assert told(lambda: solve(Model.interface(base, layer=ThinLayer(Incompressible(40.0), 0.1), **data)))
+
+
+# ---------------------------------------------------------------- negative stiffness
+def model_of(layer: Law, kind: Any = Model.interface, body: Law = STIFF, **data: Any) -> Model:
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    return kind(joint, layer=ThinLayer(layer, 0.1), **(setup | {"body": body} | data))
+
+
+@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+@pytest.mark.parametrize(
+    "law",
+    [
+        Own(-6.0, -2.5),
+        Own(9.0, -2.5),
+        Own(-6.0, 2.5),
+        Remembering(-6.0, -2.5),
+        Stack((0.4, Own(6.0, 2.5)), (0.6, Own(9.0, -2.5))),
+    ],
+    ids=["all", "shear", "normal", "memory", "sublayer"],
+)
+def test_negative_layer(law, kind):
+    """lmbda + 2 mu or mu, whichever is lower; parameters per thickness are told as real ones."""
+    wrong = law.laws[1] if isinstance(law, Stack) else law
+    a, b = wrong.a, wrong.b
+    lowest = min(0.1 * b, 0.1 * (a + 2 * b))
+    with pytest.raises(LawError, match=rf"stiffness at rest is negative, .*\(of n\.C\.n\) is {lowest:g},"):
+        model_of(law, kind)
+
+
+def test_negative_body():
+    """A layer takes lmbda + 2 mu/3 < 0, a body does not: its bulk modulus is negative."""
+    law = Own(-2.0, 2.5)
+    model_of(law)
+    with pytest.raises(LawError, match=r"Own: the stiffness at rest is negative.*\(of C\)"):
+        model_of(FOURIER_LAYER, body=Own(-2e4, 1.5e4))
+    model_of(FOURIER_LAYER, body=Own(-0.9e4, 1.5e4))
+
+
+@dataclass(frozen=True)
+class Springs(TractionLaw):
+    k: float
+    linear: ClassVar = True
+
+    def traction(self, step):
+        return self.k * step.mid
+
+
+@dataclass(frozen=True)
+class Hill(Law):
+    """Falls from the beginning, and rises later."""
+
+    k: float
+    powers: ClassVar = {"k": 1}
+
+    def stress(self, step):
+        return self.k * step.e * (ufl.inner(step.e, step.e) - 1)
+
+
+class Said(Hill):
+    softens: ClassVar = True
+
+
+class Skew(Own):
+    """A tangent without an energy: its symmetric part is indefinite, and its eigenvalues are those of the springs."""
+
+    symmetric: ClassVar = False
+
+    def stress(self, step):
+        return lame(self.a, self.b, step.e) + 90 * self.b * step.e[0, 1] * ufl.outer(*2 * [ufl.as_vector([0, 1, 0])])
+
+
+def test_which_laws_are_refused():
+    for law in (Springs(-3.0), Hill(5.0)):
+        with pytest.raises(LawError, match="stiffness at rest is negative"):
+            model_of(law)
+    for law in (Springs(3.0), Springs(0.0), Said(5.0), Anisotropic.springs(7.0, 0.0), Skew(6.0, 2.5)):
+        model_of(law)
