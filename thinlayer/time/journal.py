@@ -7,10 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from forms.declarations import LawError
+from geometry.joint import GeometryError
 from geometry.parallel import on_root
 from thinlayer.equations import Equations
+from thinlayer.failure import SolveError
 from thinlayer.identity import code_of
 from thinlayer.loads import ModelError
+from thinlayer.options import OptionError
 from thinlayer.phases import PhaseReport
 from thinlayer.state import State
 from thinlayer.table import Row
@@ -118,10 +122,15 @@ class Journal:
         try:
             value = float(self._observe[name](state))
         except Exception as error:
-            kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
-            problem, cause = f"{kind}{error}", error
+            problem, cause = _problem(error), error
         if problem := next(filter(None, self.model.comm.allgather(problem)), None):
-            raise ModelError(
-                f"observe[{name!r}] at t = {state.t:g}: {problem}; it must be a function of a state that returns a number"
-            ) from cause
+            raise ModelError(f"observe[{name!r}] at t = {state.t:g}: {problem}") from cause
         return float(self.model.comm.bcast(value))
+
+
+def _problem(error: Exception) -> str:
+    """What went wrong in a function that observes. Errors of ours say themselves what is allowed."""
+    if isinstance(error, (ModelError, LawError, GeometryError, OptionError, SolveError)):
+        return str(error)
+    kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
+    return f"{kind}{error}; it must be a function of a state that returns a number"
