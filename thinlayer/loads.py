@@ -80,18 +80,22 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
             f"{what} gives {components!r}; it needs {dim} components, ufl.conditional(c, 1, 0) for a condition c"
         )
     if not all(_is_finite(c) for c in components):
-        raise ModelError(f"{what} gives {components!r}; it needs {dim} finite components, real numbers")
+        given = ", ".join(map(str, components))
+        raise ModelError(f"{what} gives ({given}); it needs {dim} finite components, of finite real numbers")
     return vector
 
 
 def _is_finite(value: Any) -> bool:
-    """Whether a UFL scalar is finite, where it is a plain number, and real; booleans are no numbers."""
-    if isinstance(value, (bool, np.bool_)):
-        return False
-    found = ufl.as_ufl(value)
-    if isinstance(found, RealValue):
-        return math.isfinite(float(found))
-    return not any(isinstance(node, ComplexValue) for node in unique_pre_traversal(found))
+    """Whether all numbers in a UFL scalar are finite and real; booleans are no numbers."""
+    return not isinstance(value, (bool, np.bool_)) and has_finite_numbers(ufl.as_ufl(value))
+
+
+def has_finite_numbers(expression: Expr) -> bool:
+    """Whether all numbers that are written in a UFL expression are finite and real: others cannot be compiled."""
+    for node in unique_pre_traversal(expression):
+        if isinstance(node, ComplexValue) or (isinstance(node, RealValue) and not math.isfinite(float(node))):
+            return False
+    return True
 
 
 def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
@@ -137,7 +141,7 @@ def _scalar(value: Any, what: str) -> Expr:
     if found.ufl_shape:
         raise ModelError(f"{what}: a component gives a tensor of shape {found.ufl_shape}; it must be a number")
     if isinstance(found, Condition) or not _is_finite(value):
-        raise ModelError(f"{what}: a component gives {value!r}; it must be a finite number, real")
+        raise ModelError(f"{what}: a component gives {value}; it must be a finite number, of finite real numbers")
     return found
 
 
