@@ -11,7 +11,7 @@ import ufl
 from forms import LinearElastic, Maxwell, NonMonotone, Stack, Tabulated
 from forms.law import LawError
 from geometry import GeometryError, block, disc, sandwich
-from thinlayer import Adaptive, ArcLength, Model, ModelError, ThinLayer, drive, march, piecewise, solve
+from thinlayer import Adaptive, ArcLength, Model, ModelError, Surface, ThinLayer, drive, march, piecewise, solve
 from thinlayer.equations import Equations
 
 GLUE = LinearElastic(lmbda=60.0, mu=40.0)
@@ -230,6 +230,46 @@ def test_booleans_and_complex_numbers_are_refused(wrong, message):
     """True would be 1: a displacement of 1 where a support was meant to hold."""
     with pytest.raises((ModelError, LawError, GeometryError), match=message):
         wrong()
+
+
+NOT_NUMBERS = {
+    "factor": lambda x, t: np.inf * t,
+    "divisor": lambda x, t: x[0] / np.inf,
+    "part of a sum": lambda x, t: 0.3 * x[0] + math.nan * t,
+    "power": lambda x, t: x[1] ** math.inf,
+    "condition": lambda x, t: ufl.conditional(ufl.gt(x[0], math.nan), 1.0, 0.0),
+    "nested": lambda x, t: ufl.sin(ufl.max_value(t, -np.inf)),
+}
+
+
+@pytest.mark.parametrize("name", NOT_NUMBERS)
+def test_numbers_within_expressions_are_finite(name):
+    """Others cannot be compiled."""
+    one = NOT_NUMBERS[name]
+    for data in (
+        {"tractions": {"TOP": lambda x, t: (0.0, one(x, t))}},
+        {"body_force": lambda x, t: (one(x, t), 0.0)},
+        {"supports": SIDES | {"BOTTOM": {"y": one}}},
+    ):
+        with pytest.raises(ModelError, match="of finite real numbers"):
+            model(**data)
+
+
+def test_numbers_in_expressions_on_s_are_finite():
+    state = solve(model())
+    surface = Surface(state.model)
+    x, w = ufl.SpatialCoordinate(state.model.domain.mesh), surface.jump(state)
+    for wrong in (
+        lambda: surface.integral(math.nan),
+        lambda: surface.integral(x[0] / np.inf),
+        lambda: surface.norm(np.inf * w),
+        lambda: surface.norm(w, where=x[0] > math.nan),
+        lambda: surface.profile(math.nan * w),
+        lambda: surface.nodal(w / math.inf),
+        lambda: state.integral(math.nan * x[0] * ufl.dx),
+    ):
+        with pytest.raises(ModelError, match="has a number that is not finite"):
+            wrong()
 
 
 def test_a_profile_of_booleans():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -61,6 +62,46 @@ def test_bad_input_on_two_ranks(tmp_path):
     assert done.returncode == 2
     assert done.stderr.count("turn inside out") == 1
     assert not (tmp_path / "x").exists()
+
+
+DIFFERENT = {
+    "thickness": "different layer: .*eps=0.1.* on rank 0, .*eps=0.3.* on rank 1; give all ranks the same",
+    "law": "different layer: .*lmbda=60.* on rank 0, .*lmbda=61",
+    "body": "different body",
+    "tractions": r"different tractions: .*\[0.0, 1.0\].* on rank 0, .*\[0.0, 1.5\]",
+    "a load that is no number": "different tractions: .* on rank 0, .*nan.* on rank 1",
+    "a function that fails": "different tractions",
+    "supports": "different supports: .*0.0.* on rank 0, .*0.3",
+    "fewer supports": "different supports",
+    "order of supports": "different supports",
+    "element": "rank 1: element 'P7' does not exist",
+    "option": "rank 1: unknown option of a model 'colour'",
+    "no model": "rank 1: model is None",
+    "t": "different t: 0.0 on rank 0, 0.5 on rank 1",
+    "models": "different models",
+    "method": 'different method: "linear" on rank 0, "newton" on rank 1',
+    "options": "different options: .*ksp_type",
+    "times": "different times",
+    "bad times": "rank 1: times is .*must be finite, increase",
+    "theta": "different theta: 1.0 on rank 0, 0.5 on rank 1",
+    "observe": "different observe",
+    "observed": r"observe\['one'\] at t = 0: the ranks find 1, 2; add up what each has of its own",
+    "out": "different out",
+    "sweep": "different eps",
+    "run": "rank 1: ZeroDivisionError",
+    "path": "different path",
+    "ending": "rank 1: cannot write .*allowed endings",
+}
+
+
+def test_ranks_that_are_told_different_things(tmp_path):
+    """All have the same error, and none waits."""
+    done = mpirun(2, "-m", "tests.different_ranks_run", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found.keys() == DIFFERENT.keys()
+    for name, message in DIFFERENT.items():
+        assert re.match(f"ModelError: .*{message}", str(found[name])), (name, found[name])
 
 
 def test_an_error_of_one_rank_ends_all(tmp_path):

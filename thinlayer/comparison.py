@@ -18,6 +18,7 @@ from mpi4py import MPI
 from forms.kinematics import Expr
 from forms.law import LawError
 from geometry.parallel import on_root
+from thinlayer.agreement import on_all, require_same
 from thinlayer.folder import LOCK, moved_away, owned
 from thinlayer.identity import described, referred
 from thinlayer.loads import ModelError
@@ -159,14 +160,16 @@ def sweep(
             others than the first; `out` is a folder, cannot be written, another run writes it, or it is to be resumed and
             is another sweep's. OSError: a row could not be written. All of them on all ranks.
     """
-    if out is not None and Path(out).is_dir():
-        raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
-    try:
-        values = sorted((float(e) for e in eps), reverse=True)
-    except (TypeError, ValueError) as error:
-        raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
-    if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
-        raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
+    with on_all(MPI.COMM_WORLD):
+        if out is not None and Path(out).is_dir():
+            raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
+        try:
+            values = sorted((float(e) for e in eps), reverse=True)
+        except (TypeError, ValueError) as error:
+            raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
+        if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
+            raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
+    require_same(MPI.COMM_WORLD, eps=values, out=out and str(out), resume=resume)
     path = None if out is None else Path(out)
     with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
         file = None if path is None else SweepFile(path, run)
@@ -245,7 +248,9 @@ def _short(value: Any) -> str:
 
 def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
     """The row of a thickness, as any rank's error is all ranks'."""
-    row, what = run(eps), "return what compare returns"
+    what = "return what compare returns"
+    with on_all(MPI.COMM_WORLD):
+        row = run(eps)
     problem = _flaw(row, eps, first)
     if problem := next(filter(None, MPI.COMM_WORLD.allgather(problem)), None):
         raise ModelError(f"run({eps:g}) returns {problem}; {what}")

@@ -16,10 +16,12 @@ import numpy as np
 import numpy.typing as npt
 import pyvista
 from dolfinx import fem
+from mpi4py import MPI
 
 from geometry.joint import BASE, Joint, S
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES
+from thinlayer.agreement import on_all, require_same
 from thinlayer.loads import ModelError
 from thinlayer.state import State
 from thinlayer.time.history import History
@@ -190,20 +192,17 @@ def write(solution: State | History, path: str | Path) -> None:
         ModelError: no state. ValueError: another ending. RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
-    if not isinstance(solution, (State, History)):
-        raise ModelError(
-            f"fields are written of a state or a history, as solve and march return them, not of {solution!r}"
-        )
-    states = [solution] if isinstance(solution, State) else list(solution)
-    if not states:
-        raise ModelError(f"there is nothing to write: {solution!r} has no state")
-    u, comm = nodal_displacement(states[0]), states[0].model.comm
+    comm = solution.model.comm if isinstance(solution, (State, History)) else MPI.COMM_WORLD
+    with on_all(comm):
+        states = _states(solution)
+        suffix = Path(path).suffix
+        if suffix not in (".bp", ".pvd"):
+            raise ValueError(f"cannot write {str(path)!r}; allowed endings: .bp (VTX), .pvd (VTK)")
+        if suffix == ".bp" and not dolfinx.has_adios2:
+            raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
+    require_same(comm, models=states[0].model.mark, states=[state.t for state in states], path=str(path))
+    u = nodal_displacement(states[0])
     u.name = "u"
-    suffix = Path(path).suffix
-    if suffix not in (".bp", ".pvd"):
-        raise ValueError(f"cannot write {str(path)!r}; allowed endings: .bp (VTX), .pvd (VTK)")
-    if suffix == ".bp" and not dolfinx.has_adios2:
-        raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
     nodes, meshes = u.function_space.dofmap.index_map.size_global, 1 if suffix == ".bp" else len(states)
     size = BYTES["mesh"] * nodes * meshes + BYTES["u"] * nodes * len(states)
     on_root(comm, lambda: _make_room(Path(path), size))
@@ -221,6 +220,18 @@ def write(solution: State | History, path: str | Path) -> None:
     if problem := next(filter(None, comm.allgather(problem)), None):
         raise OSError(f"{path} could not be written: {problem}")
     on_root(comm, lambda: _require_whole(Path(path)))
+
+
+def _states(solution: State | History) -> list[State]:
+    """The states to write."""
+    if not isinstance(solution, (State, History)):
+        raise ModelError(
+            f"fields are written of a state or a history, as solve and march return them, not of {solution!r}"
+        )
+    states = [solution] if isinstance(solution, State) else list(solution)
+    if not states:
+        raise ModelError(f"there is nothing to write: {solution!r} has no state")
+    return states
 
 
 def _make_room(path: Path, size: int) -> None:

@@ -80,18 +80,22 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
             f"{what} gives {components!r}; it needs {dim} components, ufl.conditional(c, 1, 0) for a condition c"
         )
     if not all(_is_finite(c) for c in components):
-        raise ModelError(f"{what} gives {components!r}; it needs {dim} finite components, real numbers")
+        given = ", ".join(map(str, components))
+        raise ModelError(f"{what} gives ({given}); it needs {dim} finite components, of finite real numbers")
     return vector
 
 
 def _is_finite(value: Any) -> bool:
-    """Whether a UFL scalar is finite, where it is a plain number, and real; booleans are no numbers."""
-    if isinstance(value, (bool, np.bool_)):
-        return False
-    found = ufl.as_ufl(value)
-    if isinstance(found, RealValue):
-        return math.isfinite(float(found))
-    return not any(isinstance(node, ComplexValue) for node in unique_pre_traversal(found))
+    """Whether all numbers in a UFL scalar are finite and real; booleans are no numbers."""
+    return not isinstance(value, (bool, np.bool_)) and has_finite_numbers(ufl.as_ufl(value))
+
+
+def has_finite_numbers(expression: Expr) -> bool:
+    """Whether all numbers that are written in a UFL expression are finite and real: others cannot be compiled."""
+    for node in unique_pre_traversal(expression):
+        if isinstance(node, ComplexValue) or (isinstance(node, RealValue) and not math.isfinite(float(node))):
+            return False
+    return True
 
 
 def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
@@ -137,7 +141,7 @@ def _scalar(value: Any, what: str) -> Expr:
     if found.ufl_shape:
         raise ModelError(f"{what}: a component gives a tensor of shape {found.ufl_shape}; it must be a number")
     if isinstance(found, Condition) or not _is_finite(value):
-        raise ModelError(f"{what}: a component gives {value!r}; it must be a finite number, real")
+        raise ModelError(f"{what}: a component gives {value}; it must be a finite number, of finite real numbers")
     return found
 
 
@@ -166,6 +170,7 @@ class Supports:
 
     Attributes:
         given: (place, components) as given; `entries` has the clamped ones too.
+        vectors: of each entry its values, (d,) numbers, or a UFL vector; components that are free count 0.
 
     Raises:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
@@ -191,6 +196,7 @@ class Supports:
             self.entries.append((place, self._components(place, support)))
         self.given = tuple(self.entries)
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
+        self.vectors = [self._vector(place, components) for place, components in self.entries]
 
     def _require_point(self, place: Any) -> None:
         d = len(self.axes)
@@ -215,6 +221,16 @@ class Supports:
                     + ", 0 where it is held" * isinstance(value, (bool, np.bool_))
                 )
         return components
+
+    def _vector(self, place: Place, components: dict[str, Value]) -> npt.NDArray[np.float64] | Expr:
+        """The values of an entry."""
+        values = [components.get(axis, 0.0) for axis in self.axes]
+        if not any(callable(value) for value in values):
+            return np.array(values, float)
+        what = f"support on {place!r}"
+        found = [_scalar(_call(value, self.at, what) if callable(value) else value, what) for value in values]
+        on_mesh = fem.Constant(self.domain.mesh, np.zeros(len(found)))  # a function may give plain numbers
+        return ufl.as_vector(found) + on_mesh
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> npt.NDArray[np.int32]:
         """Local degrees of freedom (unrolled, ghosts included) of one component on one place. Collective."""
@@ -247,26 +263,19 @@ class Conditions:
     def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
         self.bcs: list[fem.DirichletBC] = []
         self._varying: list[tuple[fem.Function, fem.Expression]] = []
-        for place, components in supports.entries:
-            value = self._value(supports, V, place, components)
+        for (place, components), vector in zip(supports.entries, supports.vectors, strict=True):
+            value = self._value(V, vector)
             for axis in components:
                 dofs = supports.dofs(V, place, axis)
                 self.bcs.append(fem.dirichletbc(value, [dofs, dofs], V.sub(supports.axes.index(axis))))
         self.update()
 
-    def _value(
-        self, supports: Supports, V: fem.FunctionSpace, place: Place, components: dict[str, Value]
-    ) -> fem.Function:
+    def _value(self, V: fem.FunctionSpace, vector: npt.NDArray[np.float64] | Expr) -> fem.Function:
         value = fem.Function(V)
-        entries = [components.get(axis, 0.0) for axis in supports.axes]
-        if any(callable(entry) for entry in entries):
-            scalars = [_call(e, supports.at, f"support on {place!r}") if callable(e) else e for e in entries]
-            on_mesh = fem.Constant(V.mesh, np.zeros(len(scalars)))  # a function may give plain numbers
-            expression = ufl.as_vector([_scalar(s, f"support on {place!r}") for s in scalars]) + on_mesh
-            self._varying.append((value, fem.Expression(expression, interpolation_points(V))))
-        elif any(entries):
-            numbers = np.array(entries, float)
-            value.interpolate(lambda x: np.repeat(numbers[:, None], x.shape[1], axis=1))
+        if not isinstance(vector, np.ndarray):
+            self._varying.append((value, fem.Expression(vector, interpolation_points(V))))
+        elif vector.any():
+            value.interpolate(lambda x: np.repeat(vector[:, None], x.shape[1], axis=1))
         return value
 
     def update(self) -> None:

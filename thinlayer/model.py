@@ -34,6 +34,7 @@ from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, BONDED, Joint, S, unknown
 from geometry.motion import require_no_branches
 from geometry.topology import is_tensor
+from thinlayer.agreement import on_all, require_same
 from thinlayer.broken import broken_space, interface_measure
 from thinlayer.forces import BodyForce, Forces
 from thinlayer.identity import described
@@ -67,6 +68,7 @@ class Model:
         conditions: their Dirichlet conditions in V.
         forces: tractions and body forces.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
+        mark: stands for the data on several ranks, which all have the same.
     """
 
     def __init__(
@@ -88,19 +90,28 @@ class Model:
         if isinstance(layer, (TractionLaw, ContactLaw)):
             layer = ThinLayer(layer, 1.0)  # of jumps, not of strains: there is no thickness in it
         self.joint, self.layer, self.kind, self.plane = joint, layer, kind, plane
-        self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
-        self._check_choices(bodies)
-        check_layering(sublayers, bodies, "sublayers")
-        self.body_laws = self._body_laws(body)
-        self._check_stability()
-        if kind == "interface" and not joint.rigid_base:
-            require_no_branches(joint)
-        self.domain = Domain.of(self._inflated(bodies, sublayers), comm)
+        with on_all(comm):
+            self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
+            self._check_choices(bodies)
+            check_layering(sublayers, bodies, "sublayers")
+            self.body_laws = self._body_laws(body)
+            self._check_stability()
+            if kind == "interface" and not joint.rigid_base:
+                require_no_branches(joint)
+            inflated = self._inflated(bodies, sublayers)
+        self.mark = require_same(
+            comm, joint=joint, kind=kind, layer=layer, body=_ordered(body), supports=_ordered(supports),
+            tractions=_ordered(tractions), body_force=_ordered(body_force), plane=plane, element=self.element,
+            bodies=bodies, sublayers=sublayers,
+        )  # fmt: skip
+        self.domain = Domain.of(inflated, comm)
         self.comm = self.domain.comm
         mesh = self.domain.mesh
         self.V = self.space(int(self.element[1]), family="S" if self.element[0] == "S" else None)
         self.coordinates = Coordinates.of(self.domain)
-        self.supports = Supports(self.domain, supports, self.coordinates, clamped=self._clamped())
+        with on_all(self.comm):
+            self.supports = Supports(self.domain, supports, self.coordinates, clamped=self._clamped())
+            self.forces = Forces(self.domain, tractions, body_force, self.coordinates)
         self.conditions = self.supports.conditions(self.V)
         self._dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self._ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -110,7 +121,6 @@ class Model:
         ]
         self.sides = self._sides() if kind == "interface" else None
         self.layer_points = self._layer_points()
-        self.forces = Forces(self.domain, tractions, body_force, self.coordinates)
         if not joint.rigid_base:
             require_support(self.comm, self.V, joint, self.supports.held(self.V))
 
@@ -406,13 +416,19 @@ class Model:
 
 
 def _known(data: dict[str, Any]) -> dict[str, Any]:
-    """The data of a model, if all names in it are known and none that it needs is missing."""
+    """The data of a model, if all names in it are known and none that it needs is missing. Collective."""
     parameters = inspect.signature(Model.__init__).parameters
     options = {name: p for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
-    for name in data:
-        if name not in options:
-            raise ModelError(unknown("option of a model", name, options))
-    for name, parameter in options.items():
-        if parameter.default is parameter.empty and name not in data:
-            raise ModelError(f"a model needs {name}=...")
+    with on_all(data.get("comm")):
+        for name in data:
+            if name not in options:
+                raise ModelError(unknown("option of a model", name, options))
+        for name, parameter in options.items():
+            if parameter.default is parameter.empty and name not in data:
+                raise ModelError(f"a model needs {name}=...")
     return data
+
+
+def _ordered(given: Any) -> Any:
+    """Data with the order of its entries: later supports decide where two overlap."""
+    return [list(entry) for entry in given.items()] if isinstance(given, Mapping) else given

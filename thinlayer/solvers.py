@@ -8,9 +8,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.declarations import is_number
+from thinlayer.agreement import on_all, require_same
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
 from thinlayer.continuation import Continuation
 from thinlayer.equations import Equations, Interval
@@ -56,13 +58,17 @@ def solve(
         ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
         ValueError: unknown method, or a linear solve of a non-linear law.
     """
-    _require_model(model)
-    slow = [type(p.law).__name__ for p in model.points if p.law.rate]
-    if slow:
-        raise ModelError(f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)")
-    if not is_number(t) or not math.isfinite(t):
-        raise ModelError(f"t is {t!r}; it must be a finite number")
-    require_hardening(model, "solve")
+    with on_all(comm_of(model)):
+        _require_model(model)
+        slow = [type(p.law).__name__ for p in model.points if p.law.rate]
+        if slow:
+            raise ModelError(
+                f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)"
+            )
+        if not is_number(t) or not math.isfinite(t):
+            raise ModelError(f"t is {t!r}; it must be a finite number")
+        require_hardening(model, "solve")
+    require_same(model.comm, t=t)
     with Solver(model, options=options, method=method, like=like) as solver:
         warn_of_model(model)
         try:
@@ -83,6 +89,11 @@ def require_hardening(model: Model, what: str) -> None:
             f"{what}: the stress of {model.layer.law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
         )
+
+
+def comm_of(model: Any) -> MPI.Intracomm:
+    """Communicator of a model; the world, if it is none."""
+    return model.comm if isinstance(model, Model) else MPI.COMM_WORLD
 
 
 def _require_model(model: Any) -> None:
@@ -120,21 +131,16 @@ class Solver:
         method: str | None = None,
         like: State | None = None,
     ) -> None:
-        _require_model(model)
-        self.model, self.method = model, _default_method(model) if method is None else method
-        allowed = ("newton", *METHODS) if model.contact else ("linear", "newton")
-        if self.method not in allowed:
-            check_method(model, self.method)
-            raise ValueError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
-        check_method(model, self.method)
-        _check_like(model, like)
-        if self.method == "linear" and not model.linear:
-            raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
-        if options is not None and not (
-            isinstance(options, Mapping) and all(isinstance(name, str) for name in options)
-        ):
-            raise OptionError(f"options is {options!r}; it must be {{name without prefix: value}}")
+        with on_all(comm_of(model)):
+            _require_model(model)
+            self.model, self.method = model, _default_method(model) if method is None else method
+            self._check(method, like)
+            named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))
+            if not named:
+                raise OptionError(f"options is {options!r}; it must be {{name without prefix: value}}")
         self._given = dict(options or {})
+        marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
+        require_same(model.comm, **marks, options=self._given, method=self.method)
         self._choices = [{}] if self.method in METHODS else linear_solvers(model)
         if len(self._choices) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
             self._choices = self._choices[:1]
@@ -142,6 +148,17 @@ class Solver:
         self._finder = self._contact_solver(like) if self.method in METHODS else self._equilibrium()
         self._told = False  # whether a law that softens has been told
         self._settled = False  # whether a contact solver has read its options, which it does once
+
+    def _check(self, method: Any, like: Any) -> None:
+        """Raise an error unless the method is one for the model, and so is the state to begin from."""
+        model, allowed = self.model, ("newton", *METHODS) if self.model.contact else ("linear", "newton")
+        if self.method not in allowed:
+            check_method(model, self.method)
+            raise ValueError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
+        check_method(model, self.method)
+        _check_like(model, like)
+        if self.method == "linear" and not model.linear:
+            raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
 
     def __enter__(self) -> Solver:
         return self

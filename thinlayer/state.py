@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem
 
 from forms.work import Points, energy
 from thinlayer.exchange import carry
+from thinlayer.loads import ModelError, has_finite_numbers
 from thinlayer.model import Model
 
 
@@ -100,7 +102,13 @@ class State:
         return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: Any) -> float:
-        """Value of a UFL form without arguments, summed over the ranks. Collective."""
+        """Value of a UFL form without arguments, summed over the ranks. Collective.
+
+        Raises:
+            ModelError: a number in it is not finite.
+        """
+        if isinstance(form, ufl.Form) and not all(has_finite_numbers(part.integrand()) for part in form.integrals()):
+            raise ModelError(f"a form has a number that is not finite, or not real: {str(form)[:80]}")
         return float(self.model.comm.allreduce(fem.assemble_scalar(fem.form(form))))
 
     def energies(self) -> dict[str, float]:

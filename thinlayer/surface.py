@@ -20,7 +20,7 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
-from thinlayer.loads import ModelError
+from thinlayer.loads import ModelError, has_finite_numbers
 from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
@@ -80,6 +80,8 @@ class Surface:
             found = ufl.as_ufl(f)
         except Exception as error:
             raise ModelError(f"{_short(f)} is no UFL expression on S, as surface.jump(state) is one") from error
+        if not has_finite_numbers(found):
+            raise ModelError(f"an expression on S has a number that is not finite, or not real: {str(found)[:80]}")
         if isinstance(found, Condition):
             found = ufl.conditional(found, 1.0, 0.0)
         if shapes and found.ufl_shape not in shapes:

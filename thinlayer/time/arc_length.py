@@ -6,10 +6,13 @@ import math
 from dataclasses import dataclass
 from numbers import Integral
 
+import numpy as np
+
 from forms.declarations import is_number
 from thinlayer.equations import Equations
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
+from thinlayer.time.plan import distinct
 from thinlayer.time.scheme import takes_time
 
 
@@ -69,6 +72,8 @@ class ArcLength:
             raise ModelError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
         if self.first > self.end - start:
             raise ModelError(f"ArcLength: first is {self.first:g}; end - start is {self.end - start:g}")
+        if not distinct(start, start + self.first) or self.first**2 < np.finfo(float).tiny:
+            raise ModelError(f"ArcLength: first is {self.first:g}: a step from t = {start:g} that is lost in rounding")
         if not self.lowest(start) < start:
             raise ModelError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
 

@@ -40,7 +40,8 @@ class Pace:
 
     Attributes:
         step: longest that the next step may be; None if nothing limits it.
-        largest: what the error of adaptive steps is measured against: the largest displacements, jumps and forces so far.
+        largest: what the error of adaptive steps is measured against: the largest displacements, jumps and forces so far,
+            or, after rest, those at the end of the first step that was tried.
         weight: of displacements in the arc length of a path; 0 before its first step.
     """
 

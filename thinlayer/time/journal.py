@@ -7,10 +7,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from forms.declarations import LawError
+from geometry.joint import GeometryError
 from geometry.parallel import on_root
 from thinlayer.equations import Equations
+from thinlayer.failure import SolveError
 from thinlayer.identity import code_of
 from thinlayer.loads import ModelError
+from thinlayer.options import OptionError
 from thinlayer.phases import PhaseReport
 from thinlayer.state import State
 from thinlayer.table import Row
@@ -19,6 +25,9 @@ from thinlayer.time.history import History
 
 Observe = Mapping[str, Callable[[State], float]]
 COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")
+SAME_VALUE = (
+    1e-6  # relative: what ranks compute in different orders differs by much less, what they have of their own by more
+)
 PHASE_COLUMNS = ("energy", "plus", "minus", "boundary")  # further ones, of layers with phases
 
 
@@ -113,15 +122,26 @@ class Journal:
         return values | {name: self._observed(name, state) for name in self._observe}
 
     def _observed(self, name: str, state: State) -> float:
-        """What rank 0 observes: a function of a state is to give the same on all ranks."""
+        """What rank 0 observes: a function of a state has to give the same on all ranks."""
         value, problem, cause = math.nan, None, None
         try:
             value = float(self._observe[name](state))
         except Exception as error:
-            kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
-            problem, cause = f"{kind}{error}", error
-        if problem := next(filter(None, self.model.comm.allgather(problem)), None):
-            raise ModelError(
-                f"observe[{name!r}] at t = {state.t:g}: {problem}; it must be a function of a state that returns a number"
-            ) from cause
-        return float(self.model.comm.bcast(value))
+            problem, cause = _problem(error), error
+        found = self.model.comm.allgather((value, problem))
+        values = np.array([value for value, _ in found])
+        problem = next((problem for _, problem in found if problem), None)
+        if not problem and not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
+            numbers = ", ".join(f"{value:.6g}" for value in values)
+            problem = f"the ranks find {numbers}; add up what each has of its own, or take the largest, over the ranks"
+        if problem:
+            raise ModelError(f"observe[{name!r}] at t = {state.t:g}: {problem}") from cause
+        return float(values[0])
+
+
+def _problem(error: Exception) -> str:
+    """What went wrong in a function that observes. Errors of ours say themselves what is allowed."""
+    if isinstance(error, (ModelError, LawError, GeometryError, OptionError, SolveError)):
+        return str(error)
+    kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
+    return f"{kind}{error}; it must be a function of a state that returns a number"

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from thinlayer.agreement import on_all, require_same
 from thinlayer.folder import owned
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.options import OptionValue
 from thinlayer.ranges import warn_of_model, warn_of_states
-from thinlayer.solvers import Solver, require_hardening
+from thinlayer.solvers import Solver, comm_of, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing
@@ -81,13 +82,14 @@ def march(
         LimitLoad: the same with a layer that yields, as loads change, where displacements run away as weak springs at all
             nodes are softened; it tells the last loads with an equilibrium.
     """
-    start, theta = _number("start", start), _number("theta", theta)
-    _check(model, theta, keep, out, resume, observe)
-    if isinstance(times, ArcLength):
-        return _follow(model, times, start, theta, observe, keep, out, resume, options, method)
-    require_hardening(model, "march in time")
-    plan = Plan.of(times, start, model.break_times if remembers(model) or isinstance(times, Adaptive) else set())
-    _check_switching(model, plan)
+    with on_all(comm_of(model)):
+        start, theta = _number("start", start), _number("theta", theta)
+        _check(model, theta, keep, out, resume, observe)
+        plan = _planned(model, times, start, theta, method)
+    choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
+    require_same(model.comm, times=plan, **choices, observe=list(observe or {}))
+    if isinstance(plan, ArcLength):
+        return _follow(model, plan, start, theta, observe, keep, out, resume, options, method)
     adaptive, folder = plan.adaptive, Path(out) if out else None
     pace = Pace(adaptive.first if adaptive else None)
     choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
@@ -106,8 +108,6 @@ def _follow(
     out: str | Path | None, resume: bool, options: Mapping[str, OptionValue] | None, method: str | None,
 ) -> History:  # fmt: skip
     """The march along a path."""
-    path.check(start)
-    require_path(model, theta, method)
     choices = {"start": start, "theta": theta, "tolerance": None, "first": path.first}
     folder = Path(out) if out else None
     with _folder(folder, model), Solver(model, options=options) as solver:
@@ -118,6 +118,18 @@ def _follow(
         history = PathFollowing(solver, journal, path, start, options).run(resume)
     warn_of_states(list(history))
     return history
+
+
+def _planned(model: Model, times: Any, start: float, theta: float, method: Any) -> Plan | ArcLength:
+    """The path, or when steps end, of a model that can take them."""
+    if isinstance(times, ArcLength):
+        times.check(start)
+        require_path(model, theta, method)
+        return times
+    require_hardening(model, "march in time")
+    plan = Plan.of(times, start, model.break_times if remembers(model) or isinstance(times, Adaptive) else set())
+    _check_switching(model, plan)
+    return plan
 
 
 def _number(name: str, value: Any) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from forms.declarations import is_number
 from forms.temperature import real
@@ -14,6 +15,7 @@ from thinlayer.loads import ModelError
 from thinlayer.time.history import SAME_TIME
 
 HALVINGS = 10
+SHORTENED = 1e6  # adaptive steps, at most, unless told
 
 
 @dataclass(frozen=True)
@@ -27,9 +29,10 @@ class Adaptive:
     Attributes:
         end: last time.
         first: length of the first step.
-        tolerance: of the estimated error of a step, relative to the largest values so far: of the displacements of nodes,
-            of the jumps (in a meshed layer its strains), and of the nodal forces of the bodies' stresses, those of
-            tractions on the layer and of reactions included; in L2 norms, the largest of the three counts.
+        tolerance: of the estimated error of a step, relative to the largest values so far, or, after rest, to those at the
+            end of the first step that is tried: of the displacements of nodes, of the jumps (in a meshed layer its
+            strains), and of the nodal forces of the bodies' stresses, those of tractions on the layer and of reactions
+            included; in L2 norms, the largest of the three counts.
         at: times between start and end that a step must end at.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
@@ -92,15 +95,40 @@ class Plan:
                 f"times is {targets} from start = {start:g}; they must be finite, increase, "
                 "and come after start, which is not one of them"
             )
+        _require_steps(whole, adaptive)
         targets = _with_breaks(start, targets, breaks)
         if adaptive:
-            return cls(targets, adaptive, adaptive.smallest or adaptive.first / 1e6)
+            return cls(targets, adaptive, adaptive.smallest or adaptive.first / SHORTENED)
         return cls(targets, None, float(np.diff([start, *targets]).min()) / 2**HALVINGS)
 
     def after(self, t: float) -> list[float]:
         """Targets still to reach."""
         near = min(SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0])), self.smallest)
         return [target for target in self.targets if target > t + near]
+
+
+def distinct(start: float, end: float) -> bool:
+    """Whether the two halves of a step are steps: numbers have only so many digits."""
+    return start < (start + end) / 2 < end
+
+
+def _require_steps(times: npt.NDArray[np.float64], adaptive: Adaptive | None) -> None:
+    """Raise ModelError where steps between times, or halves of halves of them, are lost in rounding."""
+    tiny = np.finfo(float).tiny  # below, numbers lose digits
+    if adaptive:
+        start, first = float(times[0]), min(adaptive.first, float(times[-1] - times[0]))
+        if not distinct(start, start + first) or (adaptive.smallest or first / SHORTENED) < tiny:
+            raise ModelError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
+        if adaptive.largest < np.spacing(np.abs(times).max()) * 2:
+            raise ModelError(
+                f"Adaptive: largest is {adaptive.largest:g}: such steps to t = {times[-1]:g} are lost in rounding"
+            )
+    dt = np.diff(times)
+    near = np.maximum(np.spacing(np.maximum(np.abs(times[1:]), np.abs(times[:-1]))), tiny)
+    lost = np.flatnonzero(dt < near * (1 if adaptive else 2**HALVINGS))
+    if len(lost):
+        a, b = times[lost[0]], times[lost[0] + 1]
+        raise ModelError(f"times has {b!r} after {a!r}: the step between them, or its parts, are lost in rounding")
 
 
 def _with_breaks(start: float, targets: list[float], breaks: set[float]) -> list[float]:

@@ -16,7 +16,7 @@ from thinlayer.state import State
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
-from thinlayer.time.plan import HALVINGS, Plan
+from thinlayer.time.plan import HALVINGS, Plan, distinct
 from thinlayer.time.switching import steps
 
 SAME_LOADS = 1e-12  # relative change
@@ -92,6 +92,8 @@ class TimeStepping:
             planned = self._journal.pace.step or left
             dt = min(planned, left)
             end = target if left - dt < 1e-3 * dt else old.t + dt
+            if not distinct(old.t, end):
+                raise SolveError(f"a step of {dt:g} from t = {old.t:.16g} is lost in rounding", self._history)
             try:
                 states, factor = self._try(old, end)
             except SolveError as error:
@@ -143,7 +145,7 @@ class TimeStepping:
             self._shorten(dt, old, end, error)
 
     def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
-        if dt >= self._smallest:
+        if dt >= self._smallest and distinct(old.t, old.t + dt):
             self._journal.pace.step = dt
             return
         if self.solver.yields and self._seek(old, end, error):
@@ -221,10 +223,22 @@ class TimeStepping:
         whole = self.solver.step(old, end, theta, self._thorough)
         halves = [*self._chain(old, [middle, end], theta)]
         order = 2 if theta == 0.5 else 1
+        self._look_ahead(estimate, halves[-1])
         error = estimate.error(whole, halves[-1], order, self._journal.pace.largest)
         ratio = (adaptive.tolerance / error) ** (1 / (order + 1)) if error else MOST
         factor = float(np.clip(SAFETY * ratio, LEAST, MOST))
         return (halves if error <= adaptive.tolerance else []), factor
+
+    def _look_ahead(self, estimate: ErrorEstimate, end: State) -> None:
+        """Measure errors against what the first step after rest brings, even if it is too long to be taken.
+
+        What grows from nothing as a power of time has, in the first step, an error that is a fixed share of it, however
+        short that step is. At rest is what the tolerance does not tell from zero next to what comes.
+        """
+        assert self.plan.adaptive is not None
+        pace, sizes = self._journal.pace, estimate.sizes(end)
+        at_rest = np.array(pace.largest) < self.plan.adaptive.tolerance * sizes
+        pace.largest = [*map(float, np.where(at_rest, sizes, pace.largest))]
 
     def _chain(self, state: State, ends: list[float], theta: float) -> Iterator[State]:
         for t in ends:

@@ -1,0 +1,80 @@
+"""What each rank is told differently, or wrongly on one alone: prints the error that all ranks have, by case."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+from forms import KelvinVoigt, LinearElastic
+from geometry import sandwich
+from thinlayer import Model, ThinLayer, fields, march, solve, sweep
+
+COMM = MPI.COMM_WORLD
+JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
+SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
+BODY = LinearElastic.young(100.0, 0.3)
+SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
+
+
+def model(eps=0.1, law=SLOW, **change):
+    data = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": (0.0, 1.0)}, "layer": ThinLayer(law, eps)}
+    return Model.interface(JOINT, **(data | change))
+
+
+def cases(rank: int, folder: Path):
+    """Name -> what is done on a rank."""
+    elastic, other, good = model(law=LinearElastic(60.0, 40.0)), model(law=LinearElastic(50.0, 40.0)), model()
+    state = solve(elastic)
+    order = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"y": 0.1}}
+    turned = dict(reversed(order.items()))
+    return {
+        "thickness": lambda: model(0.1 + 0.2 * rank),
+        "law": lambda: model(law=LinearElastic(60.0 + rank, 40.0)),
+        "body": lambda: model(body=LinearElastic.young(100.0 + rank, 0.3)),
+        "tractions": lambda: model(tractions={"TOP": (0.0, 1.0 + 0.5 * rank)}),
+        "a load that is no number": lambda: model(tractions={"TOP": (0.0, math.nan if rank else 1.0)}),
+        "a function that fails": lambda: model(tractions={"TOP": lambda x, t: (0.0, 1.0 / (1 - rank))}),
+        "supports": lambda: model(supports=SUPPORTS | {"RIGHT": {"y": 0.3 * rank}}),
+        "fewer supports": lambda: model(supports=dict([*SUPPORTS.items()][: 2 - rank])),
+        "order of supports": lambda: model(supports=turned if rank else order),
+        "element": lambda: model(element="P7" if rank else "P2"),
+        "option": lambda: model(**({"colour": 3} if rank else {})),
+        "no model": lambda: solve(None if rank else elastic),
+        "t": lambda: solve(elastic, 0.5 * rank),
+        "models": lambda: solve(other if rank else elastic),
+        "method": lambda: solve(elastic, method="newton" if rank else "linear"),
+        "options": lambda: solve(elastic, options={"ksp_type": "cg"} if rank else {}),
+        "times": lambda: march(good, [0.1, 0.2 + 0.1 * rank]),
+        "bad times": lambda: march(good, [0.2, 0.1] if rank else [0.1, 0.2]),
+        "theta": lambda: march(good, [0.1], theta=1 - 0.5 * rank),
+        "observe": lambda: march(good, [0.1], observe={} if rank else {"one": lambda state: 1.0}),
+        "observed": lambda: march(good, [0.1], observe={"one": lambda state: 1.0 + rank}),
+        "out": lambda: march(good, [0.1], out=folder / f"{rank}"),
+        "sweep": lambda: sweep(lambda e: {"eps": e, "error_traction": e, "error_jump": e}, [0.2, 0.1][: 2 - rank]),
+        "run": lambda: sweep(lambda e: {"eps": e / (1 - rank), "error_traction": e, "error_jump": e}, [0.2, 0.1]),
+        "path": lambda: fields.write(state, folder / f"{rank}.pvd"),
+        "ending": lambda: fields.write(state, folder / ("a.txt" if rank else "a.pvd")),
+    }
+
+
+def main(folder: str) -> None:
+    """Run all cases."""
+    found = {}
+    for name, run in cases(COMM.rank, Path(folder)).items():
+        try:
+            run()
+            text = "nothing"
+        except Exception as error:
+            text = f"{type(error).__name__}: {error}"
+        texts = COMM.allgather(text)
+        found[name] = texts[0] if len(set(texts)) == 1 else texts
+    if COMM.rank == 0:
+        print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
