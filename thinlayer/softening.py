@@ -38,7 +38,7 @@ class Softening:
         self._places = [_Place.of(p, model, self._u, self._old) for p in asked]
 
     def found(self, u: fem.Function, old: fem.Function) -> tuple[str, float]:
-        """Name of a law whose stress falls at displacements u, or since old ones, and the share of the layer; "" if none."""
+        """Name of a law whose stress falls at displacements u, or since old ones, and its share of the layer; or ""."""
         for place in self._places:
             self._u.x.array[:], self._old.x.array[:] = u.x.array, old.x.array
             if share := place.share(self.comm):
