@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,9 @@ def _stress(law: Law, e: Array, n: Array) -> Array | None:
         named = law.mapped(lambda value, _: ufl.as_tensor(value.tolist()) if np.ndim(value) else float(value))
         step = Step(ufl.as_matrix(e.tolist()), ufl.as_vector(n.tolist()), zero, q, dt, 1.0)
         stress: Any = expand_derivatives(ufl.as_ufl(named.stress(step)))
-        return np.array([float(stress((0.0,), component=(i, j))) * (1.0 if i == j else ROOT2) for i, j in MANDEL])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # UFL's, of roots of negative numbers
+            return np.array([float(stress((0.0,), component=(i, j))) * (1.0 if i == j else ROOT2) for i, j in MANDEL])
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 from dolfinx import fem
@@ -25,6 +26,7 @@ from thinlayer.newton import FLAT, NEWTON, YIELDING
 from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set, require_all_read, require_known_values
 from thinlayer.ranges import warn_of_model, warn_of_states
 from thinlayer.restraint import Restraint
+from thinlayer.softening import Softening
 from thinlayer.state import Report, State
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
@@ -231,19 +233,27 @@ class Solver:
 
     def _state(self, old: State, t: float, theta: float, x: PETSc.Vec, report: Report) -> State:
         memory, audit = self.equations.audit(x)
-        self._tell_softening(t)
+        self._tell_softening(old, t)
         return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
 
-    def _tell_softening(self, t: float) -> None:
+    @cached_property
+    def _softening(self) -> Softening:
+        return Softening(self.model)
+
+    def _tell_softening(self, old: State, t: float) -> None:
         """Warn, once, where the stress of a law falls that does not say so: at the same loads there may be other states."""
         if self._told:
             return
         laws = self.equations.laws
         name, points = laws.softened(self.equations.u.x.petsc_vec)
+        where = f"at {points} points"
+        if not name:
+            name, share = self._softening.found(self.equations.u, old.u)
+            where = f"on {share:.3g} of the layer"
         if name:
             self._told = True
             warn(
-                f"at t = {t:g} the stress of {name} falls at {points} points as jumps or strains grow: this equilibrium "
+                f"at t = {t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
                 "may be one of several, and steps may pass over others; write softens = True in the class and follow "
                 "them on S with march(model, ArcLength(...))",
                 self.model.comm,

@@ -14,6 +14,7 @@ from thinlayer.model import Model
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.points import LawPoints, Response
+from thinlayer.softening import may_soften
 
 ASYMMETRY = 1e-8  # of a tangent, over its size
 
@@ -120,12 +121,11 @@ class PointLaws:
     def softened(self, u: PETSc.Vec) -> tuple[str, int]:
         """Name of a law that says nothing of softening and whose stresses fall at displacements u, the last response's.
 
-        And the number of points; "" and 0 if there is none. Not asked are laws that are linear or not symmetric, that have
-        a rate, bound stresses or switch phases: theirs fall for other reasons, or never.
+        And the number of points; "" and 0 if there is none.
         """
         for p, e_old, q, r in zip(self.points, self._e_old, self._begins, self._responses, strict=True):
             law = p.points.law
-            if law.softens or law.linear or not law.symmetric or law.rate or law.yields or law.switches:
+            if not may_soften(law):
                 continue
             if count := self.comm.allreduce(p.falls(p.strain(u), e_old, q, r)):
                 return type(law).__name__, count

@@ -1,0 +1,117 @@
+"""Softening that a law in forms does not say: told from the step on in which its stress falls, on S and in the layer."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pytest
+import ufl
+
+from forms import Law, LinearElastic
+from forms.elastic import lame
+from forms.kinematics import lift
+from geometry import disc, sandwich
+from thinlayer import Model, ThinLayer, march, solve
+from thinlayer.failure import RangeWarning
+
+EPS = 0.05
+STIFF = LinearElastic.young(1e6, 0.3)
+
+
+@dataclass(frozen=True)
+class Falling(Law):
+    """k e exp(-e:e/s^2), which falls beyond e = s/sqrt 2."""
+
+    k: float
+    s: float
+    powers: ClassVar = {"k": 1, "s": -1}
+
+    def stress(self, step):
+        return self.k * step.mid * ufl.exp(-ufl.inner(step.mid, step.mid) / self.s**2)
+
+
+@dataclass(frozen=True)
+class WeakInShear(Law):
+    """From an energy: as the layer opens by e_N = c, nothing resists its slip; across S it never softens."""
+
+    k: float
+    c: float
+    powers: ClassVar = {"k": 1, "c": -1}
+
+    def stress(self, step):
+        e, n = ufl.variable(step.e), lift(step.n)
+        e_N = ufl.dot(e * n, n)
+        slip = ufl.inner(e * n, e * n) - e_N**2
+        return ufl.sym(ufl.diff(self.k * (e_N**2 + e_N**4 + (1 - e_N / self.c) * slip), e))
+
+
+@dataclass(frozen=True)
+class Rising(Law):
+    k: float
+    powers: ClassVar = {"k": 1}
+
+    def stress(self, step):
+        return self.k * (1 + ufl.inner(step.e, step.e)) * step.e
+
+
+@dataclass(frozen=True)
+class Loop(Law):
+    """Falls between two branches that rise, 0.5 and 1.5 about: a step may pass over it."""
+
+    k: float
+    powers: ClassVar = {"k": 1}
+
+    def stress(self, step):
+        x = ufl.tr(step.e)
+        return (
+            lame(self.k, self.k, step.e)
+            - 4.5 * self.k * (ufl.tanh(12 * (x - 1)) + ufl.tanh(12.0)) * ufl.Identity(3) / 2
+        )
+
+
+def told(joint, law, kind, times):
+    """RangeWarnings of a march, or of a solve at one time, in which the layer opens by t times its thickness."""
+    supports = {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: EPS * t}}
+    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} if joint.dim == 2 else {}
+    model = kind(joint, layer=ThinLayer(law.per_thickness(EPS), EPS), body=STIFF, supports=supports | sides)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        march(model, times) if isinstance(times, list) else solve(model, times)
+    return [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
+
+
+@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+@pytest.mark.parametrize(("law", "onset"), [(Falling(3.0, 0.4), 0.4 / math.sqrt(2)), (WeakInShear(3.0, 0.3), 0.3)])
+def test_where_stresses_fall(law, onset, kind):
+    """Wherever the unit of stress; a march tells it once, at the first step beyond, a solve only beyond."""
+    joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
+    before, after = 0.97 * onset, 1.03 * onset
+    (message,) = told(joint, law, kind, [before, after, 1.1 * onset])
+    name = type(law).__name__
+    assert f"at t = {after:g} the stress of {name} falls on 1 of the layer" in message
+    assert "write softens = True" in message
+    assert told(joint, law, kind, before) == []
+    assert len(told(joint, law, kind, after)) == 1
+
+
+def test_rising_stresses_are_not_told():
+    joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
+    for kind in (Model.interface, Model.full):
+        assert told(joint, Rising(3.0), kind, [0.3, 0.8]) == []
+
+
+def test_a_step_over_a_fall_is_told():
+    """Both states rise, on branches that a fall parts."""
+    joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
+    assert told(joint, Loop(3.0), Model.interface, [0.3, 0.5]) == []
+    assert len(told(joint, Loop(3.0), Model.interface, [0.3, 0.5, 1.4])) == 1
+
+
+def test_in_three_dimensions():
+    joint = disc(1.0, 0.4, 0.4, h=0.6, cell="hexahedron")
+    law = WeakInShear(3.0, 0.3)
+    assert told(joint, law, Model.interface, 0.2) == []
+    assert len(told(joint, law, Model.interface, 0.4)) == 1
