@@ -71,8 +71,8 @@ def require_declarations(law: Any) -> None:
         if shape not in SHAPES:
             allowed = ", ".join(map(str, SHAPES))
             raise LawError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
-    _require_asked(law)
     _require_phases(law)
+    _require_asked(law)
 
 
 def _require_asked(law: Any) -> None:
