@@ -73,8 +73,8 @@ def require_declarations(law: Any) -> None:
         if shape not in SHAPES:
             allowed = ", ".join(map(str, SHAPES))
             raise LawError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
-    _require_asked(law)
     _require_phases(law)
+    _require_asked(law)
 
 
 def _require_asked(law: Any) -> None:
@@ -96,7 +96,9 @@ def _require_asked(law: Any) -> None:
 def _own(kind: Any, name: str) -> bool:
     """Whether a class has something of this name that is not the default of all laws."""
     defining = next((one for one in kind.__mro__ if name in vars(one)), None)
-    return defining is not None and defining.__module__ not in DEFAULTS
+    if defining is None or defining.__module__ in DEFAULTS:
+        return False
+    return getattr(vars(defining)[name], "__module__", None) not in DEFAULTS  # a default may be taken back: Law.advance
 
 
 def _require_phases(law: Any) -> None:
