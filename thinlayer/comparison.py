@@ -20,7 +20,7 @@ from forms.kinematics import Expr
 from forms.law import LawError
 from geometry.parallel import on_root
 from thinlayer.folder import LOCK, moved_away, owned
-from thinlayer.identity import described, referred
+from thinlayer.identity import referred
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.progress import track
@@ -104,15 +104,10 @@ def _state(one: State | History, at: float | None) -> State:
 def _require_same_structure(full: Model, interface: Model) -> None:
     """Raise ModelError unless both models have the same data but for the layer's law."""
     there, here = (
-        {
-            "plane": model.plane,
-            "bodies": {name: described(law) for name, law in model.body_laws.items()},
-            "supports": [[str(place), described(given)] for place, given in model.supports.given],
-            "loads": described(model.forces.given),
-        }
+        model.made_from | {"supports": model.made_from["supports"][: len(model.supports.given)]}
         for model in (full, interface)
     )
-    for name in there:
+    for name in ("plane", "bodies", "supports", "loads"):
         if there[name] != here[name]:
             raise ModelError(f"compare needs the same {name}, not {there[name]} and {here[name]}")
     assert full.layer is not None
