@@ -30,6 +30,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 OURS = ("forms", "geometry", "thinlayer")
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # objects of theirs differ from one process to the next
+IMPORT = dis.opmap["IMPORT_NAME"]
 VIEWS = (collections.abc.KeysView, collections.abc.ValuesView, collections.abc.ItemsView)
 PROCESS = uuid.uuid4().hex[:8]
 _ALONE: dict[int, Any] = {}  # what no other process knows, kept so that ids stay their own
@@ -74,9 +75,10 @@ def code_of(function: Any) -> Any:
 
 
 class _Describer:
-    """One description under way."""
+    """One description under way; it may remember the code of the package's classes from others."""
 
-    def __init__(self) -> None:
+    def __init__(self, remembers: bool = True) -> None:
+        self._remembers = remembers
         self._known: dict[Any, tuple[Any, Any]] = {}  # by id; the value is kept, so that its id stays its own
         self._alone: list[str] = []  # names of what no other process knows
 
@@ -103,7 +105,7 @@ class _Describer:
         if isinstance(value, type):
             if not _readable(value, home):
                 return _name(value)
-            return f"{value.__qualname__}, code {self._hashed(lambda: self._class(value))}"
+            return f"{value.__qualname__}, code {self._code_of(value)}"
         content = self._content(value, home)
         if content is None:
             return self._object(value, home)
@@ -225,7 +227,7 @@ class _Describer:
         kind = type(value)
         fields = {f.name: self.of(getattr(value, f.name), kind.__module__) for f in dataclasses.fields(value)}
         text = ", ".join(f"{name}={one if isinstance(one, str) else json.dumps(one)}" for name, one in fields.items())
-        return f"{kind.__name__}({text}), code {digest(self._class(kind))}"
+        return f"{kind.__name__}({text}), code {self._code_of(kind)}"
 
     # ---------------------------------------------------------------- code
     def code(self, function: types.FunctionType) -> Any:
@@ -257,7 +259,12 @@ class _Describer:
                 shown[name] = self.of(value, home)
         return shown | {f"import {one.__name__}": self.module(one, read) for one in _imported(function)}
 
-    def _class(self, kind: type) -> Any:
+    def _code_of(self, kind: type) -> str:
+        if self._remembers and _ours(kind.__module__):
+            return _code_of_ours(kind)
+        return self._hashed(lambda: self.written(kind))
+
+    def written(self, kind: type) -> Any:
         """What a class is written like, and those that it builds on in the same file or among the user's own."""
         shown: list[Any] = []
         for one in kind.__mro__:
@@ -284,6 +291,12 @@ class _Describer:
         if name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():  # the C file of a law
             return digest(Path(value).read_bytes())
         return self.of(value, home)
+
+
+@functools.cache
+def _code_of_ours(kind: type) -> str:
+    """The code of a class of the package, which stays as it is."""
+    return digest(_Describer(remembers=False).written(kind))
 
 
 def _function(value: Any) -> types.FunctionType | None:
@@ -349,6 +362,8 @@ def _passed_on(code: types.CodeType, name: str) -> bool:
 
 def _imported(function: types.FunctionType) -> list[types.ModuleType]:
     """The user's own modules that a function imports itself."""
+    if not any(IMPORT in code.co_code[::2] for code in _codes(function.__code__)):
+        return []
     steps, found = _steps(function.__code__), {}
     for k, step in enumerate(steps):
         if step.opname == "IMPORT_NAME":
