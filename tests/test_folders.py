@@ -129,6 +129,9 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
         ({"error_jump": "x"}, "error_jump = 'x', which is no number"),
         ({"error_jump": 1j}, "neither a number nor a text"),
         ({"note": [1.0]}, "neither a number nor a text"),
+        ({"eps": float("nan")}, "a row of another thickness, eps = nan"),
+        ({"order_jump": 1.0}, "a row with 'order_jump'; .*the sweep itself adds order_traction, order_jump"),
+        ({3: 1.0}, "a row with 3; names of columns are texts"),
         ({"more": 1.0}, "columns eps, error_traction, error_jump, more, where the first row has eps"),
     ],
 )
@@ -316,6 +319,28 @@ def damaged(arrays):
     yield arrays | {"march": np.array("0123456789ab")}
     yield arrays | {"memory0": arrays["memory0"][:, :4]}
     yield arrays | {"memory0": arrays["memory0"][::2]}
+
+
+def test_damaged_observations(tmp_path):
+    march(interface(SUDDEN), [0.1], out=tmp_path, observe={"one": one})
+    content = json.loads((tmp_path / "march.json").read_text())
+    for spoilt in (
+        content | {"rows": [*content["rows"][:-1], [*content["rows"][-1][:-1], "zz"]]},
+        content | {"columns": [*content["columns"][:-1], "other"]},
+    ):
+        (tmp_path / "march.json").write_text(json.dumps(spoilt))
+        with pytest.raises(ModelError, match=r"march\.json cannot be read"):
+            march(interface(SUDDEN), [0.3], out=tmp_path, resume=True, observe={"one": one})
+
+
+def one(state):
+    return 1.0
+
+
+def test_names_of_files_that_cannot_be():
+    for run in (lambda out: march(interface(SUDDEN), [0.1], out=out), lambda out: sweep(row, [0.4], out)):
+        with pytest.raises(ModelError, match=r"no files can be written .*null"):
+            run("a\0b")
 
 
 def test_damaged_marches(tmp_path):

@@ -61,7 +61,7 @@ def test_a_resumed_sweep_keeps_its_rows(tmp_path):
             sweep(lambda e, bad=bad: bad, [0.2])
 
 
-@pytest.mark.parametrize("eps", [[], [0.1, 0.1], [0.0, 0.1], [float("inf")]])
+@pytest.mark.parametrize("eps", [[], [0.1, 0.1], [0.0, 0.1], [float("inf")], "12", [True], ["1"], None, 0.1])
 def test_sweep_refuses_bad_thicknesses(eps):
     with pytest.raises(LawError, match="different thicknesses > 0"):
         sweep(lambda e: {}, eps)
@@ -74,6 +74,49 @@ def test_table():
         table.append({"a": 1.0})
     with pytest.raises(KeyError, match="no column 'c'; columns: a, b"):
         table["c"]
+
+
+def test_tables_are_printed_as_they_are():
+    table = Table([{"slip [mm]": 1.0, "[red]a": "[bold]x[/]"}, {"slip [mm]": 2.0, "[red]a": "y"}])
+    assert str(table).splitlines()[0].split() == ["slip", "[mm]", "[red]a"]
+    assert str(table).splitlines()[1].split() == ["1", "[bold]x[/]"]
+    with pytest.raises(ModelError, match="have texts for names, not 1"):
+        Table([{1: 2.0}])
+
+
+@pytest.mark.parametrize("text", ["x,y", "x\ny", "x\ry", "x\r\ny", "x\u2028y", "x\x0cy", "x\x85y", '"', " x "])
+def test_texts_are_read_as_they_were_written(tmp_path, text):
+    table = Table([{"a": text, "b": 1.5}, {"a": None, "b": 2.0}])
+    path = tmp_path / "t.csv"
+    table.write(path)
+    whole = path.read_bytes()
+    assert Table.load(path).rows == table.rows
+    for cut in range(len(whole) - 5, len(whole)):  # the last line
+        path.write_bytes(whole[:cut])
+        assert Table.load(path).rows == table.rows[:1]
+    path.write_bytes(whole[: whole.index(b"1.5") - 1])
+    assert Table.load(path).rows == []
+
+
+def test_a_resumed_sweep_has_the_columns_of_a_whole_one(tmp_path):
+    """What a file does not tell from a number is one from the start."""
+
+    def run(e):
+        return {
+            "eps": e,
+            "error_traction": e,
+            "error_jump": 3 * e,
+            "order_x": 1.0,
+            "mark": "007",
+            "note": "",
+            "t": "x\ny",
+        }
+
+    sweep(run, [0.4, 0.2], tmp_path / "t.csv")
+    resumed = sweep(run, [0.4, 0.2, 0.1], tmp_path / "t.csv", resume=True)
+    assert resumed.rows == sweep(run, [0.4, 0.2, 0.1]).rows == Table.load(tmp_path / "t.csv").rows
+    assert resumed.rows[0]["order_x"] == 1.0
+    assert resumed.rows[0]["mark"] == 7.0
 
 
 @pytest.fixture(scope="module", params=[("triangle", "P1"), ("triangle", "P2"), ("quadrilateral", "S2")])
@@ -115,8 +158,15 @@ def test_files_for_paraview(states, tmp_path):
     left = np.abs(x) < 1e-12
     assert np.ptp(v[left]) > 1e-3  # both sides of S, 4.3e-3 apart
     history = march(states[0].model, [1.0, 2.5])
+    for k, state in enumerate(history):
+        state.u.x.array[:] *= k + 1.5
+        state.u.name = "mine"
+    before = [state.u.x.array.copy() for state in history]
     fields.write(history, tmp_path / "history.pvd")
     fields.write(history, tmp_path / "history.bp")
+    for state, values in zip(history, before, strict=True):
+        assert np.array_equal(state.u.x.array, values)
+        assert state.u.name == "mine"
     reader = pyvista.get_reader(tmp_path / "history.pvd")
     assert reader.time_values == pytest.approx([0.0, 1.0, 2.5])
     with pytest.raises(ValueError, match=r"allowed endings: \.bp"):

@@ -11,7 +11,19 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from geometry import GeometryError, sandwich
 from tests.meshes import grid
-from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, compare, linear_solvers, plotting, solve, sweep
+from thinlayer import (
+    Model,
+    ModelError,
+    SolveError,
+    Surface,
+    ThinLayer,
+    compare,
+    fields,
+    linear_solvers,
+    plotting,
+    solve,
+    sweep,
+)
 
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
 JOINT = sandwich(2.0, 1.0, 1.0, 0.5)
@@ -101,6 +113,16 @@ def test_structures_that_are_written_in_other_words_are_compared():
     assert 0 < compare(full, interface)["error_jump"] < 1
 
 
+def test_states_of_another_time_than_asked_for(states):
+    """A state has one time, here 0."""
+    assert compare(*states, at=0) == compare(*states)
+    with pytest.raises(ModelError, match="a state is of t = 0, not of at = 7"):
+        compare(*states, at=7.0)
+    for at in (float("nan"), "0", True):
+        with pytest.raises(ModelError, match=r"at is .*; give a time, a finite number"):
+            compare(*states, at=at)
+
+
 def test_sweeps(tmp_path):
     with pytest.raises(ModelError, match="without error_jump; return what compare returns"):
         sweep(lambda e: {"eps": e, "error_traction": 1.0}, [0.1])
@@ -115,6 +137,24 @@ def test_pictures(states, tmp_path):
         plotting.deformed(states[1], save=tmp_path / "a.png", component="z")
     with pytest.raises(ValueError, match="it needs \\(left, right, bottom, top\\)"):
         plotting.deformed(states[1], save=tmp_path / "a.png", zoom=(0, 1))
+    for zoom in ((0, float("nan"), 0, 1), (1, 0, 0, 1), "0011", 3):
+        with pytest.raises(ModelError, match="it needs \\(left, right, bottom, top\\)"):
+            plotting.deformed(states[1], save=tmp_path / "a.png", zoom=zoom)
+    for scale in (float("nan"), "x", float("inf"), True):
+        with pytest.raises(ModelError, match=r"scale is .*; it must be a finite number"):
+            plotting.deformed(states[1], save=tmp_path / "a.png", scale=scale)
+    with pytest.raises(ValueError, match="unknown component None; allowed: size, x, y"):
+        plotting.deformed(states[1], save=tmp_path / "a.png", component=None)
+    with pytest.raises(ModelError, match="save is None"):
+        plotting.deformed(states[1], save=None)
+    with pytest.raises(ModelError, match="give its name, which ends in"):
+        fields.write(states[1], None)
+    with pytest.raises(ModelError, match="rates: a is 1; give what sweep returns"):
+        plotting.rates({"a": 1}, save=tmp_path / "a.png")
+    for lines in ({"a": ([1, 2], [1])}, {"a": None}, {"a": (["x"], [1])}, {"a": ([1], [1j])}, [1]):
+        with pytest.raises(ModelError, match=r"'a' is no pair \(x, y\) of as many numbers|are \{label: \(x, y\)\}"):
+            plotting.curves(lines, xlabel="x", ylabel="y", save=tmp_path / "a.png")
+    assert not [*tmp_path.iterdir()]
     plotting.deformed(states[1], save=tmp_path / "amid.png", zoom=np.array([0.01, 0.02, 0.01, 0.02]), scale=0.0)
     assert (tmp_path / "amid.png").stat().st_size > 1000
 

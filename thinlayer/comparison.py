@@ -15,22 +15,24 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
+from forms.declarations import is_number
 from forms.kinematics import Expr
 from forms.law import LawError
 from geometry.parallel import on_root
 from thinlayer.agreement import on_all, require_same
 from thinlayer.folder import LOCK, moved_away, owned
-from thinlayer.identity import described, referred
+from thinlayer.identity import referred
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.progress import track
 from thinlayer.state import State
 from thinlayer.surface import Surface
-from thinlayer.table import Row, Table, hash_of, replaced
+from thinlayer.table import Row, Table, hash_of, read_back, replaced
 from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[Expr], Expr]
 ERRORS = ("eps", "error_traction", "error_jump")
+ORDERS = ("order_traction", "order_jump")  # what a sweep adds
 SAME_EPS = 1e-9  # relative: thicknesses that are computed in two ways
 SAME_PROFILE = 1e-9  # relative
 
@@ -47,7 +49,7 @@ def compare(
         interface: state of the interface model of the same joint, or its history.
         where: part of S to measure on, a function of the coordinates that returns a UFL condition, such as
             `lambda x: x[0] > 1` or `lambda x: ufl.And(x[0] > 1, x[0] < 9)`; default all of S.
-        at: time of the states to take from histories; default the last.
+        at: time of the states to take from histories; default the last. A state must be of this time.
 
     Returns:
         eps; error_traction and error_jump: L2(S) norms of the differences over those of the interface model's fields;
@@ -60,6 +62,8 @@ def compare(
     for one in (full, interface):
         if not isinstance(one, (State, History)):
             raise ModelError(f"compare takes states or histories, as solve and march return them, not {one!r}")
+    if at is not None and not (is_number(at) and math.isfinite(at)):
+        raise ModelError(f"compare: at is {at!r}; give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
     if (full.model.kind, interface.model.kind) != ("full", "interface"):
         raise ModelError(
@@ -90,6 +94,10 @@ def compare(
 
 def _state(one: State | History, at: float | None) -> State:
     if isinstance(one, State):
+        if at is not None and not abs(one.t - at) <= SAME_TIME * max(abs(one.t), abs(at)):
+            raise ModelError(
+                f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or leave out at"
+            )
         return one
     return one.last if at is None else one.at(at)
 
@@ -97,15 +105,10 @@ def _state(one: State | History, at: float | None) -> State:
 def _require_same_structure(full: Model, interface: Model) -> None:
     """Raise ModelError unless both models have the same data but for the layer's law."""
     there, here = (
-        {
-            "plane": model.plane,
-            "bodies": {name: described(law) for name, law in model.body_laws.items()},
-            "supports": [[str(place), described(given)] for place, given in model.supports.given],
-            "loads": described(model.forces.given),
-        }
+        model.made_from | {"supports": model.made_from["supports"][: len(model.supports.given)]}
         for model in (full, interface)
     )
-    for name in there:
+    for name in ("plane", "bodies", "supports", "loads"):
         if there[name] != here[name]:
             raise ModelError(f"compare needs the same {name}, not {there[name]} and {here[name]}")
     assert full.layer is not None
@@ -164,10 +167,13 @@ def sweep(
         if out is not None and Path(out).is_dir():
             raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
         try:
-            values = sorted((float(e) for e in eps), reverse=True)
+            given = () if isinstance(eps, str) else tuple(eps)
+            if not given or not all(map(is_number, given)):
+                raise TypeError("thicknesses are numbers")
+            values = sorted(map(float, given), reverse=True)
         except (TypeError, ValueError) as error:
             raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
-        if not values or values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
+        if values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
             raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
     require_same(MPI.COMM_WORLD, eps=values, out=out and str(out), resume=resume)
     path = None if out is None else Path(out)
@@ -208,7 +214,7 @@ class SweepFile:
         rows = Table.got(self.path).rows
         if any(not isinstance(row.get(name), float) for row in rows for name in ERRORS):
             raise ModelError(f"{str(self.path)!r} is not the table of a sweep; give another name, or remove it")
-        return {float(row["eps"]): {n: v for n, v in row.items() if not n.startswith("order_")} for row in rows}  # type: ignore[arg-type]
+        return {float(row["eps"]): {n: v for n, v in row.items() if n not in ORDERS} for row in rows}  # type: ignore[arg-type]
 
     def _problem(self) -> str | None:
         """Why the table that is there is not of this sweep."""
@@ -254,7 +260,7 @@ def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | Non
     problem = _flaw(row, eps, first)
     if problem := next(filter(None, MPI.COMM_WORLD.allgather(problem)), None):
         raise ModelError(f"run({eps:g}) returns {problem}; {what}")
-    row = {name: row[name] for name in (*ERRORS, *(name for name in row if name not in ERRORS))} | {"eps": eps}
+    row = {name: read_back(row[name]) for name in (*ERRORS, *(n for n in row if n not in ERRORS))} | {"eps": eps}
     return row if first is None else {name: row[name] for name in first}
 
 
@@ -264,12 +270,14 @@ def _flaw(row: Any, eps: float, first: Row | None) -> str | None:
         return repr(row)
     if missing := {*ERRORS} - row.keys():
         return f"a row without {', '.join(sorted(missing))}"
+    if taken := [name for name in row if name in ORDERS or not isinstance(name, str)]:
+        return f"a row with {taken[0]!r}; names of columns are texts, and the sweep itself adds {', '.join(ORDERS)}"
     for name, value in row.items():
         if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
             return f"{name} = {value!r}, which is neither a number nor a text"
         if name in ERRORS and not isinstance(value, Real):
             return f"{name} = {value!r}, which is no number"
-    if abs(float(row["eps"]) - eps) > SAME_EPS * eps:
+    if not abs(float(row["eps"]) - eps) <= SAME_EPS * eps:
         return f"a row of another thickness, eps = {float(row['eps']):g}"
     if first is not None and set(row) != set(first):
         return f"a row with the columns {', '.join(row)}, where the first row has {', '.join(first)}"

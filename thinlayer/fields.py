@@ -62,7 +62,7 @@ class Grid:
         """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ValueError for another name."""
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
-        if name not in "xyz"[: self.dim] or len(name) != 1:
+        if name not in tuple("xyz"[: self.dim]):
             raise ValueError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
         return self.u[:, "xyz".index(name)]
 
@@ -130,10 +130,12 @@ def edges(surface: pyvista.PolyData) -> pyvista.PolyData:
 
 
 def nodal_displacement(state: State) -> fem.Function:
-    """The displacement by nodal values: itself, or its interpolant where the element's unknowns are no nodal values."""
-    if not state.model.element.startswith("S"):
-        return state.u
-    u = fem.Function(state.model.space(2), name="u")
+    """The displacement by nodal values, a copy, or its interpolant where the element's unknowns are no nodal values."""
+    nodal = not state.model.element.startswith("S")
+    u = fem.Function(state.u.function_space if nodal else state.model.space(2), name="u")
+    if nodal:
+        u.x.array[:] = state.u.x.array
+        return u
     u.interpolate(state.u)
     u.x.scatter_forward()
     return u
@@ -189,12 +191,15 @@ def write(solution: State | History, path: str | Path) -> None:
     The jump is kept: nodes on S are written once for each side. Of a history all states that it keeps are written.
 
     Raises:
-        ModelError: no state. ValueError: another ending. RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
+        ModelError: no state, or no name of a file. ValueError: another ending.
+        RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else MPI.COMM_WORLD
     with on_all(comm):
         states = _states(solution)
+        if not isinstance(path, (str, Path)):
+            raise ModelError(f"fields are written to a file, not to {path!r}; give its name, which ends in .bp or .pvd")
         suffix = Path(path).suffix
         if suffix not in (".bp", ".pvd"):
             raise ValueError(f"cannot write {str(path)!r}; allowed endings: .bp (VTX), .pvd (VTK)")
@@ -202,7 +207,6 @@ def write(solution: State | History, path: str | Path) -> None:
             raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
     require_same(comm, models=states[0].model.mark, states=[state.t for state in states], path=str(path))
     u = nodal_displacement(states[0])
-    u.name = "u"
     nodes, meshes = u.function_space.dofmap.index_map.size_global, 1 if suffix == ".bp" else len(states)
     size = BYTES["mesh"] * nodes * meshes + BYTES["u"] * nodes * len(states)
     on_root(comm, lambda: _make_room(Path(path), size))

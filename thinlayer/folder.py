@@ -60,9 +60,9 @@ class Lock:
             while self._file is None:
                 self._open()
             self._try_disk()
-        except OSError as error:
+        except (OSError, ValueError) as error:  # a name with a null character is no OSError
             self.free()
-            what = error.strerror or str(error)
+            what = getattr(error, "strerror", None) or str(error)
             raise ModelError(f"no files can be written in {str(self.folder)!r}: {what}; give another folder") from error
         except ModelError:
             self.free()

@@ -69,6 +69,7 @@ class Model:
         forces: tractions and body forces.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
         mark: stands for the data on several ranks, which all have the same.
+        made_from: the data that it was built with, described as JSON; what changes later does not count.
     """
 
     def __init__(
@@ -123,6 +124,7 @@ class Model:
         self.layer_points = self._layer_points()
         if not joint.rigid_base:
             require_support(self.comm, self.V, joint, self.supports.held(self.V))
+        self.made_from = self._data()
 
     @classmethod
     def full(cls, joint: Joint, **data: Any) -> Model:
@@ -396,19 +398,34 @@ class Model:
 
     def identity(self) -> dict[str, Any]:
         """What the model is made of, as JSON: the same for the same model in another process, on any number of ranks."""
-        joint, layer = self.domain.joint, self.layer
+        return {"model": repr(self), **self.domain.joint.identity(), **self.made_from}
+
+    def _data(self) -> dict[str, Any]:
+        layer = self.layer
         return {
-            "model": repr(self),
-            **joint.identity(),
             "plane": self.plane,
-            "law": described(layer.law) if layer else None,
+            **self._laws(),
             "eps": float(layer.eps) if layer else None,
             "order": layer.order if layer else None,
             "profile": described(self.joint.relative_thickness(layer.profile)) if layer and layer.profile else None,
-            "bodies": {name: described(law) for name, law in self.body_laws.items()},
             "supports": [[str(place), described(given)] for place, given in self.supports.entries],
             "loads": described(self.forces.given),
         }
+
+    def _laws(self) -> dict[str, Any]:
+        return {
+            "law": described(self.layer.law) if self.layer else None,
+            "bodies": {name: described(law) for name, law in self.body_laws.items()},
+        }
+
+    def require_same_laws(self) -> None:
+        """Raise ModelError if what the laws' code refers to has changed since: solves read it when they begin."""
+        for name, now in self._laws().items():
+            if now != self.made_from[name]:
+                raise ModelError(
+                    f"what the model's {name} refers to has changed since the model was built, from {self.made_from[name]} "
+                    f"to {now}; build the model anew"
+                )
 
     def __repr__(self) -> str:
         dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from rich.console import Console
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from geometry.parallel import on_root
 from thinlayer.loads import ModelError
@@ -55,6 +56,8 @@ def hash_of(path: Path) -> str | None:
 class Table:
     """Rows with the same columns. On several ranks all have the same table, and rank 0 alone touches files.
 
+    A csv file knows no types: what `float` takes is a number when it is read back ("007" is 7), and "" is None.
+
     Attributes:
         rows: the rows so far; None stands for an empty entry.
         path: csv file that each row is written to as it comes, or None.
@@ -70,10 +73,13 @@ class Table:
         """Add a row, and commit it to the file: flushed to the disk before this returns. Collective, if there is a file.
 
         Raises:
-            ValueError: other columns than the first row's. OSError: it could not be written; on all ranks.
+            ValueError: other columns than the first row's. ModelError: a name of a column that is no text.
+            OSError: it could not be written; on all ranks.
         """
         if self.rows and list(row) != self.columns:
             raise ValueError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
+        if wrong := [name for name in row if not isinstance(name, str)]:
+            raise ModelError(f"a table's columns have texts for names, not {', '.join(map(repr, wrong))}")
         self.rows.append(dict(row))
         if self.path is not None:
             on_root(None, self._append_last)
@@ -132,8 +138,8 @@ class Table:
         """The same on this rank."""
         table = cls()
         try:
-            lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-            read = [row for row in csv.reader(line for line in lines if line.endswith("\n")) if row]
+            with path.open(encoding="utf-8", newline="") as file:  # texts may have line ends of their own
+                read = [row for row in _whole_rows(file.read()) if row]
         except FileNotFoundError:
             raise
         except (OSError, ValueError, csv.Error) as error:
@@ -165,12 +171,27 @@ class Table:
     def __str__(self) -> str:
         shown = RichTable(box=None, header_style="bold")
         for name in self.columns:
-            shown.add_column(name, justify="right", no_wrap=True)
+            shown.add_column(Text(name), justify="right", no_wrap=True)
         for row in self.rows:
-            shown.add_row(*[_short(value) for value in row.values()])
+            shown.add_row(*[Text(_short(value)) for value in row.values()])
         out = io.StringIO()
         Console(file=out, width=1000, no_color=True).print(shown)
-        return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+        return "\n".join(line.rstrip() for line in out.getvalue().rstrip("\n").split("\n"))
+
+
+def _whole_rows(text: str) -> Iterator[list[str]]:
+    """The rows of a csv file that end, but for a last one within quotes that do not."""
+    reader = csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline=""), strict=True)
+    try:
+        yield from reader
+    except csv.Error as error:
+        if "unexpected end" not in str(error):
+            raise
+
+
+def read_back(value: float | str | None) -> float | str | None:
+    """What a value is after it has been written and read."""
+    return _value(value) if isinstance(value, str) else value
 
 
 def _text(value: float | str | None) -> str:

@@ -6,10 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from forms.temperature import real
 from geometry.parallel import on_root
 from thinlayer.loads import ModelError
 from thinlayer.table import Table, replaced
@@ -45,6 +48,11 @@ def rates(
     tables = table if isinstance(table, Mapping) else {"": table}
     if not tables:
         raise ModelError("rates: there is no table to draw")
+    for case, one in tables.items():
+        if not isinstance(one, (Table, str, Path)):
+            raise ModelError(
+                f"rates: {case or 'table'} is {one!r}; give what sweep returns, or the name of its csv file"
+            )
     data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
     for case, one in data.items():
         if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:
@@ -97,6 +105,9 @@ def curves(
         logarithmic: whether both axes are.
         xscale: "linear" or "log", of the first axis alone.
         ylim: range of the second axis.
+
+    Raises:
+        ModelError: a line that is no pair of as many numbers.
     """
     figure, axes = _figure(6.5, 4.5)
     _plot(axes, lines, styles or {}, {})
@@ -147,9 +158,23 @@ def panels(
 def _plot(
     axes: Axes, lines: Mapping[str, tuple[Any, Any]], styles: Mapping[str, str], colours: Mapping[str, str]
 ) -> None:
-    for k, (label, (x, y)) in enumerate(lines.items()):
+    if not isinstance(lines, Mapping):
+        raise ModelError(f"curves are {{label: (x, y)}}, not {lines!r}")
+    for k, (label, line) in enumerate(lines.items()):
+        x, y = _numbers(label, line)
         axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label)
     axes.grid(color="0.9")
+
+
+def _numbers(label: str, line: Any) -> list[npt.NDArray[np.float64]]:
+    """x and y of a line, (n,) each."""
+    try:
+        x, y = (real(one).astype(float) for one in line)
+        if x.ndim != 1 or x.shape != y.shape:
+            raise TypeError(f"x has the shape {x.shape}, y {y.shape}")
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"the curve {label!r} is no pair (x, y) of as many numbers: {error}") from error
+    return [x, y]
 
 
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:
@@ -161,8 +186,15 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 def finish(figure: Figure, save: str | Path | None) -> Figure:
     """Save a picture, if asked to. Collective: rank 0 writes."""
     if save:
+        require_name(save)
         on_root(None, lambda: put(figure, Path(save)))
     return figure
+
+
+def require_name(save: Any) -> None:
+    """Raise ModelError for what is no name of a file."""
+    if not isinstance(save, (str, Path)):
+        raise ModelError(f"save is {save!r}; it must be the name of a picture")
 
 
 def put(figure: Figure, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,10 +19,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from forms.declarations import is_number
 from geometry.parallel import on_root
 from thinlayer.fields import Shape, edges, gather, surface
 from thinlayer.loads import ModelError
-from thinlayer.plotting.curves import put
+from thinlayer.plotting.curves import put, require_name
 from thinlayer.state import State
 
 LARGEST = 0.05  # drawn displacement, in units of the structure
@@ -63,7 +65,8 @@ def deformed(
         cut: in 3D whether to leave out the half in front of the middle in z, to see S inside.
 
     Raises:
-        ModelError: what is no state. OSError: the picture could not be written; on all ranks.
+        ModelError: what is no state, a scale or a window that is no number, no name of a file.
+        OSError: the picture could not be written; on all ranks.
         ValueError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
@@ -73,8 +76,10 @@ def deformed(
         if not isinstance(one, State):
             what = f"{label!r} is {one!r}" if label else f"states is {one!r}"
             raise ModelError(f"deformed: {what}; give states, of a history its last one or history.at(t)")
-    if zoom is not None and len(zoom) != 4:
-        raise ValueError(f"zoom is {tuple(zoom)}; it needs (left, right, bottom, top)")
+    if scale is not None and not (is_number(scale) and math.isfinite(scale)):
+        raise ModelError(f"deformed: scale is {scale!r}; it must be a finite number, the factor of the displacements")
+    window = None if zoom is None else _window(zoom)
+    require_name(save)
     grids = {label: gather(state) for label, state in panels.items()}
     comm = next(iter(panels.values())).model.comm
 
@@ -87,12 +92,23 @@ def deformed(
         front = (0.0, 0.0, np.copysign(1.0, camera.towards[2])) if cut else None
         shown = {label: Shape.of(grid, component, factor, front) for label, grid in grids.items()}
         name = ("|u|" if component == "size" else f"u_{component}") + (f" ({unit})" if unit else "")
-        figure = _side_by_side(shown, camera, zoom, f"{name}; drawn displacements x {factor:.3g}")
+        figure = _side_by_side(shown, camera, window, f"{name}; drawn displacements x {factor:.3g}")
         if title:
             figure.suptitle(title)
         put(figure, Path(save))
 
     on_root(comm, draw)
+
+
+def _window(zoom: Any) -> tuple[float, ...]:
+    """The four numbers of a window; raises ModelError."""
+    try:
+        left, right, bottom, top = window = tuple(float(one) if is_number(one) else math.nan for one in zoom)
+        if np.isfinite(window).all() and left < right and bottom < top:
+            return window
+    except (TypeError, ValueError):
+        pass
+    raise ModelError(f"zoom is {zoom!r}; it needs (left, right, bottom, top), numbers, left < right and bottom < top")
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from thinlayer.time.history import History
 
 Array = npt.NDArray[Any]
 TABLE = "table.csv"
+REQUIRED = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}  # columns to resume from
 DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)  # tells the points of a facet apart
 
 
@@ -168,8 +169,12 @@ class Checkpoint:
             pace = Pace(**content["pace"])
             step, numbers = pace.step, (*pace.largest, pace.weight)
             table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
-            columns = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}
-            for name in columns - {"iterations"}:
+            observed = {*there.get("observe", ())}
+            if lacking := (REQUIRED | observed) - {*table.columns}:
+                raise ValueError(f"its column {', '.join(sorted(lacking))} is missing")
+            if any(isinstance(value, (str, bool)) for row in table.rows for value in row.values()):
+                raise ValueError("its table has entries that are no numbers")
+            for name in REQUIRED - {"iterations"}:
                 if not np.isfinite(table[name][np.array([row[name] is not None for row in table.rows])]).all():
                     raise ValueError(f"its column {name} is damaged")
             [int(n) for n in table["iterations"]]
