@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import collections.abc
 import dataclasses
 import dis
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 import scipy.special
 import ufl
+from ufl.algorithms.signature import compute_expression_signature
 from ufl.constantvalue import ConstantValue
 from ufl.core.multiindex import MultiIndex
 from ufl.corealg.traversal import traverse_unique_terminals
@@ -199,7 +201,9 @@ class _Describer:
         if isinstance(value, ufl.core.expr.Expr) and all(
             isinstance(one, (ConstantValue, MultiIndex)) for one in traverse_unique_terminals(value)
         ):
-            return repr(value)
+            return (
+                f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"  # free indices are numbered by process
+            )
         if top == "mpi4py":  # communicators hold no data
             return _name(kind)
         if isinstance(value, np.ufunc):
@@ -406,8 +410,8 @@ def _ours(module: str | None) -> bool:
 def _readable(value: Any, home: str) -> bool:
     """Whether the code of a function or class counts: it stands in the module `home`, or is the user's own."""
     module = getattr(value, "__module__", None)
-    if module == home or module == "__main__":
-        return True
+    if module in (home, "__main__"):  # code that is executed as a text may have Python's own module for a home
+        return value is not getattr(builtins, getattr(value, "__name__", ""), None)
     return module is not None and not _ours(module) and not _of_a_library(module)
 
 
