@@ -162,7 +162,7 @@ class Equilibrium:
             if first and direct and d.norm() > UNDETERMINED * size:
                 raise SolveError(
                     "no unique solution: rounding of the forces changes the displacements by "
-                    f"{d.norm() / size:.1e} of themselves",
+                    f"{d.norm() / max(size, 1e-300):.1e} of themselves",
                     advice="does something resist every motion of the bodies, and every strain of the layer?",
                 )
             first = False
