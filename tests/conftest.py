@@ -11,6 +11,13 @@ from mpi4py import MPI
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
 
 
+def pytest_xdist_auto_num_workers(config):
+    """All cores for several files; none for a part of one, and none for a rank of mpirun."""
+    (first, *more) = config.args
+    alone = MPI.COMM_WORLD.size > 1 or (not more and not Path(first.split("::")[0]).is_dir())
+    return 0 if alone else len(os.sched_getaffinity(0))
+
+
 @pytest.fixture(autouse=True, scope="module" if MPI.COMM_WORLD.size == 1 else "function")
 def collect_garbage():
     """PETSc objects that are freed late are freed in a different order on different ranks."""
