@@ -46,6 +46,9 @@ def test_functions_are_what_they_do_and_what_they_refer_to(monkeypatch):
     assert described(load(-600.0)) != first
     assert described(load(-60.0, 2.0)) != first
     assert described(lambda x, t: (0.0, 1.0)) != described(lambda x, t: (0.0, 2.0))
+    # the same code of other built-in functions, and of other members
+    assert described(lambda x, t: (0.0, min(x[0], t))) != described(lambda x, t: (0.0, max(x[0], t)))
+    assert described(lambda step: step.new.strain) != described(lambda step: step.old.strain)
     assert described(piecewise({0: 1.0, 1: 2.0})) != described(piecewise({0: 1.0, 1: 3.0}))
     assert code_of(load(-60.0)) == code_of(load(-600.0))
     law = described(Spring(60.0, 40.0))

@@ -98,6 +98,24 @@ def test_loads_that_were_next_to_nothing():
     assert last.u.x.array == pytest.approx(solve(sheared("S"), 0.5).u.x.array, rel=1e-6, abs=1e-9)
 
 
+def test_what_was_seen_farther_on_stays_a_sign(monkeypatch):
+    """Newton's method may cycle just beyond the limit, where the weak springs matter most."""
+    seek, farthest = Solver.seek, 0.05
+
+    def cycles_nearby(solver, old, t, theta):
+        if t - old.t < farthest:
+            raise SolveError("it cycles")
+        return seek(solver, old, t, theta)
+
+    monkeypatch.setattr(Solver, "seek", cycles_nearby)
+    error = limit(sheared("S"))
+    assert error.t < LIMITS[SLIDING] < error.t + farthest <= error.failed_at
+    farthest = 1.0
+    with pytest.raises(SolveError, match="need not be a limit") as caught:
+        march(sheared("S"), TIMES)
+    assert not isinstance(caught.value, LimitLoad)
+
+
 def test_it_takes_few_solves(monkeypatch):
     efforts = []
     step = Solver.step
