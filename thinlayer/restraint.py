@@ -28,11 +28,8 @@ NEAR = 1.3  # growth of the distance with SOFTER springs near an equilibrium
 FAR = 30.0  # distance over that of an elastic layer: laws that flow at a limit go farther, others do not come so far
 FARTHEST = 1e6  # there is no need to go on
 TOLERANCE = 1e-3  # residual over the forces of the springs: their solution is only on the way
-ITERATIONS, CUTS, MEMORY = (
-    40,
-    6,
-    6,
-)  # of Newton's method; its line search lets residuals grow over those of the last steps
+ITERATIONS, CUTS = 40, 6  # of Newton's method, and of a step of it
+MEMORY = 6  # steps over the largest of whose residuals a new one may not grow
 DECREASE = 0.1  # of the residual, over the length of the step
 
 
