@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from geometry.sheet import Sheet
 from geometry.sides import sides_by_direction, upper_cells
 from geometry.topology import (
     CELL_TYPES,
@@ -312,11 +311,6 @@ class Joint:
         """(n_S, d) mean unit normals of the facets of S, from the lower to the upper body."""
         mean = self.node_normals.mean(axis=1)
         return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True), float)
-
-    @cached_property
-    def sheet(self) -> Sheet:
-        """S as a sheet of straight simplices."""
-        return Sheet(self)
 
     @property
     def planar(self) -> bool:

@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from geometry.joint import Joint
 from geometry.topology import FloatArray, IntArray, node_jacobians
-
-if TYPE_CHECKING:
-    from geometry.joint import Joint
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
 VOLUMES = {"triangle": 1 / 2, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}  # of reference cells

@@ -11,6 +11,7 @@ from dolfinx import fem
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
+from geometry.sheet import Sheet
 from thinlayer.failure import warn
 from thinlayer.loads import Coordinates, Load, ModelError, vector
 
@@ -95,7 +96,8 @@ class Forces:
         facets = joint.facets[whole]
         cells = joint.table.cells[joint.table.index(facets), 0]
         loaded = joint.region[cells] == joint.regions.index(region) if region else np.ones(len(cells), bool)
-        ends = joint.sheet.rim[joint.sheet.rim.on(facets)]
+        rim = Sheet(joint).rim
+        ends = rim[rim.on(facets)]
         sides = [np.ones(len(cells), bool)] if joint.rigid_base else [joint.side[cells] < 0, joint.side[cells] > 0]
         covered = [ends.on(facets[loaded & side]) for side in sides]
         if any(some.any() and not some.all() for some in covered):

@@ -33,6 +33,7 @@ from geometry.domain import Domain
 from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, BONDED, Joint, S, unknown
 from geometry.motion import require_no_branches
+from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.agreement import on_all, require_same
 from thinlayer.broken import broken_space, interface_measure
@@ -230,18 +231,23 @@ class Model:
         self._check_locking()
 
     @cached_property
+    def sheet(self) -> Sheet:
+        """S as a sheet of straight simplices."""
+        return Sheet(self.joint)
+
+    @cached_property
     def layer_at_rest(self) -> list[tuple[float, Law, Array | None]]:
         """Fraction of the thickness, real law and tangent at rest (None: not known) of the layer, or of its sublayers."""
         assert self.layer is not None
         law = self.layer.real_law(self.plane)
         strata = law.sublayers if isinstance(law, Stack) else ((1.0, law),)
-        n = self.joint.sheet.mean_normal
+        n = self.sheet.mean_normal
         return [(a, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n)) for a, one in strata]
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
-        n = self.joint.sheet.mean_normal
+        n = self.sheet.mean_normal
         return [tangent_at_rest(in_plane(law, self.plane), n) for law in self.body_laws.values()]
 
     def _check_stability(self) -> None:
@@ -252,7 +258,7 @@ class Model:
             return
         for _, law, C in self.layer_at_rest:
             if rests_by_itself(law):
-                require_stable_layer(law, C, self.joint.sheet.mean_normal)
+                require_stable_layer(law, C, self.sheet.mean_normal)
 
     def _check_locking(self) -> None:
         """Refuse laws whose displacements stay linear through the layer where its volume is held: they would lock."""

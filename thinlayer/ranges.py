@@ -69,7 +69,7 @@ def _law_of_strains(model: Model) -> Law | None:
 
 def free_rim(model: Model) -> Rim:
     """Where the layer's side is free: no support of its whole side holds it along S."""
-    rim, supports = model.joint.sheet.rim, model.supports
+    rim, supports = model.sheet.rim, model.supports
     held = np.zeros(rim.outward.shape)
     for place, components in supports.entries:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
@@ -112,7 +112,7 @@ class Stratum:
 
 def _strata(model: Model) -> list[Stratum]:
     """Those of a layer whose tangents at rest are known; [] of another."""
-    n = model.joint.sheet.mean_normal
+    n = model.sheet.mean_normal
     found = [None if C is None else Stratum.of(a, law, C, n) for a, law, C in model.layer_at_rest]
     return [] if None in found else [stratum for stratum in found if stratum]
 
@@ -124,9 +124,9 @@ def _of_jumps(strata: list[Stratum]) -> bool:
 
 def _warn_of_thickness(model: Model) -> None:
     """The law is the first terms of a series in the thickness over the length on which bodies' stresses vary."""
-    joint, layer = model.joint, model.layer
+    layer = model.layer
     assert layer is not None
-    height = min(joint.sheet.heights)
+    height = min(model.sheet.heights)
     if layer.eps > height:
         warn(
             f"the layer is {layer.eps:.4g} thick, the thinner body {height:.4g} (its volume over the area of S): the "
@@ -137,7 +137,7 @@ def _warn_of_thickness(model: Model) -> None:
 
 def _warn_of_hard_layer(model: Model, strata: list[Stratum]) -> None:
     """Order 0 leaves eps grad_S <u> out of the jump, eps t/E_body beside eps t/E_layer: more than all of it then."""
-    layer, n = model.layer, model.joint.sheet.mean_normal
+    layer, n = model.layer, model.sheet.mean_normal
     assert layer is not None
     bodies = model.bodies_at_rest
     if layer.order == 1 or not strata or any(C is None for C in bodies):
@@ -174,7 +174,7 @@ def _warn_of_free_ends(model: Model, strata: list[Stratum]) -> None:
             model.comm,
         )
         return
-    width = float(model.joint.sheet.areas.sum() / rim.length.sum())
+    width = float(model.sheet.areas.sum() / rim.length.sum())
     whole, lost, longest = sum(stratum.compliance for stratum in strata), 0.0, 0.0
     for stratum in nearly:
         delta = stratum.length * layer.eps
@@ -217,7 +217,7 @@ class _Faces:
         values = carry(model.comm, owned[local], values, wanted)
         if model.comm.rank:
             return None
-        at_corners, sheet = values.reshape(len(needed), -1, joint.dim), joint.sheet
+        at_corners, sheet = values.reshape(len(needed), -1, joint.dim), model.sheet
         above = (joint.side[cells[:, 0]] > 0) | joint.rigid_base
         upper, lower = (np.where(above == first, cells[:, 0], cells[:, 1]) for first in (True, False))
 
@@ -232,14 +232,14 @@ class _Faces:
     @cached_property
     def opening(self) -> FloatArray:
         """(n, d) [u_N]."""
-        return np.asarray(((self.upper - self.lower) * self.state.model.joint.sheet.normals).sum(axis=2))
+        return np.asarray(((self.upper - self.lower) * self.state.model.sheet.normals).sum(axis=2))
 
     @cached_property
     def thickness(self) -> FloatArray:
         """(n, d)."""
-        layer, joint = self.state.model.layer, self.state.model.joint
+        model, layer = self.state.model, self.state.model.layer
         assert layer is not None
-        return np.asarray(layer.eps * joint.relative_thickness(layer.profile)[joint.sheet.vertices])
+        return np.asarray(layer.eps * model.joint.relative_thickness(layer.profile)[model.sheet.vertices])
 
     @property
     def closing(self) -> FloatArray:
@@ -249,7 +249,7 @@ class _Faces:
     @property
     def mean_closing(self) -> float:
         """Its mean over S; where the layer opens it counts as none."""
-        areas = self.state.model.joint.sheet.areas
+        areas = self.state.model.sheet.areas
         return float(areas @ np.maximum(self.closing, 0).mean(axis=1) / areas.sum())
 
 
@@ -263,7 +263,7 @@ def _warn_of_overlap(faces: _Faces) -> None:
     closing, state = faces.closing, faces.state
     if faces.mean_closing > OVERLAP:
         worst = np.unravel_index(closing.argmax(), closing.shape)
-        x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[state.model.joint.sheet.vertices[worst]])
+        x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[state.model.sheet.vertices[worst]])
         warn(
             f"at t = {state.t:.4g} the layer closes by {faces.mean_closing:.3g} times its thickness, on average over S "
             f"(most near ({x}), by {closing[worst]:.3g} times): the bodies overlap, and the law is for small strains; "
@@ -291,7 +291,7 @@ def pressure_excess(faces: _Faces, layer: Stratum) -> float:
     second term. Continuous functions of degree 1. Where cells at a free end are larger than the length of the pressure,
     p is left free there: it could not fall within them.
     """
-    sheet, eps = faces.state.model.joint.sheet, faces.thickness.mean(axis=1)
+    sheet, eps = faces.state.model.sheet, faces.thickness.mean(axis=1)
     d = sheet.joint.dim
     stretch = ((faces.lower + faces.upper) / 2 * sheet.gradients).sum(axis=(1, 2))
     wb = faces.opening + (eps * stretch)[:, None]
