@@ -135,6 +135,7 @@ class Solver:
     ) -> None:
         with on_all(comm_of(model)):
             _require_model(model)
+            model.require_same_laws()
             self.model, self.method = model, _default_method(model) if method is None else method
             self._check(method, like)
             named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))

@@ -71,12 +71,7 @@ class Journal:
     def _mark(self, choices: Mapping[str, Any]) -> str:
         """What tells the march from others. Of what is observed the code counts, not what it may collect as it goes."""
         observed = {name: code_of(function) for name, function in self._observe.items()}
-
-        def mark() -> str:
-            self.model.require_same_laws()
-            return fingerprint(self.model, observe=observed, **choices)
-
-        return on_root(self.model.comm, mark)
+        return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
 
     def read(self, resume: bool) -> bool:
         """Take over the march that is in the folder; False if there is none, or it is not to be resumed.
