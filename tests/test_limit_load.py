@@ -14,7 +14,7 @@ import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
+from forms import KelvinVoigt, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from forms.traction import TractionLaw
 from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
 from tests.test_parallel import mpirun
@@ -73,6 +73,12 @@ def test_adaptive_steps_and_stacks():
     law = Stack((0.4, LinearElastic(30.0, 50.0)), (0.6, SLIDING))
     error = limit(sheared("S", law), Adaptive(1.0, first=0.2, tolerance=0.2, smallest=1e-3))
     assert error.failed_at == pytest.approx(LIMITS[SLIDING], abs=2e-2)
+
+
+def test_a_sublayer_that_takes_time():
+    """Beside it displacements are small at once; they grow with the step, and run away all the same."""
+    error = limit(sheared("S", Stack((0.4, KelvinVoigt(60.0, 40.0, 0.3, 0.5)), (0.6, SLIDING))))
+    assert error.t < LIMITS[SLIDING] < error.failed_at == pytest.approx(error.t + SMALLEST, abs=1e-9)
 
 
 def test_a_moved_block_passes_the_limit_and_stays_there():

@@ -102,14 +102,17 @@ class Restraint:
 
     # ---------------------------------------------------------------- the step
     def _elastic_distance(self, rest: State, step: Interval) -> float:
-        """Displacements that the loads and supports of the step would bring about at rest, in an elastic layer."""
+        """Displacements that the loads and supports of the step would bring about at rest, in an elastic layer.
+
+        In the time of the step: what takes time does not answer at once.
+        """
         equations, r, d = self.equations, self._r, self._d
-        equations.begin(Interval(rest, step.old.t, 0.0, 1.0))
+        equations.begin(Interval(rest, step.old.t, step.dt, 1.0))
         loads, prescribed = equations.loads.copy(), equations.prescribed
         ease = equations.laws.eased
         equations.laws.ease(1.0)
         try:
-            equations.begin(Interval(rest, step.t, 0.0, 1.0))
+            equations.begin(Interval(rest, step.t, step.dt, 1.0))
             self.x.set(0.0)
             equations.residual(self.x, r)
             A = equations.tangent()
