@@ -13,12 +13,14 @@ import operator
 import subprocess
 import sys
 import types
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import ufl
 
+from forms import KelvinVoigt
 from tests.test_identity import Spring
 from tests.test_marching import JOINT, SETUP, SLOW
 from thinlayer import Model, ModelError, ThinLayer, compare, identity, march, solve, sweep
@@ -137,6 +139,25 @@ def test_objects_with_an_identity_of_their_own(tmp_path):
     tractions = {"TOP": lambda x, t: (0.0, line(t))}
     model = Model.interface(JOINT, tractions=tractions, **DATA)
     assert march(model, [0.1], out=tmp_path).t == pytest.approx([0.0, 0.1])
+
+
+READ = []
+
+
+@dataclass(frozen=True)
+class Logged(KelvinVoigt):
+    def stress(self, step):
+        READ.append("stress")
+        return super().stress(step)
+
+
+def test_laws_that_change_what_they_refer_to_as_they_are_read(tmp_path):
+    model = Model.interface(JOINT, **(DATA | {"layer": ThinLayer(Logged(60.0, 40.0, 0.3, 0.5), 0.1)}))
+    for _ in range(2):
+        assert march(model, [0.1, 0.2], out=tmp_path).t == pytest.approx([0.0, 0.1, 0.2])
+    READ.clear()
+    with pytest.raises(ModelError, match="what the model's law refers to has changed"):
+        march(model, [0.1])
 
 
 def test_models_are_what_they_were_built_with(tmp_path, monkeypatch):

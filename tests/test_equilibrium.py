@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import ufl
+from petsc4py import PETSc
 
 from forms import Anisotropic, HolonomicCoulomb, Law, LinearElastic, MohrCoulomb, NonMonotone
 from forms.elastic import lame
 from geometry import sandwich
-from thinlayer import Model, SolveError, Surface, ThinLayer, solve
+from thinlayer import Model, SolveError, Surface, ThinLayer, march, solve
 from thinlayer.contact.solver import ContactSolver
 from thinlayer.equilibrium import Equilibrium
+from thinlayer.linear_solvers import solve_linear
 from thinlayer.uniqueness import pieces
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)
@@ -220,3 +222,37 @@ def test_pieces():
     tip = sandwich(40, 4, 6, h=2.0)
     full = Model.bonded(tip, body=STEEL, supports=HELD)
     assert pieces(full)[1] == 1
+
+
+def test_errors_of_petsc_are_failed_solves():
+    """MUMPS ends with an error of its own at a matrix of zeros; what was to be solved for can be solved for again."""
+    A = PETSc.Mat().createAIJ(3, comm=PETSc.COMM_SELF)
+    A.setUp()
+    A.assemble()
+    x, b = A.createVecs()
+    b.set(2.0)
+    ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+    ksp.setOperators(A)
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
+    ksp.setErrorIfNotConverged(True)
+    with pytest.raises(SolveError, match=r"^PETSc: MUMPS error in analysis: INFOG\(1\)=-\d+ .*\(error 76\)$"):
+        solve_linear(ksp, b, x, ())
+    b.scale(0.5)
+    assert b.norm() == pytest.approx(np.sqrt(3))
+
+
+def test_an_error_of_petsc_keeps_the_march(monkeypatch):
+    solve_linear, seen = Equilibrium._solve_linear, []
+
+    def breaks_down(finder, b, x):
+        seen.append(1)
+        if len(seen) > 2:
+            raise PETSc.Error(76)
+        return solve_linear(finder, b, x)
+
+    monkeypatch.setattr(Equilibrium, "_solve_linear", breaks_down)
+    with pytest.raises(SolveError, match=r"error 76") as caught:
+        march(linear(), [1.0, 2.0, 3.0])
+    assert list(caught.value.history.t) == [0.0, 1.0]

@@ -42,6 +42,7 @@ class Equilibrium:
         if self._ksp is not None:
             self._ksp.destroy()
         self._ksp = self._factored = None
+        self.reused = False
 
     def close(self) -> None:
         """Free vectors and factor."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from petsc4py import PETSc
 
+from thinlayer.failure import SolveError
 from thinlayer.model import Model
-from thinlayer.options import OptionValue
+from thinlayer.options import OptionValue, require_known_values
 from thinlayer.rigid import rigid_motions
 
 DIRECT: dict[str, OptionValue] = {
@@ -52,6 +55,36 @@ def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
     """Rigid motions for algebraic multigrid; nobody else reads them."""
     if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
         A.setNearNullSpace(PETSc.NullSpace().create(vectors=rigid_modes(model), comm=model.comm))
+
+
+def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str]) -> None:
+    """Solve A x = b. Collective.
+
+    Args:
+        ksp: the solver.
+        b: right-hand side.
+        x: solution.
+        ours: names of options that are not the user's.
+
+    Raises:
+        OptionError: PETSc does not take the value of an option.
+        SolveError: PETSc, or a library that it calls, has ended with an error. It leaves what it worked on locked: the
+            solver is of no more use; b is not touched, as a copy of it was solved for.
+    """
+    right = b.copy()
+    try:
+        ksp.solve(right, x)
+    except PETSc.Error as error:
+        require_known_values(error, ours)
+        raise failed_in_petsc(error) from error
+    finally:
+        right.destroy()
+
+
+def failed_in_petsc(error: PETSc.Error) -> SolveError:
+    """What an error of PETSc is for who marches: a solve that has failed."""
+    said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
+    return SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})")
 
 
 def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:

@@ -126,6 +126,7 @@ class Model:
         if not joint.rigid_base:
             require_support(self.comm, self.V, joint, self.supports.held(self.V))
         self.made_from = self._data()
+        self._laws_read = self._laws()
 
     @classmethod
     def full(cls, joint: Joint, **data: Any) -> Model:
@@ -425,13 +426,18 @@ class Model:
         }
 
     def require_same_laws(self) -> None:
-        """Raise ModelError if what the laws' code refers to has changed since: solves read it when they begin."""
+        """Raise ModelError if what the laws' code refers to has changed since it was last read."""
         for name, now in self._laws().items():
-            if now != self.made_from[name]:
+            before = self._laws_read[name]
+            if now != before:
                 raise ModelError(
-                    f"what the model's {name} refers to has changed since the model was built, from {self.made_from[name]} "
-                    f"to {now}; build the model anew"
+                    f"what the model's {name} refers to has changed since the model was built, from {before} to {now}; "
+                    "build the model anew"
                 )
+
+    def laws_were_read(self) -> None:
+        """Take note of what the laws' own code has changed as it was read: counters, logs and the like."""
+        self._laws_read = self._laws()
 
     def __repr__(self) -> str:
         dofs = self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs

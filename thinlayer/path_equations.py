@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from petsc4py import PETSc
 
 from thinlayer.balance import aim
 from thinlayer.equations import Equations, Interval
 from thinlayer.failure import SolveError
-from thinlayer.linear_solvers import direct_solver, mark
+from thinlayer.linear_solvers import direct_solver, mark, solve_linear
 from thinlayer.loads import ModelError
 from thinlayer.newton import reason_name
 from thinlayer.options import PREFIX, OptionValue, defaults, require_all_read, require_known_values
@@ -114,28 +114,30 @@ class PathEquations:
         self._matrix.mult(self._dR, out)
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        ours = self._ours.keys() - self._given.keys()
         with defaults({**self._ours, **self._given}):
+            ksp = self._ksp or self._solver(ours)
+            ksp.setOperators(self._matrix)
+            try:
+                solve_linear(ksp, b, x, ours)
+            except Exception:
+                ksp.destroy()
+                self._ksp = None
+                raise
             if self._ksp is None:
-                self._ksp = self._solver(b, x)
-            else:
-                self._ksp.setOperators(self._matrix)
-                self._ksp.solve(b, x)
-        reason = self._ksp.getConvergedReason()
+                self._ksp = ksp
+                newton = {name.removeprefix(PREFIX) for name in PETSc.Options().getAll() if "snes_" in name}
+                require_all_read("arc-length", {*ours, *newton})
+        reason = ksp.getConvergedReason()
         if reason < 0 or not math.isfinite(x.norm()):
             raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")
 
-    def _solver(self, b: PETSc.Vec, x: PETSc.Vec) -> PETSc.KSP:
-        """The linear solver, after a solve that has read its options."""
-        ours = self._ours.keys() - self._given.keys()
+    def _solver(self, ours: Collection[str]) -> PETSc.KSP:
         ksp = PETSc.KSP().create(self.equations.comm)
         ksp.setOptionsPrefix(PREFIX)
-        ksp.setOperators(self._matrix)
         try:
             ksp.setFromOptions()
-            ksp.solve(b, x)
         except PETSc.Error as error:
             require_known_values(error, ours)
             raise
-        newton = {name.removeprefix(PREFIX) for name in PETSc.Options().getAll() if "snes_" in name}
-        require_all_read("arc-length", {*ours, *newton})
         return ksp

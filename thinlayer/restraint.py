@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from thinlayer.balance import aim
 from thinlayer.equations import Equations, Interval
 from thinlayer.failure import NoEquilibrium, SolveError
-from thinlayer.linear_solvers import mark, tell_multigrid
+from thinlayer.linear_solvers import mark, solve_linear, tell_multigrid
 from thinlayer.options import PREFIX, OptionValue, defaults
 from thinlayer.state import State
 
@@ -205,4 +205,4 @@ class Restraint:
                 self._ksp.setFromOptions()
                 tell_multigrid(self._ksp, A, self.equations.model)
             self._ksp.setOperators(A)
-            self._ksp.solve(b, x)
+            solve_linear(self._ksp, b, x, self._options.keys())

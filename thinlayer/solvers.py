@@ -19,7 +19,7 @@ from thinlayer.continuation import Continuation
 from thinlayer.equations import Equations, Interval
 from thinlayer.equilibrium import Equilibrium
 from thinlayer.failure import SolveError, warn
-from thinlayer.linear_solvers import linear_solvers
+from thinlayer.linear_solvers import failed_in_petsc, linear_solvers
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.newton import FLAT, NEWTON, YIELDING
@@ -184,6 +184,7 @@ class Solver:
         """Free matrices and factors."""
         self._finder.close()
         self.equations.destroy()
+        self.model.laws_were_read()
 
     def rest(self, t: float) -> State:
         """The model before anything happened."""
@@ -331,7 +332,7 @@ class Solver:
                 found = advance(*given)
             except PETSc.Error as error:
                 require_known_values(error, ours.keys() - self._given.keys())
-                raise
+                raise failed_in_petsc(error) from error
             if not (self._settled or (isinstance(self._finder, Equilibrium) and self._finder.reused)):
                 require_all_read(self.method, ours.keys() - self._given.keys())
             return found
