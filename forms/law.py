@@ -169,6 +169,7 @@ class Law:
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
         """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
 
+        In a step t is where forces balance, t + theta dt; of the energy that is stored, the step's end.
         Asked of the law in a layer, whose own parameters are real: multiply those, do not give values per thickness.
         """
         return {}
@@ -229,7 +230,7 @@ class Law:
         """What the time scheme adds to the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
 
         For a quadratic energy E it is (2 theta - 1) E(increments), >= 0 and zero for the midpoint rule; of other
-        energies it is the difference itself.
+        energies it is the difference itself. Where parameters vary the model takes the difference, whatever this gives.
         """
         new = self.advance(step)
         if self.quadratic:

@@ -12,7 +12,7 @@ from forms.elastic import lame
 from forms.law import Law
 from forms.point import PointLaw
 from forms.traction import TractionLaw
-from forms.viscous import isotropic_energy
+from forms.viscous import KelvinVoigt, isotropic_energy
 
 
 @dataclass(frozen=True)
@@ -163,3 +163,83 @@ class Slipping(TractionLaw):
         slip = step.q["slip"] + (self._slip(step) - step.q["slip"]) / step.theta
         change = step.w - step.w_old
         return {"slip": slip, "path": step.q["path"] + ufl.inner(change, change)}
+
+
+def _aged(value, growth, x, t):
+    return value * (1 + growth * t) * np.ones(x.shape[1])
+
+
+@dataclass(frozen=True)
+class AgeingSpring(Law):
+    """A spring without memory that becomes stiffer with time, and along S."""
+
+    mu: float
+    growth: float
+    along: float = 0.0
+    powers: ClassVar = {"mu": 1}
+    linear: ClassVar = True
+    quadratic: ClassVar = True
+    varies: ClassVar = True
+
+    def at(self, x, t):
+        return {"mu": _aged(self.mu, self.growth, x, t) * (1 + self.along * x[0])}
+
+    def stress(self, step):
+        return 2 * self.mu * step.mid
+
+    def energy(self, step):
+        return self.mu * ufl.inner(step.e, step.e)
+
+
+@dataclass(frozen=True)
+class AgeingFluid(Law):
+    """A spring and a dashpot in series; the relaxation time grows with the time t, the spring too if it has a growth."""
+
+    mu: float
+    tau: float
+    growth: float = 0.0
+    powers: ClassVar = {"mu": 1}
+    linear: ClassVar = True
+    quadratic: ClassVar = True
+    varies: ClassVar = True
+    internal: ClassVar = {"flow": (3, 3)}
+
+    def at(self, x, t):
+        return {"mu": _aged(self.mu, self.growth, x, t), "tau": _aged(self.tau, 1.0, x, t)}
+
+    def advance(self, step):
+        x, old = step.dt / self.tau, step.q["flow"]
+        return {"flow": (old + x * (step.mid - (1 - step.theta) * old)) / (1 + step.theta * x)}
+
+    def _elastic(self, step):
+        return step.mid - step.between(step.q["flow"], self.advance(step)["flow"])
+
+    def stress(self, step):
+        return 2 * self.mu * self._elastic(step)
+
+    def energy(self, step):
+        return self.mu * ufl.inner(step.e - step.q["flow"], step.e - step.q["flow"])
+
+    def dissipation(self, step):
+        return 2 * self.mu / self.tau * ufl.inner(self._elastic(step), self._elastic(step))
+
+
+@dataclass(frozen=True)
+class AgeingKelvinVoigt(KelvinVoigt):
+    """A spring and a dashpot in parallel, both stiffer with time."""
+
+    growth: float = 0.0
+    varies: ClassVar = True
+
+    def at(self, x, t):
+        return {"mu": _aged(self.mu, self.growth, x, t), "theta_mu": _aged(self.theta_mu, 1.0, x, t)}
+
+
+@dataclass(frozen=True)
+class AgeingSlip(Slipping):
+    """Its dashpot becomes more viscous with time."""
+
+    varies: ClassVar = True
+
+    def at(self, x, t):
+        return {"viscosity": _aged(self.viscosity, 1.0, x, t)}

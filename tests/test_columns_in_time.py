@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from forms import Incompressible, KelvinVoigt, Law, LinearElastic, Maxwell, Norton, Stack, limits
 from geometry import block, sandwich
+from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring
 from tests.test_points import Hardening, Slipping, StandardSolid
 from thinlayer import History, Model, ModelError, Surface, ThinLayer, march
 from thinlayer.pointwise.material import Material
@@ -427,3 +428,52 @@ def test_energy_balance(name, mode, theta):
         assert len(history) == len(TIMES) + 1 + law.rate
     if theta > 0.5:
         assert (history.table["remainder"][first:] > 0).all()
+
+
+FLUID, SOLID = AgeingFluid(MU, 0.4, 3.0), AgeingKelvinVoigt(LMBDA, MU, 0.3, 0.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "theta"),
+    [
+        (AgeingSpring(MU, 5.0), 1.0),
+        (FLUID, 1.0),
+        (FLUID, 0.5),
+        (SOLID, 0.75),
+        (Stack((0.3, FLUID), (0.7, SOLID)), 1.0),
+        (Stack((0.3, FLUID), (0.7, SOLID)), 0.5),
+    ],
+    ids=["spring", "fluid", "fluid, midpoint", "solid", "stack", "stack, midpoint"],
+)
+def test_parameters_that_vary_in_time(law, theta):
+    """Energies of both models: a stack's own, on S, are those of its laws one by one, in the meshed layer."""
+    setup = column("shear", load=lambda t: 0.5 * (1 + 3 * t))
+    limit, full = both(joint(), ThinLayer(law, 0.02), setup, TIMES, theta=theta)
+    check_same(limit, full)
+    for history in (limit, full):
+        check_balance(history)
+
+
+def test_energy_of_a_stiffness_that_varies_in_time():
+    """Stored is K(t) w^2/2; the remainder also has what the change of K takes out at the strain before, -dK w_old^2/2."""
+    load = lambda t: 1 + 3 * t
+    history = marched(AgeingSpring(MU, 5.0), "normal", 1.0, TIMES, load=load)
+    w = [jump_of(history, "normal", state) for state in history]
+    for k, state in enumerate(history):
+        now, before = (2 * MU * (1 + 5 * history.t[i]) for i in (k, max(k - 1, 0)))
+        assert state.energies()["layer"] == pytest.approx(now * w[k] ** 2 / 2, rel=1e-8)
+        if k:
+            bodies = C["normal"] * (load(history.t[k]) - load(history.t[k - 1])) ** 2 / 2
+            expected = bodies + now * (w[k] - w[k - 1]) ** 2 / 2 - (now - before) * w[k - 1] ** 2 / 2
+            assert history.table["remainder"][k] == pytest.approx(expected, rel=1e-8)
+
+
+def test_energy_at_the_end_of_a_midpoint_step():
+    """It has the strain, the flow and the parameters of the end: mu(t) (w - eps flow)^2."""
+    history = marched(FLUID, "normal", 0.5, TIMES, load=lambda t: 1 + 3 * t)
+    for state in history:
+        flow = state.memory[0][:, 1]
+        assert flow == pytest.approx(flow[0], rel=1e-9)
+        elastic = jump_of(history, "normal", state) - 0.1 * flow[0]
+        expected = MU * (1 + 3 * state.t) * elastic**2
+        assert state.energies()["layer"] == pytest.approx(expected, rel=1e-8)

@@ -26,8 +26,17 @@ from forms import (
 from forms.law import Law
 from forms.traction import TractionLaw
 from geometry import sandwich
-from tests.own_laws import Hardening, Mises, Slipping, StandardSolid
-from thinlayer import Model, ModelError, ThinLayer, march, piecewise
+from tests.own_laws import (
+    AgeingFluid,
+    AgeingKelvinVoigt,
+    AgeingSlip,
+    AgeingSpring,
+    Hardening,
+    Mises,
+    Slipping,
+    StandardSolid,
+)
+from thinlayer import Model, ModelError, Surface, ThinLayer, march, piecewise
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 BODY = LinearElastic.young(100.0, 0.3)
@@ -60,6 +69,10 @@ SECOND_ORDER = {
     "Stack with Norton": Stack((0.4, ELASTIC), (0.6, Norton(60.0, 40.0, eta=9.0, p=1.5))),
     "Slipping": Slipping(1400.0, 400.0, 300.0, 0.0),  # a TractionLaw that does not declare it is linear
     "Slipping, not linear": Slipping(400.0, 400.0, 300.0, 900.0),
+    "ageing fluid": AgeingFluid(40.0, 0.6),
+    "ageing Kelvin-Voigt": AgeingKelvinVoigt(60.0, 40.0, 0.3, 0.5, 0.8),
+    "Stack of ageing laws": Stack((0.3, AgeingFluid(40.0, 0.6)), (0.7, AgeingKelvinVoigt(60.0, 40.0, 0.3, 0.5, 0.8))),
+    "ageing slip": AgeingSlip(1400.0, 400.0, 300.0, 0.0),
 }
 
 
@@ -73,6 +86,44 @@ def test_second_order(name):
     euler = np.abs(path(one, 8, 1.0) - exact).max() / np.abs(exact).max()
     assert second < 1e-9 or first > 3.2 * second  # 4 as steps become short
     assert second < 0.4 * euler
+
+
+def of_order_1(where, layer, **setup):
+    return Model.interface(where, layer=ThinLayer(layer.law, layer.eps, order=1), **setup)
+
+
+@pytest.mark.parametrize("growth", [0.0, 0.6])
+@pytest.mark.parametrize("kind", [Model.interface, of_order_1, Model.full], ids=["interface", "order 1", "full"])
+def test_parameters_that_vary_in_time_are_those_where_forces_balance(kind, growth):
+    """A column under a dead load p, in closed form: w - f = p/2mu(t), df/dt = p/(2mu(t) tau(t)); w at the end of all steps.
+
+    Twice as many steps have a quarter of the error (0.27: fourth powers of steps), also of the energy (w - f) p/2.
+    """
+    p, mu, tau, end = 1.7, 20.0, 0.8, 2.0
+    supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    one = model(AgeingFluid(mu, tau, growth), kind, supports=supports, tractions={"TOP": (0.0, p)})
+    surface = Surface(model(ELASTIC))
+
+    def error(parts):
+        history = march(one, [end * (k + 1) / parts for k in range(parts)], theta=0.5)
+        t = np.array(history.t)
+        elastic = p / (2 * mu * (1 + growth * t))
+        w = elastic + p / (2 * mu * tau) * np.log((1 + growth * t) / (1 + t)) / (growth - 1)
+        found = np.array([surface.integral(surface.jump(state)[1]) for state in history])
+        stored = [state.energies()["layer"] for state in history]
+        return np.abs(found / w - 1).max(), np.abs(stored / (elastic * p / 2) - 1).max()
+
+    coarse, fine = error(12), error(24)
+    assert fine[0] < 0.27 * coarse[0] < 0.01
+    assert fine[1] < max(0.29 * coarse[1], 1e-9)
+    assert coarse[1] < 0.1
+
+
+def test_parameters_that_vary_along_s_alone():
+    """They are the same at all times: elastic layers have no error."""
+    one = model(AgeingSpring(40.0, 0.0, along=0.8))
+    midpoint, euler = (march(one, [0.2, 0.5, 0.9, 1.0], theta=theta).last for theta in (0.5, 1.0))
+    assert midpoint.u.x.array == pytest.approx(euler.u.x.array, rel=1e-8, abs=1e-12)
 
 
 @pytest.mark.parametrize("law", [ELASTIC, Incompressible(40.0)], ids=lambda law: type(law).__name__)
@@ -122,6 +173,12 @@ REFUSED = {
     "stacked elastic": (Stack((0.5, CREEP), (0.5, Stiffening(20.0, 50.0))), "Stiffening answers at once"),
     "with memory": (Hardening(60.0, 40.0), "Hardening answers at once, and not linearly"),
     "plasticity of one's own": (Mises(60.0, 40.0, 0.6), "Mises answers at once, and not linearly"),
+    "ageing": (AgeingSpring(40.0, 0.3), "AgeingSpring answers at once, and with parameters that change in time"),
+    "stacked ageing": (Stack((0.5, CREEP), (0.5, AgeingSpring(40.0, 0.3))), "AgeingSpring answers at once"),
+    "heated": (
+        NonMonotone(60.0, 40.0, lambda T: 1.5 - T / 10, 0.15, CHI, T=lambda x, t: t + 0 * x[0]),
+        "NonMonotone answers at once",
+    ),
     "jumps": (Cohesive(20.0, 1e-7), "Cohesive answers at once, and not linearly"),
 }
 

@@ -208,6 +208,21 @@ def test_snap_by_heating():
     assert all(len(h.snaps) == 1 for h in both(joint(), ThinLayer(heated(hot + 1), 0.02), setup, [0.1, 1.0]))
 
 
+def test_work_of_a_change_of_temperature():
+    """A layer in phase 1 under a dead load: what alpha(T) and C(T) do to its energy at held strains is in `remainder`."""
+    alpha, K, load = (lambda T: 1.2 - 0.3 * T), STIFFNESS["normal"], 100.0
+    law = NonMonotone(LMBDA, MU, alpha, lambda T: 0.3 + 0.05 * T, CHIS["normal"], T=lambda x, t: t + 0 * x[0])
+    model = Model.interface(joint(), layer=ThinLayer(law, 0.02), **tall_column("normal", load=load))
+    history = march(model, [0.5, 1.0])
+    a = 0.7 * alpha(np.array(history.t))
+    w = (load + a) / K
+    stored = K * w**2 / 2 - a * w + 0.3 + 0.05 * np.array(history.t)
+    assert PhaseReport(history.last).plus == pytest.approx(1)
+    assert history.table["remainder"][1:] == pytest.approx(load * np.diff(w) - np.diff(stored), rel=1e-8)
+    assert history.table["stored"][1:] == pytest.approx(np.diff(stored), rel=1e-8)
+    check_balance(history)
+
+
 def test_temperature_along_s():
     """Pure phases in the hotter facets, mixtures that follow T: each facet as with its own temperature alone."""
     stiff = {"body": LinearElastic.young(1e9, 0.3), "element": "Q1"}

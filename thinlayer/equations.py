@@ -47,6 +47,11 @@ class Interval:
     dt: float
     theta: float
 
+    @property
+    def balanced(self) -> float:
+        """The time old.t + theta dt; for theta = 1 the end itself, not rounded."""
+        return self.t - (1 - self.theta) * self.dt
+
 
 class Equations:
     """Residual and tangent of a model. The unknowns are displacements, then the pressures of an incompressible layer.
@@ -194,7 +199,7 @@ class Equations:
         self._rounding = ROUNDING * self._stiffness * max(farthest, moved)
         self.least_residual = np.finfo(float).eps * self._stiffness * farthest
         self.unbalanced = 0.0
-        self.laws.begin(self.old, old.memory, interval.t)
+        self.laws.begin(self.old, old.memory, interval.balanced)
 
     def rounding_at(self, x: PETSc.Vec) -> float:
         """What rounding leaves of the forces at unknowns x, about."""
@@ -366,13 +371,14 @@ class Equations:
         stored, dissipated, total = stored_now - stored_old, 0.0, stored_now
         remainder = (2 * self.interval.theta - 1) * of_change
         if self._curved:
-            before, after = (self._curved_energy(v) for v in (self.old, now))
-            stored += after - before
-            total += after
-            remainder += curved - (after - before)
-        layer = self.laws.energies
+            first, last = (self._curved_energy(v) for v in (self.old, now))
+            stored += last - first
+            total += last
+            remainder += curved - (last - first)
+        before = self.interval.old.audit.layer
+        layer = self.laws.audit(now, change, before, self.interval.t, self.interval.dt)
         if self.laws.points:
-            stored += layer[0] - self.interval.old.audit.layer
+            stored += layer[0] - before
             total += layer[0]
             dissipated += layer[1]
             remainder += layer[2]
@@ -381,7 +387,7 @@ class Equations:
             self.require_unique()
             layer, slip = self.contact.audit(now, self.old, self._slip)
             memory.append(slip)
-            change_of_layer = layer[0] - self.interval.old.audit.layer
+            change_of_layer = layer[0] - before
             stored += change_of_layer
             total += layer[0]
             dissipated += layer[1]

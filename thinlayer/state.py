@@ -49,7 +49,7 @@ class Audit:
         stored: in bodies and layer.
         dissipated: in the layer.
         remainder: what the time scheme adds (backward Euler: the energy of the increments; midpoint: zero, for laws with
-            a quadratic energy).
+            a quadratic energy); where parameters vary in time, also what their change does at held strains.
         layer: energy stored in the layer at the end of the step, where its law acts at points or at nodes.
         total: energy stored in bodies and layer at the end of the step.
 

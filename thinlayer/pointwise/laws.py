@@ -80,7 +80,7 @@ class PointLaws:
             p.at_time(self._t)
 
     def begin(self, u: PETSc.Vec, memory: Sequence[Array], t: float) -> None:
-        """Begin a step to a time t, at displacements u and internal values."""
+        """Begin a step, at displacements u and internal values, with parameters at the time t where forces balance."""
         self._e_old = [p.strain(u) for p in self.points]
         self._begins = [*memory][: len(self.points)]
         self.at_time(t)
@@ -143,6 +143,32 @@ class PointLaws:
         return (
             np.asarray(self.comm.allreduce(sum((r.energies for r in self._responses), none))) if self.points else none
         )
+
+    def audit(self, u: PETSc.Vec, change: PETSc.Vec, before: float, t: float, dt: float) -> Array:
+        """Of the last response, to displacements u: stored at the end of the step, dissipated, remainder.
+
+        Laws know their own remainder only of parameters that stay the same: where they vary it is what is left of the work.
+
+        Args:
+            u, change: displacements at the end of the step, and their change in it.
+            before: energy stored at its beginning.
+            t, dt: its end and its length.
+        """
+        energies = self.energies
+        if any(p.material.varies for p in self.points):
+            if t != self._t:
+                energies[0] = self._stored(u, t, dt)
+            work = sum(float(p.forces(r.stress).dot(change)) for p, r in zip(self.points, self._responses, strict=True))
+            energies[2] = work - (energies[0] - before) - energies[1]
+        return energies
+
+    def _stored(self, u: PETSc.Vec, t: float, dt: float) -> float:
+        """Energy of the last response with the parameters of a time; the laws keep those that they answer with."""
+        answering = self._t
+        self.at_time(t)
+        stored = sum(p.stored(p.strain(u), r.memory, dt) for p, r in zip(self.points, self._responses, strict=True))
+        self.at_time(answering)
+        return float(self.comm.allreduce(stored))
 
     # ---------------------------------------------------------------- phases that are held in a solve
     @property

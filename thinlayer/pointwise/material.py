@@ -59,6 +59,11 @@ class Material:
         """Whether parameters vary along the layer or in time."""
         return self.law.varies
 
+    @property
+    def of_sublayers(self) -> list[Array]:
+        """The parameters of each sublayer."""
+        return np.split(self.parameters, np.cumsum(self._counts)[:-1], axis=-1)
+
     def take_at(self, x: Array, t: float) -> None:
         """Answer from now on with the parameters at places x (d, points), in the joint before inflating, and a time.
 
@@ -74,7 +79,16 @@ class Material:
         self.parameters = np.ascontiguousarray(np.hstack(columns))
 
     def update(
-        self, slots: Sequence[int], e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float
+        self,
+        slots: Sequence[int],
+        e: Array,
+        e_old: Array,
+        q: Array,
+        n: Array,
+        dt: float,
+        theta: float,
+        *,
+        held: bool = False,
     ) -> tuple[Array, Array, Array, Array, int]:
         """Stress (points, m), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
 
@@ -84,6 +98,8 @@ class Material:
             q: (points, memory) internal values at the beginning.
             n: (points, 3) director.
             dt, theta: the step.
+            held: whether strains, also those of sublayers, stay what they are at the beginning: for energies, there is no
+                stress.
 
         Raises:
             ValueError: arrays of the wrong shape.
@@ -105,7 +121,7 @@ class Material:
         )
         failed = self._library.lib.run(
             len(self._kernels), *law, varying,
-            m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta,
+            m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta, held,
             *self._given(s, C, q_new, energies),
         )  # fmt: skip
         if failed < 0:

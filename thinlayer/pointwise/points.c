@@ -285,11 +285,12 @@ static int in_series(sublayer *layers, int count, const double *e, const frame *
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
  * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each; parameters: of all points,
- * or, with `varying`, (points, n), of each. */
+ * or, with `varying`, (points, n), of each. With `held`, strains stay e_old, those of sublayers too: nothing is solved, there is
+ * no stress, and the energies are those of e_old. */
 int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *n_parameters,
         const double *fractions, const double *parameters, int varying, int m, const int32_t *slots, int points, int width,
-        const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, double *stress,
-        double *C, double *q_new, double *energy)
+        const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, int held,
+        double *stress, double *C, double *q_new, double *energy)
 {
     sublayer *layers = calloc(count, sizeof(sublayer));
     int room = (3 * count + 3) * (3 * count + 10), failed = 0;
@@ -311,7 +312,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
     frame S = {0};
     const double *numbers_of = parameters;
     for (int k = 0; k < points; k++, e += m, e_old += m, q += width, q_new += width, n += 3) {
-        double now[6] = {0}, s[6], D[6][6];
+        double now[6] = {0}, s[6] = {0}, D[6][6] = {{0}};
         const double *old = q + (count > 1 ? 3 * count : 0);
         for (int j = 0; j < m; j++) now[slots[j]] = e[j];
         for (int i = 0; i < count; i++) {
@@ -331,7 +332,9 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             numbers_of += a->n_parameters;
         }
         if (!varying) numbers_of = parameters;
-        if (count > 1) {
+        if (held) {
+            for (int i = 0; i < count; i++) memcpy(layers[i].in, layers[i].in + 6, sizeof now), evaluate(&layers[i]);
+        } else if (count > 1) {
             turn_to(&S, n);
             if (!in_series(layers, count, now, &S, system, s, D)) s[0] = NAN;
         } else {

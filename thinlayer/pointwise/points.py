@@ -22,6 +22,7 @@ from thinlayer.pointwise.quadrature import Quadrature
 
 ROUNDED = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
 FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
+MOMENT = np.finfo(float).eps  # part of a step in which nothing happens
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # parts of the tangent at rest that are added to one that may vanish
 
 
@@ -96,6 +97,11 @@ class LawPoints(Quadrature):
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
         total = self.weights @ energies if self.points.law.has_energy else np.full(3, np.nan)
         return Response(s, C, new, total, failed)
+
+    def stored(self, e: Array, memory: Array, dt: float) -> float:
+        """Energy of strains e and internal values after a step of length dt, over this rank's points; NaN if undeclared."""
+        energies = self.material.update(self.slots, e, e, memory, self.n, MOMENT * dt, 1.0, held=True)[3]
+        return float(self.weights @ energies[:, 0]) if self.points.law.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
         """What is not finite at the first point of this rank where the law failed, and where that is; "" if it did not."""

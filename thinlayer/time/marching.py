@@ -60,7 +60,8 @@ def march(
         start: time of the first state.
         theta: the balance of forces holds at t + theta dt: 1 is backward Euler, order 1; 1/2 the midpoint rule, order 2
             (from rest its first step is made of two of backward Euler, which damp what the sudden load excites). Below 1
-            for laws that creep or relax alone, those whose answer to a sudden strain, if they have one, is linear.
+            for laws that creep or relax alone, those whose answer to a sudden strain, if they have one, is linear;
+            parameters that vary in time are those of t + theta dt.
         observe: name of a column -> function of a state that gives a number, the same on all ranks; evaluated at every
             accepted state.
         keep: "all" states, or "last" alone.
@@ -95,7 +96,7 @@ def march(
     choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
     with _folder(folder, model), Solver(model, options=options, method=method) as solver:
         solver.equations.check_times([start, *plan.targets])
-        require_time_scale(solver.equations, theta)
+        require_time_scale(solver.equations, theta, [start, *plan.targets])
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
         warn_of_model(model)
         history = TimeStepping(solver, journal, plan, start, theta).run(resume)

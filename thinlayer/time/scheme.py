@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from forms.series import parts
-from thinlayer.equations import Equations
+from thinlayer.equations import BETWEEN, Equations
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.pointwise.kernels import Array
@@ -17,6 +18,7 @@ from thinlayer.pointwise.points import LawPoints
 SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, and of jumps in any unit, that laws are asked about
 LENGTHS = (1.0, 1e12, 1e30)  # of steps, in any unit
 STRAIGHT = 1e-6  # relative
+SAME = 1e-12  # relative, of parameters at several times
 ENDS = "theta = 1"
 
 
@@ -24,8 +26,11 @@ def remembers(model: Model) -> bool:
     """Whether the layer's law depends on what was before, so that a peak of the loads between two times matters."""
     if model.layer is None or model.kind == "bonded":
         return False
-    laws: tuple[Any, ...] = parts(model.layer.law)  # the memory of a `PointLaw` and of a contact law is their own
-    return any(law.rate or law.internal or getattr(law, "memory", False) for law in laws)
+    return any(law.rate or _has_memory(law) for law in parts(model.layer.law))
+
+
+def _has_memory(law: Any) -> bool:
+    return bool(law.internal or getattr(law, "memory", False))  # that of a `PointLaw` and of a contact law is their own
 
 
 def require_ends(model: Model, theta: float) -> None:
@@ -50,25 +55,52 @@ def require_ends(model: Model, theta: float) -> None:
             raise ModelError(f"theta is {theta}; {_swings(law)}")
 
 
-def require_time_scale(equations: Equations, theta: float) -> None:
-    """The same by asking laws that are not linear and have no rate: their answer must take time, or be linear. Collective.
+def require_time_scale(equations: Equations, theta: float, times: Sequence[float]) -> None:
+    """The same by asking laws without rate that are not linear, or not the same at all times: their answer must take time.
 
-    In a Stack each law must say so itself.
+    Or be linear, and always the same. In a Stack each law must say so itself. Collective.
+
+    Args:
+        equations: of the model.
+        theta: of the march.
+        times: its start, and those that steps end at.
     """
     if theta == 1:
         return
     for p in equations.laws.points:
         laws = parts(p.points.law)
-        unsure = [law for law in laws if not (law.linear or law.rate)]
-        if unsure and (len(laws) > 1 or not (_straight(p) or takes_time(p))):
-            raise ModelError(f"theta is {theta}; {_swings(unsure[0])}")
+        for law, changes in zip(laws, _change(p, times), strict=True):
+            if law.rate or (law.linear and not changes):
+                continue
+            one_of_several = len(laws) > 1
+            sure = (
+                law.linear and _has_memory(law) if one_of_several else takes_time(p) or (not changes and _straight(p))
+            )
+            if not sure:
+                how = "with parameters that change in time" if changes else "not linearly"
+                raise ModelError(f"theta is {theta}; {_swings(law, how)}")
 
 
-def _swings(law: Any) -> str:
+def _swings(law: Any, how: str = "not linearly") -> str:
     return (
-        f"{type(law).__name__} answers at once, and not linearly: with an equilibrium within a step its ends swing about "
+        f"{type(law).__name__} answers at once, and {how}: with an equilibrium within a step its ends swing about "
         f"the path, and nothing damps them: {ENDS}"
     )
+
+
+def _change(points: LawPoints, times: Sequence[float]) -> list[bool]:
+    """Of each sublayer, whether its parameters change in time. Seen at times and at a few between them. Collective."""
+    change = [False] * len(parts(points.points.law))
+    if not points.material.varies:
+        return change
+    seen = [a + share * (b - a) for a, b in pairwise(times) for share in (*BETWEEN, 1.0)]
+    points.at_time(times[0])
+    first = points.material.of_sublayers
+    for t in seen:
+        points.at_time(t)
+        for k, (a, b) in enumerate(zip(first, points.material.of_sublayers, strict=True)):
+            change[k] = change[k] or not np.allclose(a, b, rtol=SAME, atol=0.0)
+    return [bool(found) for found in points.domain.comm.allreduce(np.array(change, int))]
 
 
 def _straight(points: LawPoints) -> bool:
