@@ -1,4 +1,4 @@
-"""How stiff a law is at rest: what tells soft layers from hard ones, and nearly incompressible ones from others."""
+"""How stiff a law is, at rest and after a time: it tells soft layers from hard, and nearly incompressible ones."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
+from ufl.utils.stacks import StackDict
 
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law, LawError, Step
 from forms.point import PointLaw
+from forms.trace import symbolic
 from forms.traction import TractionLaw
 
 Array = npt.NDArray[np.float64]
 SMALL = 1e-6  # strain of the divided differences: far from yielding, and far from their rounding
 NEGATIVE = 1e-6  # of a tangent's size: that much below zero is no rounding, nor an error of divided differences
+SCALES = np.array([1.0 if i == j else ROOT2 for i, j in MANDEL])  # of a component of a tensor in Mandel's order
 LONG = 1e30  # time step in which what depends on rates has come to rest
 
 
@@ -38,7 +41,7 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     if law.pointwise:
         n = np.pad(n, (0, 3 - len(n)))
     if isinstance(law, PointLaw):
-        return _of_kernel(law, n)
+        return _of_kernel(law, n, LONG if law.rate else 0.0)
     columns = []
     for i, j in MANDEL:
         e = np.zeros((3, 3))
@@ -51,13 +54,44 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     return C if np.isfinite(C).all() else None
 
 
-def _of_kernel(law: PointLaw, n: Array) -> Array | None:
-    """Tangent that a function of one point, not compiled, fills at rest; None if it is written in C or fails."""
+def tangent_over(law: Law, n: Array, dt: float) -> Array | None:
+    """d stress/d strain, (6, 6), of a linear law over one step of length dt from rest, at its end.
+
+    That is how far a law that creeps or relaxes has given way to loads that last as long. None if the law is not linear, or
+    cannot be evaluated.
+
+    Args:
+        law: with numbers for parameters, one that acts at points.
+        n: director, (d,).
+        dt: time > 0.
+    """
+    if not law.linear:
+        return None
+    n = np.pad(n, (0, 3 - len(n)))
+    if isinstance(law, PointLaw):
+        return _of_kernel(law, n, dt)
+    try:
+        point = symbolic(law)
+        stress: Any = expand_derivatives(ufl.as_ufl(point.law.stress(point.step)))
+        told = np.concatenate([n, [dt, 1.0], *(np.ravel(np.asarray(v, float)) for v in law.parameters().values())])
+        before = np.zeros(point.numbers.ufl_shape[0] - 6 - len(told))
+        found = []
+        for e in np.eye(7, 6):  # the last is no strain
+            numbers = {point.numbers: np.concatenate([e, before, told])}
+            found.append([float(stress.evaluate((0.0,), numbers, ij, StackDict())) for ij in MANDEL])
+    except Exception:  # as in _stress
+        return None
+    C = SCALES[:, None] * (np.array(found[:6]) - found[6]).T
+    return C if np.isfinite(C).all() else None
+
+
+def _of_kernel(law: PointLaw, n: Array, dt: float) -> Array | None:
+    """Tangent that a function of a point, not compiled, fills in a step from rest; None if it is written in C or fails."""
     if law.source is not None:
         return None
     tangent, zero, memory = np.zeros((6, 6)), np.zeros(6), np.zeros(law.memory)
     values = [np.ravel(np.asarray(value, float)) for value in law.parameters().values()]
-    given = zero, zero.copy(), memory, LONG if law.rate else 0.0, 1.0, n, np.concatenate([np.empty(0), *values])
+    given = zero, zero.copy(), memory, dt, 1.0, n, np.concatenate([np.empty(0), *values])
     try:
         with np.errstate(all="ignore"):
             type(law).kernel(*given, np.zeros(6), tangent, memory.copy(), np.zeros(3))

@@ -12,14 +12,14 @@ import ufl
 from dolfinx import fem
 from scipy.special import iv
 
-from forms import Anisotropic, KelvinVoigt, Law, LinearElastic, Maxwell, MohrCoulombMonodirectional, Stack
+from forms import Anisotropic, KelvinVoigt, Law, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Stack
 from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
 from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.test_parallel import mpirun
-from thinlayer import Model, ModelError, ThinLayer, march, solve
+from thinlayer import Model, ModelError, Surface, ThinLayer, march, solve
 from thinlayer.failure import RangeWarning
-from thinlayer.ranges import _Faces, _strata, free_rim, pressure_excess
+from thinlayer.ranges import Stratum, _Faces, _strata, free_rim, pressure_excess, pressure_length
 from thinlayer.state import Report, State
 
 STIFF = LinearElastic.young(1e5, 0.3)
@@ -244,6 +244,155 @@ def test_rubber_in_series():
         model = Model.interface(joint, layer=ThinLayer(Stack((0.8, soft), (0.2, other)), 0.05), **setup)
         _, found = told(lambda model=model: solve(model))
         assert sum("nearly incompressible" in message for message in found) == messages
+
+
+def test_length_of_the_pressure_in_series():
+    """delta^2 = B/c with B int 1/mu the variance of int_0^z dz, over what is nearly incompressible, weighted with 1/mu."""
+    eps_over_width = 0.03
+    rubber, soft = Stratum(0.7, 9e3, 9.0, 36.0), Stratum(0.3, 3.0, 2.0, 4.4)
+    found = pressure_length([rubber, soft], 1 / eps_over_width)
+    fluidity = 0.7 / 9 + 0.3 / 2
+    mean, square = (0.7**2 / 18 + 0.7 * 0.15) / fluidity, (0.7**3 / 27 + 0.7**2 * 0.15) / fluidity
+    B, c = fluidity * (square - mean**2), rubber.compliance + soft.compliance
+    assert found == pytest.approx((B / c) ** 0.5, rel=2e-3)  # the soft one is hardly stretched
+    assert pressure_length([rubber], 10.0) == pytest.approx(rubber.length)
+    halves = [Stratum(0.35, 9e3, 9.0, 36.0)] * 2
+    assert pressure_length(halves, 10.0) == pytest.approx(rubber.length)
+    shim = Stratum(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
+    assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
+
+
+def test_rubber_beside_a_soft_sublayer():
+    """It lets the rubber flow: told is what the meshed layer shows, and nothing where the rubber is thin."""
+    joint = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral")
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+    rubber, soft = LinearElastic.shear(16.0, 0.499), LinearElastic.shear(16.0, 0.3)
+    for share, told_once in ((0.9, True), (0.1, False)):
+        data = setup | {"layer": ThinLayer(Stack((share, rubber), (1 - share, soft)), 1 / 16)}
+        model = Model.interface(joint, **data)
+        state, found = told(lambda model=model: solve(model))
+        surface = Surface(model)
+        meshed, law = (surface.integral(surface.jump(s)[1]) for s in (solve(Model.full(joint, **data)), state))
+        assert len(found) == told_once
+        if told_once:
+            assert factor(found[0]) == pytest.approx(meshed / law, rel=0.03)  # 1.25 of rigid bodies, 1.228
+        else:
+            assert meshed / law < 1.02
+
+
+def factor(message):
+    """How many times the law is too stiff."""
+    return float(re.search(r"([0-9.e+]+) times too stiff", message)[1])
+
+
+# ---------------------------------------------------------------- layers that become nearly incompressible
+BULK = 3 * 0.28 / 1.28  # t2/t1 of a Maxwell law with nu = 0.28 whose mean stress does not relax
+
+
+@pytest.mark.parametrize(
+    ("law", "end", "lasting", "ratio"),
+    [
+        (Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)), 10.0, "10", 201 * (28 / 22 + 2 / 3) - 2 / 3),
+        (KelvinVoigt(28.0, 22.0, 50.0, 0.1), 0.05, "0.01", 28 * 5001 / (22 * 11)),
+    ],
+    ids=["Maxwell", "KelvinVoigt"],
+)
+def test_becomes_nearly_incompressible(law, end, lasting, ratio):
+    """Told with the moduli that lasting loads meet (stress over strain of one step) is what the meshed layer shows."""
+    joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral"), 1 / 32
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+    data, times = setup | {"layer": ThinLayer(law, eps)}, np.linspace(0, end, 6)[1:]
+    model = Model.interface(joint, **data)
+    history, found = told(lambda: march(model, times))
+    y = np.sqrt(ratio / 12) * eps / 0.5
+    assert len(found) == 2
+    assert f"nearly incompressible under loads that last {lasting}:" in found[0]
+    assert factor(found[0]) == pytest.approx(1 / (1 - np.tanh(1 / y) * y), rel=5e-3)  # three digits are told
+    assert f"under loads that last {end:g} (lmbda/mu" in found[1]
+    surface, full = Surface(model), march(Model.full(joint, **data), times)
+    meshed, jumps = ([surface.integral(surface.jump(h.at(t))[1]) for t in times] for h in (full, history))
+    ratios = np.divide(meshed, jumps)
+    assert factor(found[0]) == pytest.approx(max(ratios), rel=0.1)  # exp(-t) is no 1/(1 + t)
+    assert factor(found[1]) == pytest.approx(ratios[-1], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Maxwell(28.0, 22.0, 0.05),
+        KelvinVoigt(28.0, 22.0, 0.7, 0.7),
+        KelvinVoigt(28.0, 22.0, 0.6, 0.2),
+        Norton(28.0, 22.0, 3.0, 1.5),
+    ],
+    ids=["Maxwell", "alike", "unlike", "Norton"],
+)
+def test_ordinary_viscous_layers(law):
+    """Both parts relax alike, or nearly so; Norton's dashpot resists changes of volume, too."""
+    joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
+    layer = ThinLayer(law.per_thickness(eps), eps)
+    model = Model.interface(joint, layer=layer, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)})
+    for end in (1e-3, 1e3):
+        assert told(lambda end=end: march(model, [end / 3, end]))[1] == []
+
+
+def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
+    """A rubbery spring beside a dashpot that resists shear alone: told in long marches, not in short ones."""
+    joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
+    spring = LinearElastic.shear(16.0, 0.499)
+    layer = ThinLayer(KelvinVoigt(spring.lmbda, spring.mu, 0.0, 10.0), eps)
+    model = Model.interface(joint, layer=layer, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)})
+    assert told(lambda: march(model, [0.1, 0.2]))[1] == []
+    assert len(told(lambda: march(model, [100.0, 200.0]))[1]) == 2
+
+
+def test_relaxing_behind_a_closed_surface():
+    """No free end: told after the march is a bush that is pushed aside, not one that is turned."""
+    joint = ring(1.0, 1.5, 2.0, h=0.3, degree=2)
+    layer = ThinLayer(Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)).per_thickness(0.1), 0.1)
+    for load, messages in (((1.0, 0.0), 1), (lambda x, t: (-x[1], x[0]), 0)):
+        model = Model.interface(joint, layer=layer, body=STIFF, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": load})
+        _, found = told(lambda model=model: march(model, [100.0, 200.0]))
+        assert len(found) == messages
+        assert not found or "under loads that last 200 (lmbda/mu" in found[0]
+
+
+# ---------------------------------------------------------------- jumps that are no openings
+def test_slip_alone():
+    """Openings that are rounding, or the mesh's noise, do not count; the whole layer is as stiff as it should be."""
+    rubber = LinearElastic.shear(16.0, 0.499)
+    turned = {"supports": {"OUTSIDE": 0.0}, "tractions": {"INSIDE": lambda x, t: (-x[1], x[0])}}
+    along = {"supports": {"BOTTOM": 0.0, "TOP": {"x": 0.01, "y": 0.0}}}
+    move = {"x": 0.7, "y": -0.2}  # both bodies: jumps are rounding
+    alike = {"supports": {"BOTTOM": move, "TOP": move, "LEFT": {"x": 0.7}, "RIGHT": {"x": 0.7}}}
+    for joint, law, data in (
+        (ring(1.0, 1.5, 2.0, h=0.3, degree=2), rubber, turned),
+        (sandwich(8.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), rubber, along),
+        (sandwich(2.0, 0.3, 0.5, 1 / 8, cell="quadrilateral"), LinearElastic.shear(16.0, 0.4999999), alike),
+    ):
+        model = Model.interface(joint, layer=ThinLayer(law, 1 / 64), body=STIFF, **data)
+        assert told(lambda model=model: solve(model))[1] == []
+
+
+def test_slip_on_straight_facets():
+    """Of a curved S: they open and close as they slide, and the law resists, to more than twice what the layer does."""
+    supports, tractions = {"OUTSIDE": 0.0}, {"INSIDE": lambda x, t: (-x[1], x[0])}
+    layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 0.05)
+    joint = ring(1.0, 1.5, 2.0, h=0.3)
+    model = Model.interface(joint, layer=layer, body=STIFF, supports=supports, tractions=tractions)
+    _, found = told(lambda: solve(model))
+    assert [factor(message) > 2 for message in found] == [True]
+
+
+@pytest.mark.parametrize("slip", [0.0, 2e-3])
+def test_slip_beside_opening(slip):
+    """The work of shear, mu/eps |w_T|^2, is asked for by both, the law and the layer."""
+    law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
+    joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
+    model = Model.interface(joint, layer=ThinLayer(law, eps), body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0})
+    found = excess(model, lambda x: (slip + 0 * x[0], 1e-3 + 0 * x[0]))
+    pure = strip_excess(0.5 / (eps * np.sqrt(law.lmbda / law.mu / 12)))
+    work = law.lmbda * 1e-6 / (1 + pure)
+    assert found == pytest.approx(pure * work / (work + law.mu * slip**2), rel=3e-3)
 
 
 # ---------------------------------------------------------------- thick, hard, overlapping

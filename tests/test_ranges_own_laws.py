@@ -10,13 +10,24 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, Incompressible, Law, LawError, LinearElastic, PointLaw, Stack, TractionLaw
+from forms import (
+    Anisotropic,
+    Incompressible,
+    KelvinVoigt,
+    Law,
+    LawError,
+    LinearElastic,
+    Maxwell,
+    PointLaw,
+    Stack,
+    TractionLaw,
+)
 from forms.elastic import lame
-from forms.tangent import tangent_at_rest
+from forms.tangent import tangent_at_rest, tangent_over
 from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.own_laws import Mises, StandardSolid
-from thinlayer import Model, ThinLayer, solve
+from thinlayer import Model, ThinLayer, march, solve
 from thinlayer.failure import RangeWarning
 
 STIFF = LinearElastic.young(1e5, 0.3)
@@ -82,6 +93,30 @@ def test_names_of_parameters_say_nothing():
     """A law that remembers answers at once: the springs of both branches."""
     found = tangent_at_rest(StandardSolid(6.0, 2.5, 1.5, 0.4), np.array([0.0, 1.0]))
     assert found == pytest.approx(LinearElastic(6.0 - 2 * 1.5 / 3, 4.0).stiffness(np.array([0.0, 1.0])), abs=1e-9)
+
+
+def test_tangent_over_a_step():
+    """What has come of the springs: a step of backward Euler divides a relaxing one by 1 + dt/t."""
+    n, dt = np.array([0.28, 0.96]), 0.3
+    wanted = {
+        StandardSolid(6.0, 2.5, 1.5, 0.4): (6.0 - 2 / 3 * 1.5 / 1.75, 2.5 + 1.5 / 1.75),
+        Remembering(6.0, 2.5): (6.0, 2.5),
+        Maxwell(6.0, 2.5, 0.4): (6.0 / 1.75, 2.5 / 1.75),
+        KelvinVoigt(6.0, 2.5, 0.7, 0.2): (6.0 * (1 + 7 / 3), 2.5 * (1 + 2 / 3)),
+    }
+    for law, (lmbda, mu) in wanted.items():
+        assert tangent_over(law, n, dt) == pytest.approx(LinearElastic(lmbda, mu).stiffness(n), abs=1e-12 * lmbda)
+    assert tangent_over(Mises(6.0, 2.5, 1.0), n, dt) is None
+
+
+def test_an_own_law_that_becomes_nearly_incompressible():
+    """As its bulk modulus stays and all but a thousandth of its shear modulus relaxes."""
+    law, joint = StandardSolid(24.0, 0.016, 16.0, 0.4), sandwich(1.0, 0.5, 0.5, 1 / 8)
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+    model = Model.interface(joint, layer=ThinLayer(law, 1 / 32), **setup)
+    assert told(lambda: march(model, [0.1, 0.2])) == []
+    found = told(lambda: march(model, [100.0, 200.0]))
+    assert ["under loads that last 200" in message for message in found] == [True, True]
 
 
 # ---------------------------------------------------------------- thick, hard, nearly incompressible

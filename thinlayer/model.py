@@ -27,6 +27,7 @@ from forms.tangent import (
     require_stable_layer,
     rests_by_itself,
     tangent_at_rest,
+    tangent_over,
 )
 from forms.traction import TractionLaw
 from geometry.domain import Domain
@@ -244,6 +245,19 @@ class Model:
         strata = law.sublayers if isinstance(law, Stack) else ((1.0, law),)
         n = self.sheet.mean_normal
         return [(a, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n)) for a, one in strata]
+
+    def layer_over(self, dt: float) -> list[Array | None]:
+        """Tangents of the same under loads that have lasted dt > 0; None: not known, or as at rest."""
+        if dt not in self._layer_over:
+            n = self.sheet.mean_normal
+            self._layer_over[dt] = [
+                tangent_over(law, n, dt) if law.pointwise else None for _, law, _ in self.layer_at_rest
+            ]
+        return self._layer_over[dt]
+
+    @cached_property
+    def _layer_over(self) -> dict[float, list[Array | None]]:
+        return {}
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:

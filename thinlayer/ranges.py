@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,10 +31,20 @@ SHARE = 0.1  # of a layer's stiffness: errors of this size are told
 OVERLAP = 2.0  # closing over thickness: from 1 on bodies overlap, here by another thickness
 VOLUME, HELD = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), 1e8  # trace of a strain; bulk modulus that holds it, over mu
 JUMPS = 1e-9  # modulus along S over mu, rounding: a law with less sees jumps alone
+SHEAR = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' over 1/(3 h), degree 2
+STRETCH = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v over h/30
+ALIKE = 1e-3  # relative change of lmbda/mu in time below which it is none
+ROUNDING = 1e-9  # of displacements: jumps that are smaller are nothing
+HALF = 0.5  # of the largest opening: as good a state to ask how the pressure evens out
 
 
-def warn_of_model(model: Model) -> None:
-    """Warn of an interface model that lies outside the range of its law, before it is solved. Collective."""
+def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
+    """Warn of an interface model that lies outside the range of its law, before it is solved. Collective.
+
+    Args:
+        model: the model.
+        lasting: how long its loads last when it is looked at, times > 0; () if they are sudden.
+    """
     law = _law_of_strains(model)
     if law is None:
         return
@@ -42,11 +52,17 @@ def warn_of_model(model: Model) -> None:
     if not _of_jumps(strata):
         _warn_of_thickness(model)
         _warn_of_hard_layer(model, strata)
-    _warn_of_free_ends(model, strata)
+    at_once = [] if lasting and law.rate else [strata]
+    _warn_of_free_ends(model, [*at_once, *(_strata(model, dt) for dt in lasting)])
 
 
-def warn_of_states(states: Sequence[State]) -> None:
-    """Warn of an interface model's results that lie outside the range of its law, once for all of them. Collective."""
+def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
+    """Warn of an interface model's results that lie outside the range of its law, once for all of them. Collective.
+
+    Args:
+        states: of one model.
+        start: time since which loads last; None if they are sudden at every state.
+    """
     law = _law_of_strains(states[0].model) if states else None
     if law is None:
         return
@@ -56,8 +72,8 @@ def warn_of_states(states: Sequence[State]) -> None:
         return
     if not (states[0].model.linear or _of_jumps(strata)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if strata and law.linear and not law.pointwise and LONG < strata[0].length < math.inf:
-        _warn_of_pressure(max(found, key=lambda faces: np.abs(faces.opening).max()), strata[0])
+    if law.linear and not law.phases:  # what a phase strains is not under pressure
+        _warn_of_pressure(found, start)
 
 
 def _law_of_strains(model: Model) -> Law | None:
@@ -83,12 +99,21 @@ def free_rim(model: Model) -> Rim:
 # ---------------------------------------------------------------- before a solve
 @dataclass(frozen=True)
 class Stratum:
-    """A sublayer, or the layer: its share of the thickness, moduli lmbda and mu at rest, and the modulus of its sheet."""
+    """A sublayer, or the layer: its share of the thickness, moduli lmbda and mu, and the modulus of its sheet.
+
+    Moduli are those at rest, or those that loads meet that have lasted; then lmbda/mu is another one, and `when` says so.
+    """
 
     fraction: float
     lmbda: float
     mu: float
     along: float
+    when: str = ""
+
+    @property
+    def nearly(self) -> bool:
+        """Whether it is nearly incompressible."""
+        return self.length > NEARLY * self.fraction
 
     @property
     def length(self) -> float:
@@ -110,11 +135,19 @@ class Stratum:
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
-def _strata(model: Model) -> list[Stratum]:
-    """Those of a layer whose tangents at rest are known; [] of another."""
-    n = model.sheet.mean_normal
-    found = [None if C is None else Stratum.of(a, law, C, n) for a, law, C in model.layer_at_rest]
-    return [] if None in found else [stratum for stratum in found if stratum]
+def _strata(model: Model, dt: float = 0.0) -> list[Stratum]:
+    """Those of a layer under loads that have lasted dt, 0: at rest; [] if their tangents are not known."""
+    n, at_rest = model.sheet.mean_normal, model.layer_at_rest
+    later = model.layer_over(dt) if dt > 0 else [None] * len(at_rest)
+    found: list[Stratum] = []
+    for (a, law, C), C_later in zip(at_rest, later, strict=True):
+        if C is None and C_later is None:
+            return []
+        rest, then = (None if one is None else Stratum.of(a, law, one, n) for one in (C, C_later))
+        if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=ALIKE)):
+            then = replace(then, when=f" under loads that last {dt:.4g}")
+        found += [one for one in (then or rest,) if one]
+    return found
 
 
 def _of_jumps(strata: list[Stratum]) -> bool:
@@ -153,20 +186,21 @@ def _warn_of_hard_layer(model: Model, strata: list[Stratum]) -> None:
         )
 
 
-def _warn_of_free_ends(model: Model, strata: list[Stratum]) -> None:
+def _warn_of_free_ends(model: Model, layers: Sequence[list[Stratum]]) -> None:
     """At free ends the pressure of a nearly incompressible layer falls to zero over a length delta, which laws leave out.
 
-    Between rigid faces a strip of half-width l carries 1 - tanh(l/delta) delta/l of what the laws say.
+    Between rigid faces a strip of half-width l carries 1 - tanh(l/delta) delta/l of what the laws say. Told is the largest
+    factor of a layer whose strata are these at several times.
     """
     layer = model.layer
     assert layer is not None
-    nearly = [stratum for stratum in strata if stratum.length > NEARLY * stratum.fraction]
-    if not nearly:
+    layers = [strata for strata in layers if any(stratum.nearly for stratum in strata)]
+    if not layers:
         return
     rim = free_rim(model)
     if not len(rim.vertices):
         return
-    if any(stratum.length == math.inf for stratum in nearly):
+    if any(stratum.length == math.inf for strata in layers for stratum in strata):
         warn(
             "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as of a layer "
             "that is held there; one that is free is squeezed out, and its jump is not zero; mesh the layer (Model.full), "
@@ -175,20 +209,42 @@ def _warn_of_free_ends(model: Model, strata: list[Stratum]) -> None:
         )
         return
     width = float(model.sheet.areas.sum() / rim.length.sum())
-    whole, lost, longest = sum(stratum.compliance for stratum in strata), 0.0, 0.0
-    for stratum in nearly:
-        delta = stratum.length * layer.eps
-        y = delta / width
-        lost += stratum.compliance / whole * (1 / (1 - math.tanh(1 / y) * y) - 1)
-        longest = max(longest, delta)
+    lengths = [pressure_length(strata, width / layer.eps) for strata in layers]
+    worst = max(layers[lengths.index(max(lengths))], key=lambda stratum: stratum.length)
+    delta = layer.eps * max(lengths)
+    y = delta / width
+    lost = 1 / (1 - math.tanh(1 / y) * y) - 1
     if lost > 1 / (1 - SHARE) - 1:
         warn(
-            "the layer is nearly incompressible: its pressure falls to zero at the free ends of S over delta = "
-            f"{longest:.3g}, {longest / width:.2g} of the area of S over the length of its free ends ({width:.3g}); "
-            f"between rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; mesh the "
+            f"the layer is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
+            f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; mesh the "
             "layer (Model.full), or support its sides if they are held",
             model.comm,
         )
+
+
+def pressure_length(strata: list[Stratum], width: float) -> float:
+    """delta of the pressure along S, over the thickness of a layer; the width that it flows along is likewise.
+
+    Strata have one normal traction t: the layer opens by w = c t - B t'', with their compliances c and the flow along S
+    that a slope of t drives, in strata that are nearly incompressible. Their neighbours are sheared and, as
+    strains along S grow in proportion to the place, stretched; delta^2 = B/c. Of one stratum it is its `length`.
+
+    B is the least of a quadratic form of displacements along S, of degree 2 through each stratum.
+    """
+    count = 2 * len(strata) + 1
+    A, b = np.zeros((count, count)), np.zeros(count)
+    for k, one in enumerate(strata):
+        at = slice(2 * k, 2 * k + 3)
+        A[at, at] += one.mu / (3 * one.fraction) * SHEAR
+        if one.nearly:
+            b[at] += math.sqrt(one.lmbda / (one.lmbda + 2 * one.mu)) * one.fraction / 6 * np.array([1.0, 4.0, 1.0])
+        else:
+            A[at, at] += 3 / width**2 * max(one.along, 0.0) * one.fraction / 30 * STRETCH
+    inside = slice(1, -1)  # the bodies do not move
+    flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
+    return math.sqrt(flow / sum(one.compliance for one in strata))
 
 
 # ---------------------------------------------------------------- after a solve
@@ -234,6 +290,14 @@ class _Faces:
         """(n, d) [u_N]."""
         return np.asarray(((self.upper - self.lower) * self.state.model.sheet.normals).sum(axis=2))
 
+    @property
+    def slip_squared(self) -> FloatArray:
+        """(n, d) |w_T|^2, at least the square of what is rounding next to the displacements."""
+        jump = self.upper - self.lower
+        slip = jump - self.opening[..., None] * self.state.model.sheet.normals
+        rounding = ROUNDING * max(np.abs(self.lower).max(), np.abs(self.upper).max())
+        return np.asarray((slip**2).sum(axis=2) + rounding**2)
+
     @cached_property
     def thickness(self) -> FloatArray:
         """(n, d)."""
@@ -272,24 +336,45 @@ def _warn_of_overlap(faces: _Faces) -> None:
         )
 
 
-def _warn_of_pressure(faces: _Faces, layer: Stratum) -> None:
-    """How much stiffer the law is than a layer whose pressure evens out along S, with the opening that was found."""
-    excess = pressure_excess(faces, layer)
-    if excess > SHARE:
+def _warn_of_pressure(found: Sequence[_Faces], start: float | None) -> None:
+    """How much stiffer the law is than a layer whose pressure evens out along S, with the opening that was found.
+
+    Asked is the state that opens most and, of those that open at least half as much, the last: laws that creep or relax
+    are nearer to it then.
+    """
+    openings = [float(np.abs(faces.opening).max()) for faces in found]
+    most = openings.index(max(openings))
+    last = max(k for k, opening in enumerate(openings) if opening >= HALF * max(openings))
+    worst, told = SHARE, None
+    for faces in (found[k] for k in sorted({most, last})):
+        state = faces.state
+        strata = _strata(state.model, 0.0 if start is None else state.t - start)
+        if len(strata) != 1 or not LONG < strata[0].length < math.inf:
+            continue
+        excess = pressure_excess(faces, strata[0])
+        if excess > worst:
+            worst, told = excess, strata[0]
+    if told:
         warn(
-            f"the layer is nearly incompressible (lmbda/mu = {layer.lmbda / layer.mu:.4g}): with the jumps found, the "
-            f"layer alone is {1 + excess:.3g} times too stiff, as its interface law lets no material flow along S; the "
+            f"the layer is nearly incompressible{told.when} (lmbda/mu = {told.lmbda / told.mu:.4g}): with the jumps found, "
+            f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
             "structure is off by less where the bodies are soft; mesh the layer (Model.full) to see by how much",
-            faces.state.model.comm,
+            found[0].state.model.comm,
         )
 
 
 def pressure_excess(faces: _Faces, layer: Stratum) -> float:
-    """int (p_0 - p) wb/int p wb, with wb = [u_N] + eps div_S <u>, the pressure p_0 of the law and p of the layer.
+    """int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2): work that the law asks for in excess, over the work that is needed.
 
-    (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, with p = 0 at free ends, no flow through the others; p_0 without the
-    second term. Continuous functions of degree 1. Where cells at a free end are larger than the length of the pressure,
-    p is left free there: it could not fall within them.
+    1 + excess says how many times the law is too stiff for the jumps found: by the pressure where they open the layer, not
+    at all where they shear it alone. With wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, that of
+    the layer
+
+        (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through the others,
+
+    continuous and of degree 1. Where cells at a free end are larger than the length of the pressure, p is left free there:
+    it could not fall within them. On straight facets of a curved S slip opens the layer at one end of a facet and closes
+    it at the other, which the law resists, too. Jumps that are rounding next to the displacements count as shear.
     """
     sheet, eps = faces.state.model.sheet, faces.thickness.mean(axis=1)
     d = sheet.joint.dim
@@ -301,16 +386,18 @@ def pressure_excess(faces: _Faces, layer: Stratum) -> float:
     stiff = sheet.areas[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
     volume = _assemble(mass * (eps / layer.lmbda)[:, None, None], number)
     flow = _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
-    b = np.bincount(number.ravel(), (mass @ wb[..., None]).ravel(), len(used))
+    moments = (mass @ wb[..., None])[..., 0]
+    b = np.bincount(number.ravel(), moments.ravel(), len(used))
     rim = free_rim(faces.state.model)
     fine = rim[rim.depth <= layer.length * eps[rim.simplex]]
     inside = np.setdiff1d(np.arange(len(used)), np.searchsorted(used, fine.vertices))
     if not b[inside].any():
         return 0.0
-    p_0 = scipy.sparse.linalg.spsolve(volume, b)
     p = scipy.sparse.linalg.spsolve((volume + flow)[inside][:, inside], b[inside])
-    work_0, work = float(b @ p_0), float(b[inside] @ p)
-    return (work_0 - work) / work
+    work_0 = float(layer.lmbda / eps @ (wb * moments).sum(axis=1))
+    work = float(b[inside] @ p)
+    shear = layer.mu * float((sheet.areas / eps) @ faces.slip_squared.mean(axis=1))
+    return (work_0 - work) / (work + shear)
 
 
 def _assemble(blocks: FloatArray, number: IntArray) -> scipy.sparse.csc_matrix:

@@ -98,9 +98,9 @@ def march(
         solver.equations.check_times([start, *plan.targets])
         require_time_scale(solver.equations, theta, [start, *plan.targets])
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
-        warn_of_model(model)
+        warn_of_model(model, plan.lasting(start))
         history = TimeStepping(solver, journal, plan, start, theta).run(resume)
-    warn_of_states(list(history))
+    warn_of_states(list(history), start)
     return history
 
 

@@ -101,6 +101,12 @@ class Plan:
             return cls(targets, adaptive, adaptive.smallest or adaptive.first / SHORTENED)
         return cls(targets, None, float(np.diff([start, *targets]).min()) / 2**HALVINGS)
 
+    def lasting(self, start: float) -> list[float]:
+        """How long loads have lasted that are sudden at `start`: first, in the middle (of the logarithms), and last."""
+        last = self.targets[-1] - start
+        first = min(self.adaptive.first if self.adaptive else last, self.targets[0] - start)
+        return list(dict.fromkeys([first, math.sqrt(first * last), last]))
+
     def after(self, t: float) -> list[float]:
         """Targets still to reach."""
         near = min(SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0])), self.smallest)
