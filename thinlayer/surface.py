@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.classes import Condition, Restricted
 from ufl.domain import extract_domains
@@ -25,7 +26,9 @@ from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
 MASS_TOLERANCE = 1e-14
-SPREAD = 0.1  # of the way to a node: a traction known at places closer together has no slope on that way
+SAME_PLACE = 1e-12  # of the largest displacement: jumps below are rounding
+ROUNDING = 1e-10
+SPREAD = 0.03  # of the way from what is known: what spreads less tells no slope on that way
 
 
 def reaction(state: State) -> fem.Function:
@@ -169,11 +172,9 @@ class Surface:
         if state.model.contact:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[untold] = by_law.x.array[untold]
-            untold[:] = False
-        t = self._divide_by_areas(r)
-        self._extrapolate(t, untold)
-        if not self.model.contact:
-            self._divide_by_mass(r, t, untold)
+        elif self.model.comm.allreduce(int(untold.any())):
+            self._extrapolate(r, untold, self._jumps(state))
+        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r)
         if self.model.joint.rigid_base:
             return -self.sides.upper(t)
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
@@ -183,9 +184,7 @@ class Surface:
         f = self._expression(f, (self.model.joint.dim,))
         v = ufl.TestFunction(self.trace_space)
         r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
-        found = fem.Function(self.trace_space)
-        self._divide_by_mass(r, found, np.zeros(len(r.x.array), bool))
-        return found
+        return self._divide_by_mass(r)
 
     def frame(self, f: Expr) -> Expr:
         """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
@@ -258,39 +257,85 @@ class Surface:
         r.x.array[told] = -self._of_other_side(r)[told]
         return unknown
 
-    def _extrapolate(self, t: fem.Function, untold: npt.NDArray[np.bool_]) -> None:
-        """Set components that nodal forces do not tell by the linear function that fits nodal forces over areas around.
+    def _jumps(self, state: State) -> npt.NDArray[np.float64]:
+        """Integral over S of a state's jump times the nodes' functions, for this rank's degrees of freedom, (n, d)."""
+        u, form = self._jump_form
+        if state.model.element == self.model.element:
+            u.x.array[:] = self.displacement(state).x.array
+        else:
+            vertices = fem.Function(state.model.space(1))
+            vertices.interpolate(state.u)
+            u.interpolate(transfer(vertices, state.model, self.trace_space, self.model))
+        d, owned = self.model.joint.dim, len(self._mass[1])
+        found = np.asarray(nodal_forces(self.trace_space, form).x.array[:owned])
+        largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
+        found = np.where(np.abs(found) > SAME_PLACE * largest * self._around, found, 0.0)
+        return found.reshape(-1, d).repeat(d, axis=0)
 
-        They are what a linear traction is at the centroids of the nodes' functions. The fit goes two neighbours deep, with
-        weights of the mass matrix's square. Along directions in which the centroids hardly spread (across S; everywhere
-        where there is one) the function is constant.
+    @cached_property
+    def _jump_form(self) -> tuple[fem.Function, fem.Form]:
+        """A function of the model's space, and the form of its jump that `_jumps` assembles."""
+        u, v = fem.Function(self.model.V), ufl.TestFunction(self.trace_space)
+        both = self.sides.upper(v) + self.sides.lower(v)
+        return u, fem.form(ufl.inner(self.sides.jump(u), both) * self.sides.measure)
+
+    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_], jumps: npt.NDArray[np.float64]) -> None:
+        """Set nodal forces where supports hold both sides, from those around.
+
+        Over the areas of the nodes, they are means of the traction. They go on as the linear function of the means of the
+        jump, as laws without memory have it, or of the place, whichever fits those around better.
         """
         _, on_s = self._mass
-        d, told, at = self.model.joint.dim, on_s & ~untold[: len(on_s)], np.flatnonzero(on_s & untold[: len(on_s)])
-        if not self.model.comm.allreduce(len(at)):
-            return
+        d, at = self.model.joint.dim, np.flatnonzero(on_s & untold[: len(on_s)])
+        told, area = on_s & ~untold[: len(on_s)], np.where(on_s, self._around, 1.0)
+        t = r.x.array[: len(on_s)] / area
         x = self.trace_space.tabulate_dof_coordinates()[: len(on_s) // d, :d] - self.model.joint.points.mean(axis=0)
-        x = x.repeat(d, axis=0).T
-        ones = np.ones(len(on_s))
-        area = np.where(told, self._times_mass(ones), 1.0)
-        known = [ones, *(self._times_mass(row) / area for row in x), t.x.array[: len(on_s)]]
-        moments = np.zeros((len(at), d + 1, d + 2))
-        for i in range(d + 1):
+        places = np.column_stack([self._times_mass(row) for row in x.repeat(d, axis=0).T]) / area[:, None]
+        fits = [self._fit(t, c, told, at) for c in (jumps / area[:, None], places)]
+        better = fits[0][1] < fits[1][1]
+        r.x.array[at] = np.where(better, fits[0][0], fits[1][0]) * area[at]
+        r.x.scatter_forward()
+
+    def _fit(
+        self,
+        t: npt.NDArray[np.float64],
+        known: npt.NDArray[np.float64],
+        told: npt.NDArray[np.bool_],
+        at: npt.NDArray[np.intp],
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """What t is at degrees of freedom `at` by a linear function of what is `known` there, and what it leaves squared.
+
+        It fits t where it is told, four neighbours deep, with weights of the fourth power of the mass matrix. Along
+        directions in which what is known hardly spreads the function is constant.
+        """
+        d = known.shape[1]
+        columns = [np.ones(len(t)), *known.T, t]
+        moments = np.zeros((len(at), d + 2, d + 2))
+        size = self.model.comm.allreduce(float(np.abs(t[told]).max(initial=0.0)), MPI.MAX) or 1.0
+        columns[-1] = t / size
+        for i in range(d + 2):
             for j in range(i, d + 2):
-                sums = self._times_mass(self._times_mass(np.where(told, known[i] * known[j], 0.0)))[at]
-                moments[:, i, j] = sums
-                if j <= d:
-                    moments[:, j, i] = sums
-        weight = moments[:, 0, 0]
-        moments /= np.where(weight > 0, weight, 1.0)[:, None, None]
-        centre, mean = moments[:, 1:, 0], moments[:, 0, d + 1]
-        away = x[:, at].T - centre
-        spread, axes = np.linalg.eigh(moments[:, 1:, 1 : d + 1] - centre[:, :, None] * centre[:, None, :])
-        change = moments[:, 1:, d + 1] - centre * mean[:, None]
-        wide = spread > SPREAD**2 * (away**2).sum(axis=1)[:, None]
-        slope = np.einsum("nki,nk->ni", axes, change) / np.where(wide, spread, np.inf)
-        t.x.array[at] = mean + np.einsum("ni,nki,nk->n", slope, axes, away)
-        t.x.scatter_forward()
+                sums = np.where(told, columns[i] * columns[j], 0.0)
+                for _ in range(4):
+                    sums = self._times_mass(sums)
+                moments[:, i, j] = moments[:, j, i] = sums[at]
+        weight = moments[:, :1, :1]
+        moments /= np.where(weight > 0, weight, 1.0)
+        mean = moments[:, 0, 1:]
+        about = moments[:, 1:, 1:] - mean[:, :, None] * mean[:, None, :]
+        away = known[at] - mean[:, :d]
+        spread, axes = np.linalg.eigh(about[:, :d, :d])
+        way = np.einsum("nki,nk->ni", axes, away)
+        wide = (spread > (SPREAD * way) ** 2) & (spread > ROUNDING * spread[:, -1:])
+        common = np.einsum("nki,nk->ni", axes, about[:, :d, d])
+        slope = common / np.where(wide, spread, np.inf)
+        left = about[:, d, d] - (slope * common).sum(axis=1)
+        return (mean[:, d] + (slope * way).sum(axis=1)) * size, left
+
+    @cached_property
+    def _around(self) -> npt.NDArray[np.float64]:
+        """Area of S around the nodes of both sides, for this rank's degrees of freedom; zero off S."""
+        return self._times_mass(np.ones(len(self._mass[1])))
 
     def _times_mass(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """Mass matrix of S times the values at local degrees of freedom, those of this rank."""
@@ -345,19 +390,18 @@ class Surface:
         """Nodal forces over the areas of the nodes, as contact laws see them."""
         _, on_s = self._mass
         t = fem.Function(self.trace_space)
-        t.x.array[: len(on_s)][on_s] = (r.x.array[: len(on_s)] / self._times_mass(np.ones(len(on_s))))[on_s]
+        t.x.array[: len(on_s)][on_s] = r.x.array[: len(on_s)][on_s] / self._around[on_s]
         t.x.scatter_forward()
         return t
 
-    def _divide_by_mass(self, r: fem.Function, t: fem.Function, known: npt.NDArray[np.bool_]) -> None:
-        """Solve M t = r on the nodes of S for the components of t but the `known` ones."""
+    def _divide_by_mass(self, r: fem.Function) -> fem.Function:
+        """Solve M t = r on the nodes of S."""
         V = self.trace_space
         mass, on_s = self._mass
-        keep = on_s & ~known[: len(on_s)]
-        t.x.array[: len(on_s)][keep] = 0.0
         first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
-        rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)
+        rows = PETSc.IS().createGeneral((first + np.flatnonzero(on_s)).astype(PETSc.IntType), comm=self.model.comm)
         A = mass.createSubMatrix(rows, rows)
+        t = fem.Function(V)
         ksp = PETSc.KSP().create(self.model.comm)
         ksp.setOperators(A)
         ksp.setType("cg")
@@ -365,14 +409,15 @@ class Surface:
         ksp.setTolerances(rtol=MASS_TOLERANCE, atol=0.0, max_it=1000)
         b = A.createVecLeft()
         x = A.createVecRight()
-        b.array[:] = (r.x.array[: len(on_s)] - self._times_mass(t.x.array))[keep]
+        b.array[:] = r.x.array[: len(on_s)][on_s]
         size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
         b.array[:] /= size  # the solver squares forces: very small and very large ones have no squares
         ksp.solve(b, x)
-        t.x.array[: len(on_s)][keep] = x.array * size
+        t.x.array[: len(on_s)][on_s] = x.array * size
         t.x.scatter_forward()
         for thing in (A, b, x, rows, ksp):
             thing.destroy()
+        return t
 
 
 def _lacks_side(f: Expr, spaces: Sequence[fem.FunctionSpace]) -> bool:
