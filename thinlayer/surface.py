@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.classes import Condition, Restricted
 from ufl.domain import extract_domains
@@ -26,9 +25,7 @@ from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
 MASS_TOLERANCE = 1e-14
-SAME_PLACE = 1e-12  # of the largest displacement: jumps below are rounding
-ROUNDING = 1e-10
-SPREAD = 0.03  # of the way from what is known: what spreads less tells no slope on that way
+SPREAD = 0.1  # of the way from the places where it is known: over less a traction tells no slope
 
 
 def reaction(state: State) -> fem.Function:
@@ -173,7 +170,7 @@ class Surface:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[untold] = by_law.x.array[untold]
         elif self.model.comm.allreduce(int(untold.any())):
-            self._extrapolate(r, untold, self._jumps(state))
+            self._extrapolate(r, untold)
         t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r)
         if self.model.joint.rigid_base:
             return -self.sides.upper(t)
@@ -257,80 +254,40 @@ class Surface:
         r.x.array[told] = -self._of_other_side(r)[told]
         return unknown
 
-    def _jumps(self, state: State) -> npt.NDArray[np.float64]:
-        """Integral over S of a state's jump times the nodes' functions, for this rank's degrees of freedom, (n, d)."""
-        u, form = self._jump_form
-        if state.model.element == self.model.element:
-            u.x.array[:] = self.displacement(state).x.array
-        else:
-            vertices = fem.Function(state.model.space(1))
-            vertices.interpolate(state.u)
-            u.interpolate(transfer(vertices, state.model, self.trace_space, self.model))
-        d, owned = self.model.joint.dim, len(self._mass[1])
-        found = np.asarray(nodal_forces(self.trace_space, form).x.array[:owned])
-        largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
-        found = np.where(np.abs(found) > SAME_PLACE * largest * self._around, found, 0.0)
-        return found.reshape(-1, d).repeat(d, axis=0)
-
-    @cached_property
-    def _jump_form(self) -> tuple[fem.Function, fem.Form]:
-        """A function of the model's space, and the form of its jump that `_jumps` assembles."""
-        u, v = fem.Function(self.model.V), ufl.TestFunction(self.trace_space)
-        both = self.sides.upper(v) + self.sides.lower(v)
-        return u, fem.form(ufl.inner(self.sides.jump(u), both) * self.sides.measure)
-
-    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_], jumps: npt.NDArray[np.float64]) -> None:
+    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_]) -> None:
         """Set nodal forces where supports hold both sides, from those around.
 
-        Over the areas of the nodes, they are means of the traction. They go on as the linear function of the means of the
-        jump, as laws without memory have it, or of the place, whichever fits those around better.
+        Over the areas of the nodes they are what a linear traction is at the centroids of the nodes' functions. The linear
+        function of the place that fits them goes on, two neighbours deep, with weights of the mass matrix's square. Along
+        directions in which the places hardly spread (across S; everywhere where there is one) it is constant.
         """
         _, on_s = self._mass
-        d, at = self.model.joint.dim, np.flatnonzero(on_s & untold[: len(on_s)])
-        told, area = on_s & ~untold[: len(on_s)], np.where(on_s, self._around, 1.0)
-        t = r.x.array[: len(on_s)] / area
-        x = self.trace_space.tabulate_dof_coordinates()[: len(on_s) // d, :d] - self.model.joint.points.mean(axis=0)
-        places = np.column_stack([self._times_mass(row) for row in x.repeat(d, axis=0).T]) / area[:, None]
-        fits = [self._fit(t, c, told, at) for c in (jumps / area[:, None], places)]
-        better = fits[0][1] < fits[1][1]
-        r.x.array[at] = np.where(better, fits[0][0], fits[1][0]) * area[at]
-        r.x.scatter_forward()
-
-    def _fit(
-        self,
-        t: npt.NDArray[np.float64],
-        known: npt.NDArray[np.float64],
-        told: npt.NDArray[np.bool_],
-        at: npt.NDArray[np.intp],
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """What t is at degrees of freedom `at` by a linear function of what is `known` there, and what it leaves squared.
-
-        It fits t where it is told, four neighbours deep, with weights of the fourth power of the mass matrix. Along
-        directions in which what is known hardly spreads the function is constant.
-        """
-        d = known.shape[1]
-        columns = [np.ones(len(t)), *known.T, t]
-        moments = np.zeros((len(at), d + 2, d + 2))
-        size = self.model.comm.allreduce(float(np.abs(t[told]).max(initial=0.0)), MPI.MAX) or 1.0
-        columns[-1] = t / size
-        for i in range(d + 2):
+        owned, d = len(on_s), self.model.joint.dim
+        at, told, area = (
+            np.flatnonzero(on_s & untold[:owned]),
+            on_s & ~untold[:owned],
+            np.where(on_s, self._around, 1.0),
+        )
+        x = self.trace_space.tabulate_dof_coordinates()[: owned // d, :d] - self.model.joint.points.mean(axis=0)
+        x = np.array([self._times_mass(row) / area for row in x.repeat(d, axis=0).T])
+        known = [np.ones(owned), *x, r.x.array[:owned] / area]
+        moments = np.zeros((len(at), d + 1, d + 2))
+        for i in range(d + 1):
             for j in range(i, d + 2):
-                sums = np.where(told, columns[i] * columns[j], 0.0)
-                for _ in range(4):
-                    sums = self._times_mass(sums)
-                moments[:, i, j] = moments[:, j, i] = sums[at]
+                sums = self._times_mass(self._times_mass(np.where(told, known[i] * known[j], 0.0)))[at]
+                moments[:, i, j] = sums
+                if j <= d:
+                    moments[:, j, i] = sums
         weight = moments[:, :1, :1]
         moments /= np.where(weight > 0, weight, 1.0)
-        mean = moments[:, 0, 1:]
-        about = moments[:, 1:, 1:] - mean[:, :, None] * mean[:, None, :]
-        away = known[at] - mean[:, :d]
-        spread, axes = np.linalg.eigh(about[:, :d, :d])
-        way = np.einsum("nki,nk->ni", axes, away)
-        wide = (spread > (SPREAD * way) ** 2) & (spread > ROUNDING * spread[:, -1:])
-        common = np.einsum("nki,nk->ni", axes, about[:, :d, d])
-        slope = common / np.where(wide, spread, np.inf)
-        left = about[:, d, d] - (slope * common).sum(axis=1)
-        return (mean[:, d] + (slope * way).sum(axis=1)) * size, left
+        centre, mean = moments[:, 0, 1 : d + 1], moments[:, 0, d + 1]
+        spread, axes = np.linalg.eigh(moments[:, 1:, 1 : d + 1] - centre[:, :, None] * centre[:, None, :])
+        common = np.einsum("nki,nk->ni", axes, moments[:, 1:, d + 1] - centre * mean[:, None])
+        away = x[:, at].T - centre
+        wide = spread > SPREAD**2 * (away**2).sum(axis=1)[:, None]
+        change = np.einsum("nki,nk->ni", axes, away) * common / np.where(wide, spread, np.inf)
+        r.x.array[at] = (mean + change.sum(axis=1)) * area[at]
+        r.x.scatter_forward()
 
     @cached_property
     def _around(self) -> npt.NDArray[np.float64]:
