@@ -156,8 +156,9 @@ class Surface:
         Mean over both faces of the bodies' reactions. Where a support holds a component of one body, its reaction there is
         the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
         (on a rigid base: of the body), no reaction tells it: under contact it is the law's, else it goes on linearly from
-        its values around, two neighbours deep, and is zero where they are all held, too. It is zero at nodes where S ends
-        inside the bodies: nothing jumps there.
+        what it is around, two nodes deep (zero where supports hold all of these, too). That is right for a uniform and for
+        a linear traction; where the traction falls steeply to zero at a clamped end, its value in the last cell is known to
+        first order in the cell's size. It is zero at nodes where S ends inside the bodies: nothing jumps there.
         """
         self._require_same_joint(state)
         r = reaction(state)
