@@ -157,8 +157,8 @@ class Surface:
         the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
         (on a rigid base: of the body), no reaction tells it: under contact it is the law's, else it goes on linearly from
         what it is around, two nodes deep (zero where supports hold all of these, too). That is right for a uniform and for
-        a linear traction; where the traction falls steeply to zero at a clamped end, its value in the last cell is known to
-        first order in the cell's size. It is zero at nodes where S ends inside the bodies: nothing jumps there.
+        a linear traction; where it falls steeply to zero at a clamped end, what it is there is off by a part of what it is
+        one cell farther on. It is zero at nodes where S ends inside the bodies: nothing jumps there.
         """
         self._require_same_joint(state)
         r = reaction(state)
