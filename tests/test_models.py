@@ -292,14 +292,15 @@ def test_bonded_bodies_are_the_stiff_limit():
         Surface(bonded.model)
 
 
-def test_components_that_supports_hold_on_both_sides_are_left_out_of_the_traction():
-    """There the reactions are the supports' too."""
+def test_components_that_supports_hold_on_both_sides_go_on_from_those_around():
+    """The reactions there are the supports' too. On a plane of symmetry the shear is zero."""
     change = {"supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}}
     for build in (Model.full, Model.interface):
         state = solve(build(JOINT, **(SETUP | change)))
         surface = Surface(Model.interface(JOINT, **(SETUP | change)))
         x, t = surface.profile(surface.traction(state))
-        assert (x[0, 0], t[0, 0]) == pytest.approx((0.0, 0.0), abs=1e-12)
+        assert x[0, 0] == pytest.approx(0.0, abs=1e-12)
+        assert abs(t[0, 0]) < 0.1 * np.abs(t[:, 0]).max()  # four cells long
         assert abs(t[0, 1]) > 1e-3
         assert abs(t[1, 0]) > 1e-3
 

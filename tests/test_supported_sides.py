@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+import ufl
 
-from forms import HolonomicCoulomb, LinearElastic
+from forms import HolonomicCoulomb, KelvinVoigt, Law, LinearElastic
 from geometry import block, sandwich
-from thinlayer import Model, Surface, ThinLayer, compare, solve
+from thinlayer import Model, Surface, ThinLayer, compare, march, piecewise, solve
 
 BODY = LinearElastic(30.0, 20.0)
 LAYER = ThinLayer(LinearElastic(3.0, 2.0), 0.05)
@@ -119,6 +122,57 @@ def test_a_support_that_moves_a_body_on_a_rigid_base(cell):
     model = Model.interface(one, layer=LAYER, body=BODY, **data)
     x, found = Surface(model).profile(Surface(model).traction(solve(model)))
     assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=EXACT)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "hexahedron"])
+@pytest.mark.parametrize(("build", "order"), [(Model.full, 0), (Model.interface, 1)])
+def test_ends_that_hold_both_bodies_together(build, order, cell):
+    """Stretched along S with a layer of the bodies' material: [u] = 0 and t_N = lmbda e_xx, at the ends as elsewhere."""
+    one = joint(cell)
+    supports = {"LEFT": {"x": 0, "y": 0}, "RIGHT": {"x": 0.03, "y": 0}, "TOP": {"y": 0}, "BOTTOM": {"y": 0}}
+    supports |= {"BACK": {"z": 0}, "FRONT": {"z": 0}} if one.dim == 3 else {}
+    data = {"layer": ThinLayer(BODY.per_thickness(0.05), 0.05, order=order), "body": BODY, "supports": supports}
+    surface = Surface(Model.interface(one, **data))
+    _, found = surface.profile(surface.traction(solve(build(one, **data))))
+    assert found[:, 1] == pytest.approx(BODY.lmbda * 0.03 / 1.6, rel=EXACT)
+
+
+@dataclass(frozen=True)
+class Swelling(Law):
+    """t = K [u] - p n."""
+
+    lmbda: float
+    mu: float
+    p: float
+    powers = {"lmbda": 1, "mu": 1}
+    linear = True
+
+    def stress(self, step):
+        return (self.lmbda * ufl.tr(step.e) - self.p) * ufl.Identity(3) + 2 * self.mu * step.e
+
+
+@pytest.mark.parametrize("make", [joint, lambda: block(1.6, 0.7, 0.4, cell="quadrilateral")], ids=["bodies", "base"])
+def test_a_layer_that_swells_in_a_rigid_box(make):
+    """The law tells the traction, at held ends, too: to less than what the projection to degree 1 leaves of it."""
+    one = make()
+    supports = dict.fromkeys({"BOTTOM", "TOP", "LEFT", "RIGHT"} & one.facets.keys(), 0)
+    model = Model.interface(one, layer=ThinLayer(Swelling(3.0, 2.0, 0.6), 0.05), body=BODY, supports=supports)
+    surface, state = Surface(model), solve(model)
+    t, w = surface.traction(state), surface.jump(state)
+    law = K_N * w[1] - 0.6
+    assert surface.integral(t[1]) == pytest.approx(surface.integral(law), rel=0.01)
+    assert surface.norm(t - ufl.as_vector([K_T * w[0], law])) < 0.05 * surface.norm(law)
+
+
+def test_ends_that_come_together_at_a_rate():
+    """[u] = 0 at the end, of nearly rigid bodies everywhere: the dashpots push back at the held ends as elsewhere."""
+    law, one, up = KelvinVoigt(2.0, 1.0, 1.5, 0.5), joint(), piecewise({0: 0.0, 1: 0.1, 2: 0.0})
+    held = {"BOTTOM": 0, "LEFT/LOWER": 0, "RIGHT/LOWER": 0}
+    held |= {name: {"x": 0, "y": up} for name in ("TOP", "LEFT/UPPER", "RIGHT/UPPER")}
+    model = Model.interface(one, layer=ThinLayer(law, 0.05), body=LinearElastic(3e5, 2e5), supports=held)
+    surface = Surface(model)
+    _, t = surface.profile(surface.traction(march(model, [0.5, 1.0, 1.5, 2.0]).last))
+    assert t[:, 1] == pytest.approx((2.0 * 1.5 + 2 * 1.0 * 0.5) * -0.1, rel=1e-3)  # what the bodies yield
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.classes import Condition, Restricted
 from ufl.domain import extract_domains
@@ -20,12 +19,13 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
+from thinlayer.contact.nodes import ContactNodes
 from thinlayer.loads import ModelError, has_finite_numbers
 from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
 MASS_TOLERANCE = 1e-14
-SAME_PLACE = 1e-12  # of the largest displacement: jumps below are rounding
+SPREAD = 0.1  # of the way from the places where it is known: over less a traction tells no slope
 
 
 def reaction(state: State) -> fem.Function:
@@ -48,6 +48,21 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
     values = fem.Function(V)
     values.x.array[:] = vector.array
     return values
+
+
+def contact_forces(state: State) -> fem.Function:
+    """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
+    model, law = state.model, state.model.contact
+    assert law is not None
+    nodes = ContactNodes(model, np.empty(0, np.int32))
+    out = nodes.zero()
+    nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[-1]), out)
+    forces = fem.Function(model.V)
+    forces.x.array[: out.getLocalSize()] = out.array_r
+    forces.x.scatter_forward()
+    nodes.destroy()
+    out.destroy()
+    return forces
 
 
 @dataclass(frozen=True)
@@ -140,21 +155,24 @@ class Surface:
 
         Mean over both faces of the bodies' reactions. Where a support holds a component of one body, its reaction there is
         the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
-        (on a rigid base: of the body), no reaction tells it: it is zero where they hold the bodies together, as then the
-        layer is not strained, and the neighbours' mean where they move them apart. It is zero, too, at nodes where S ends
-        inside the bodies: nothing jumps there.
+        (on a rigid base: of the body), no reaction tells it: under contact it is the law's, else it goes on linearly from
+        what it is around, two nodes deep (zero where supports hold all of these, too). That is right for a uniform and for
+        a linear traction; where it falls steeply to zero at a clamped end, what it is there is off by a part of what it is
+        one cell farther on. It is zero at nodes where S ends inside the bodies: nothing jumps there.
         """
         self._require_same_joint(state)
         r = reaction(state)
-        held, u = fem.Function(r.function_space), fem.Function(r.function_space)
+        held = fem.Function(r.function_space)
         held.x.array[state.model.supports.held(r.function_space, state.model.supports.given)] = 1.0
         held.x.scatter_forward()
-        u.interpolate(state.u)
-        r, held, u = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held, u))
+        r, held = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held))
         untold = self._tell_by_other_side(r, held.x.array > 0)
-        apart = untold & self._jumps(u)
-        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, untold, apart)
-        self._fill(t, untold, apart)
+        if state.model.contact:
+            by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
+            r.x.array[untold] = by_law.x.array[untold]
+        elif self.model.comm.allreduce(int(untold.any())):
+            self._extrapolate(r, untold)
+        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r)
         if self.model.joint.rigid_base:
             return -self.sides.upper(t)
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
@@ -164,8 +182,7 @@ class Surface:
         f = self._expression(f, (self.model.joint.dim,))
         v = ufl.TestFunction(self.trace_space)
         r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
-        none = np.zeros(len(r.x.array), bool)
-        return self._divide_by_mass(r, none, none)
+        return self._divide_by_mass(r)
 
     def frame(self, f: Expr) -> Expr:
         """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
@@ -238,19 +255,45 @@ class Surface:
         r.x.array[told] = -self._of_other_side(r)[told]
         return unknown
 
-    def _jumps(self, u: fem.Function) -> npt.NDArray[np.bool_]:
-        """Where a function of the trace space differs from side to side (on a rigid base: from zero)."""
-        largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
-        other = 0.0 if self.model.joint.rigid_base else self._of_other_side(u)
-        return np.asarray(np.abs(u.x.array - other) > SAME_PLACE * largest)
+    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_]) -> None:
+        """Set nodal forces where supports hold both sides, from those around.
 
-    def _fill(self, t: fem.Function, untold: npt.NDArray[np.bool_], apart: npt.NDArray[np.bool_]) -> None:
-        """Set components that nodal forces do not tell: the mean of neighbours where the sides move apart, else zero."""
-        t.x.array[untold] = 0.0
-        sums, weights = self._times_mass(t.x.array), self._times_mass(~untold)
-        fill = apart[: len(sums)] & (weights > 0)
-        t.x.array[: len(sums)][fill] = sums[fill] / weights[fill]
-        t.x.scatter_forward()
+        Over the areas of the nodes they are what a linear traction is at the centroids of the nodes' functions. The linear
+        function of the place that fits them goes on, two neighbours deep, with weights of the mass matrix's square. Along
+        directions in which the places hardly spread (across S; everywhere where there is one) it is constant.
+        """
+        _, on_s = self._mass
+        owned, d = len(on_s), self.model.joint.dim
+        at, told, area = (
+            np.flatnonzero(on_s & untold[:owned]),
+            on_s & ~untold[:owned],
+            np.where(on_s, self._around, 1.0),
+        )
+        x = self.trace_space.tabulate_dof_coordinates()[: owned // d, :d] - self.model.joint.points.mean(axis=0)
+        x = np.array([self._times_mass(row) / area for row in x.repeat(d, axis=0).T])
+        known = [np.ones(owned), *x, r.x.array[:owned] / area]
+        moments = np.zeros((len(at), d + 1, d + 2))
+        for i in range(d + 1):
+            for j in range(i, d + 2):
+                sums = self._times_mass(self._times_mass(np.where(told, known[i] * known[j], 0.0)))[at]
+                moments[:, i, j] = sums
+                if j <= d:
+                    moments[:, j, i] = sums
+        weight = moments[:, :1, :1]
+        moments /= np.where(weight > 0, weight, 1.0)
+        centre, mean = moments[:, 0, 1 : d + 1], moments[:, 0, d + 1]
+        spread, axes = np.linalg.eigh(moments[:, 1:, 1 : d + 1] - centre[:, :, None] * centre[:, None, :])
+        common = np.einsum("nki,nk->ni", axes, moments[:, 1:, d + 1] - centre * mean[:, None])
+        away = x[:, at].T - centre
+        wide = spread > SPREAD**2 * (away**2).sum(axis=1)[:, None]
+        change = np.einsum("nki,nk->ni", axes, away) * common / np.where(wide, spread, np.inf)
+        r.x.array[at] = (mean + change.sum(axis=1)) * area[at]
+        r.x.scatter_forward()
+
+    @cached_property
+    def _around(self) -> npt.NDArray[np.float64]:
+        """Area of S around the nodes of both sides, for this rank's degrees of freedom; zero off S."""
+        return self._times_mass(np.ones(len(self._mass[1])))
 
     def _times_mass(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """Mass matrix of S times the values at local degrees of freedom, those of this rank."""
@@ -303,31 +346,19 @@ class Surface:
 
     def _divide_by_areas(self, r: fem.Function) -> fem.Function:
         """Nodal forces over the areas of the nodes, as contact laws see them."""
-        sides = (self.sides.upper,) if self.model.joint.rigid_base else (self.sides.upper, self.sides.lower)
-        area = self._areas(*sides)
+        _, on_s = self._mass
         t = fem.Function(self.trace_space)
-        on_s = area > 0
-        t.x.array[on_s] = r.x.array[on_s] / area[on_s]
+        t.x.array[: len(on_s)][on_s] = r.x.array[: len(on_s)][on_s] / self._around[on_s]
+        t.x.scatter_forward()
         return t
 
-    def _divide_by_mass(
-        self, r: fem.Function, left_out: npt.NDArray[np.bool_], like_neighbours: npt.NDArray[np.bool_]
-    ) -> fem.Function:
-        """Solve M t = r on the nodes of S but for the components `left_out`.
-
-        They are zero, or as large as at the neighbour that sees them where `like_neighbours`: so the neighbours of what
-        is not known are those of a uniform traction.
-        """
+    def _divide_by_mass(self, r: fem.Function) -> fem.Function:
+        """Solve M t = r on the nodes of S."""
         V = self.trace_space
         mass, on_s = self._mass
-        owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-        keep = on_s & ~left_out[:owned]
         first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
-        rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)
+        rows = PETSc.IS().createGeneral((first + np.flatnonzero(on_s)).astype(PETSc.IntType), comm=self.model.comm)
         A = mass.createSubMatrix(rows, rows)
-        seen = A.getDiagonal()
-        seen.array[:] += self._times_mass(like_neighbours)[keep]
-        A.setDiagonal(seen)
         t = fem.Function(V)
         ksp = PETSc.KSP().create(self.model.comm)
         ksp.setOperators(A)
@@ -336,13 +367,13 @@ class Surface:
         ksp.setTolerances(rtol=MASS_TOLERANCE, atol=0.0, max_it=1000)
         b = A.createVecLeft()
         x = A.createVecRight()
-        b.array[:] = r.x.array[:owned][keep]
+        b.array[:] = r.x.array[: len(on_s)][on_s]
         size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
         b.array[:] /= size  # the solver squares forces: very small and very large ones have no squares
         ksp.solve(b, x)
-        t.x.array[:owned][keep] = x.array * size
+        t.x.array[: len(on_s)][on_s] = x.array * size
         t.x.scatter_forward()
-        for thing in (A, b, x, seen, rows, ksp):
+        for thing in (A, b, x, rows, ksp):
             thing.destroy()
         return t
 
