@@ -12,7 +12,11 @@ from numbers import Real
 from typing import Any
 
 OURS = ("forms", "geometry", "thinlayer")  # packages
-DEFAULTS = ("forms.law", "forms.traction")  # modules of the base classes
+DEFAULTS = ("forms.law", "forms.traction", "forms.point", "forms.contact")  # modules of the base classes
+ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
+CHANGES = ("advance", "evolve")  # of its memory
+OF_ANSWERS = ("stiffness", "gradient", "plane_stress", "otherwise", "energetic")  # what is written for one stress alone
+ENERGIES = ("energy", "dissipation", "dissipated")
 SHAPES = ((), (3,), (3, 3))  # of internal variables
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
@@ -53,6 +57,55 @@ def require_dataclass(kind: type) -> None:
         raise LawError(f"{kind.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
 
 
+def take_back(kind: Any) -> None:
+    """Give a class the defaults in place of what it inherits and was written for another stress than its own.
+
+    What a class writes itself stays, also as `plane_stress = Parent.plane_stress`. So do traits that are checked or only
+    choose among the solvers (`linear`, `symmetric`, ...), and what belongs to parameters alone (`powers`, `at`). An energy
+    stays where it is checked against the stress, or where the class writes one of `ENERGIES` beside it.
+    """
+    for name in OF_ANSWERS:
+        if _is_of_another(kind, name, ANSWERS + CHANGES):
+            _reset(kind, name)
+    written = [name for name in ENERGIES if _own(kind, name)]
+    unchecked = kind.rate or kind.internal or not kind.symmetric
+    if unchecked and all(_is_of_another(kind, name, ANSWERS) for name in written):
+        for name in written:
+            _reset(kind, name)
+    if _own(kind, "quadratic") and _place(kind, "energy") < _place(kind, "quadratic"):
+        _reset(kind, "quadratic")
+
+
+def _is_of_another(kind: Any, name: str, answers: tuple[str, ...]) -> bool:
+    """Whether what a class has of this name is inherited from above one of its answers: written for other ones.
+
+    In a base class without answers it is written for the first ones below it. A memory that is added changes no answer.
+    """
+    if not _own(kind, name):
+        return False
+    above = reversed(kind.__mro__[: _place(kind, name) + 1])
+    now = _answers(kind, answers)
+    before = next((found for one in above if (found := _answers(one, answers))), now)
+    return any(before.get(one) is not now.get(one) for one in answers if one in before or one not in CHANGES)
+
+
+def _answers(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
+    """What a class has of these names that is not the default of all laws."""
+    return {name: inspect.getattr_static(kind, name) for name in names if _own(kind, name)}
+
+
+def _place(kind: Any, name: str) -> int:
+    """Which class in the order of inheritance has something of this name, counted from the class itself."""
+    return next((k for k, one in enumerate(kind.__mro__) if name in vars(one)), len(kind.__mro__))
+
+
+def _reset(kind: Any, name: str) -> None:
+    """Give a class the default of all laws."""
+    setattr(
+        kind, name, next(vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULTS and name in vars(one))
+    )
+
+
 def require_declarations(law: Any) -> None:
     """Raise LawError unless what the class of a law declares fits its parameters and its methods."""
     kind, known = type(law), law.parameters()
@@ -80,6 +133,17 @@ def require_declarations(law: Any) -> None:
 def _require_asked(law: Any) -> None:
     """Refuse a method, or a law otherwise, that nobody would ask: what it says would be ignored."""
     kind, name = type(law), type(law).__name__
+    answering = min(_place(kind, one) for one in ("kernel", "source", "ignored"))
+    for one in kind.ignored:
+        if _own(kind, one) and _place(kind, one) < answering:
+            raise LawError(
+                f"{name} has a method {one} that is never asked: the answers are the kernel, the source or the sublayers "
+                f"of {kind.__mro__[answering].__name__}; change those, or write a Law"
+            )
+    if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
+        raise LawError(
+            f"{name} has a kernel and inherits a source, which would be taken; write source = None in the class"
+        )
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
         raise LawError(

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import ufl
 
 from forms.declarations import LawError as LawError
-from forms.declarations import is_number, require_dataclass, require_declarations
+from forms.declarations import is_number, require_dataclass, require_declarations, take_back
 from forms.kinematics import Expr
 
 
@@ -95,6 +95,7 @@ class Law:
         switches: whether phases are pure, one for each column of the layer, held in a solve and switched after it: by the
             methods `excess` and `switched`, from "phase" and the internal variables "drive" and "bound".
         flat: whether the tangent of a law with an energy may vanish along some strains.
+        ignored: methods that are never asked, as others give the answers.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
@@ -110,6 +111,11 @@ class Law:
     phases: ClassVar[bool] = False
     switches: ClassVar[bool] = False
     flat: ClassVar[bool] = False
+    ignored: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        take_back(cls)
 
     def __new__(cls, *_: Any, **named: Any) -> Self:
         require_dataclass(cls)
@@ -262,7 +268,10 @@ class Law:
 
     def plane_stress(self) -> Law:
         """The law of in-plane strains whose out-of-plane stresses are zero."""
-        raise LawError(f"plane stress is not defined for {type(self).__name__}; use plane='strain'")
+        raise LawError(
+            f"plane stress is not defined for {type(self).__name__}; use plane='strain', or write a method plane_stress "
+            "beside its stress"
+        )
 
     def parameters(self) -> dict[str, Any]:
         """Name -> value (number or array) of every parameter."""

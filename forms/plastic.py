@@ -170,6 +170,7 @@ class MohrCoulombReturn(PointLaw, MohrCoulomb):
     energetic: ClassVar = True
     source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
     otherwise: ClassVar = None  # type: ignore[assignment]
+    stiffness = isotropic_stiffness  # as that of the closed form: the C source is not evaluated
 
 
 @dataclass(frozen=True)

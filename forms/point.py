@@ -36,6 +36,7 @@ class PointLaw(Law):
         energetic: whether the kernel fills `energies`.
     """
 
+    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
     memory: ClassVar[int] = 0
     energetic: ClassVar[bool] = False
     kernel: ClassVar[Callable[..., bool]]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from forms.declarations import is_number
+from forms.declarations import is_number, require_declarations
 from forms.law import Law, LawError, require
 
 
@@ -40,6 +40,7 @@ class Stack(Law):
     """
 
     sublayers: tuple[tuple[float, Law], ...]
+    ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
 
     def __init__(self, *sublayers: tuple[float, Law]) -> None:
         try:
@@ -51,6 +52,7 @@ class Stack(Law):
             flat += [(a * b, part) for b, part in law.sublayers] if isinstance(law, Stack) else [(a, law)]
         object.__setattr__(self, "sublayers", tuple(flat))
         self.check()
+        require_declarations(self)
 
     def check(self) -> None:
         require(len(self.sublayers) > 0, self, "number of sublayers", 0, ">= 1")

@@ -37,7 +37,7 @@ NOT_SYMMETRIC = (
 )
 NOT_LINEAR = (
     "{} says linear = True, but is not: its stress is not affine in the strain; "
-    "leave linear out of the class, or correct the stress"
+    "write linear = False in the class, or correct the stress"
 )
 
 

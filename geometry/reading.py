@@ -205,6 +205,7 @@ class _Named:
         elif not lower:
             if way is not None:
                 raise GeometryError(f"direction is for S inside one body; {name!r} lies on the outer boundary")
+            self._require_touched(name, upper or tuple(self.regions), table.cells[rows, 0])
             return facets, upper or tuple(self.regions), ()
         if way is not None:
             return facets, upper or lower or tuple(self.regions), lower or upper or tuple(self.regions)
@@ -218,6 +219,15 @@ class _Named:
         if not lower:
             raise GeometryError(f"{name!r} lies inside {'+'.join(upper)}, nothing is left below it; give the direction")
         return facets, upper, lower
+
+    def _require_touched(self, name: str, upper: Names, cells: IntArray) -> None:
+        """Raise GeometryError unless the cells at S, which lies on the outer boundary, belong to the upper body."""
+        other = [region for region in self.regions if region not in upper and self.regions[region][cells].any()]
+        if other:
+            raise GeometryError(
+                f"{name!r} lies on the outer boundary of {' and '.join(other)}, and {'+'.join(upper)}, named in upper, "
+                f"does not touch it there; have both bodies the same nodes on {name!r}?"
+            )
 
     def _refuse(self, facets: IntArray, bad: npt.NDArray[np.bool_], what: str) -> None:
         if bad.any():

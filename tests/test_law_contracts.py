@@ -14,9 +14,12 @@ import forms
 from forms import Anisotropic, KelvinVoigt, Law, LawError, LinearElastic, Maxwell, Stack, TractionLaw
 from forms.elastic import lame
 from forms.symmetry import SIZES, Sample, keeps_its_word
+from forms.tangent import tangent_at_rest
 from forms.viscous import isotropic_energy
 from geometry import sandwich
+from tests.own_laws import Fragile, Mises
 from thinlayer import Model, Surface, ThinLayer, drive, march, solve
+from thinlayer.failure import RangeWarning, SolveError
 
 L, M = 3.0, 2.0  # moduli per thickness; lmbda + 2 mu = 7
 EPS, CREEP = 0.1, 0.5
@@ -233,7 +236,162 @@ def test_laws_of_this_package_are_what_they_say(law):
         keeps_its_word(sample)
 
 
+# ---------------------------------------------------------------- what belongs to a stress that was replaced
+P = 0.5  # stress of heat
+NU_E = 2 * L * M / (L + 2 * M)  # lmbda of plane stress
+DERIVED = ("stiffness", "gradient", "plane_stress")
+
+
+@dataclass(frozen=True)
+class Hot(LinearElastic):
+    """stress = C:e - p I."""
+
+    p: float
+
+    def stress(self, step):
+        return super().stress(step) - self.p * ufl.Identity(3)
+
+    def energy(self, step):
+        return isotropic_energy(self.lmbda, self.mu, step.e) - self.p * ufl.tr(step.e)
+
+
+@dataclass(frozen=True)
+class HotInPlane(Hot):
+    """With the stress out of the plane zero, e_33 = (p - lmbda tr e)/(lmbda + 2 mu)."""
+
+    def plane_stress(self):
+        share = 2 * self.mu / (self.lmbda + 2 * self.mu)
+        return self.with_parameters({"lmbda": self.lmbda * share, "p": self.p * share})
+
+
+@dataclass(frozen=True)
+class Cubic(LinearElastic):
+    """Another stiffness along the axes."""
+
+    a: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "a": 1}
+
+    def stress(self, step):
+        return super().stress(step) + self.a * ufl.as_matrix(
+            [[step.e[i, i] if i == j else 0 for j in range(3)] for i in range(3)]
+        )
+
+
+def free_expansion(law):
+    """Largest displacement of a body of width 2 that nothing holds back, and the opening of a column, plane stress."""
+    supports = {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}
+    layer = ThinLayer(LinearElastic(L, M), EPS)
+    body = solve(Model.interface(joint(), layer=layer, body=law, supports=supports, plane="stress"))
+    model = Model.interface(joint(), layer=ThinLayer(law, EPS), body=STEEL, supports=HELD, plane="stress")
+    S = Surface(model)
+    return body.u.x.array[::2].max() / 2, S.profile(S.frame(S.jump(solve(model)))[1])[1][0]
+
+
+def test_a_plane_stress_is_of_the_stress_beside_it():
+    for ask in (free_expansion, lambda law: Stack((1.0, law)).plane_stress()):
+        with pytest.raises(
+            LawError, match=r"plane stress is not defined for Hot; .* write a method plane_stress beside"
+        ):
+            ask(Hot(L, M, P))
+    strain, jump = free_expansion(HotInPlane(L, M, P))
+    assert strain == pytest.approx(P / (3 * L + 2 * M), rel=ROUNDED)
+    assert jump == pytest.approx(P * 2 * M / (L + 2 * M) / (NU_E + 2 * M), rel=1e-5)  # corners of the steel
+
+
+def test_a_stiffness_is_of_the_stress_beside_it():
+    """Refused where it is negative and warned of where it is high, as of a law that inherits nothing."""
+    n = np.array([0.0, 1.0])
+    assert tangent_at_rest(Cubic(L, M, 1.5), n)[1] == pytest.approx([L, L + 2 * M + 1.5, L, 0, 0, 0], rel=ROUNDED)
+    with pytest.raises(LawError, match="Cubic: the stiffness at rest is negative"):
+        column(Cubic(L, M, -8.0))
+    with pytest.warns(RangeWarning, match="times as hard as the softer body"):
+        solve(column(Cubic(L, M, 1e7)))
+    assert LinearElastic(L, M).relaxes
+    assert not Cubic(L, M, 1.5).relaxes
+
+
+def test_what_was_written_for_the_stress_of_a_law_stays():
+    """Beside the law's own stress; of a law with more parameters, memory or traits; or written again."""
+
+    def advance(law, step):
+        return {"path": step.q["path"] + ufl.tr(step.e - step.e_old)}
+
+    again = {name: getattr(LinearElastic, name) for name in DERIVED}
+    twice = {"stress": lambda law, step: 2 * LinearElastic.stress(law, step)}
+    for parent, names in (
+        (HotInPlane, {}),
+        (LinearElastic, {"symmetric": False}),
+        (LinearElastic, {"internal": {"path": ()}, "advance": advance}),
+        (LinearElastic, twice | again),
+    ):
+        kind = type("Own", (parent,), names)
+        assert all(getattr(kind, name) is getattr(parent, name) for name in DERIVED)
+        assert kind.energy is parent.energy
+    assert type("Own", (KelvinVoigt,), {"check": lambda law: None}).quadratic
+    base = type("Base", (Law,), {"stiffness": lambda law, n: np.eye(6)})  # of any law that follows it
+    first = type("First", (base,), {"stress": of_mid})
+    assert first.stiffness is base.stiffness
+    assert type("Second", (first,), {"stress": of_end}).stiffness is Law.stiffness
+    assert type("Switching", (forms.NonMonotoneUnrelaxed,), {"stress": of_end}).stiffness is Law.stiffness
+    assert tangent_at_rest(forms.MohrCoulombReturn(L, M, 0.4, 30), np.array([0.0, 1.0])) is not None
+
+
+def test_energies_that_nobody_checks_are_of_the_stress_beside_them():
+    """Of laws with rate or memory: none rather than those of another stress; one that is written stays."""
+    path, dt = [{"w_T": 0.1, "w_N": 0.05}, {"w_T": 0.2, "w_N": 0.2}], 0.25
+    damped = {
+        "rate": True,
+        "__annotations__": {},
+        "stress": lambda law, step: LinearElastic.stress(law, step) + 0.6 * law.mu * step.rate,
+    }
+    twice = {"stress": lambda law, step: 2 * KelvinVoigt.stress(law, step)}
+    for law in (type("Own", (LinearElastic,), damped)(L, M), type("Own", (KelvinVoigt,), twice)(L, M, CREEP, 0.3)):
+        history = drive(law, path, dt=dt)
+        assert np.isnan(history.energies).all()
+        assert np.isfinite(history.tractions).all()
+    heat = P * ufl.Identity(3)
+    hot = type(
+        "Own",
+        (KelvinVoigt,),
+        {
+            "stress": lambda law, step: KelvinVoigt.stress(law, step) - heat,
+            "energy": lambda law, step: KelvinVoigt.energy(law, step) - ufl.inner(heat, step.e),
+        },
+    )(L, M, CREEP, 0.3)
+    for theta in (0.5, 0.7, 1.0):
+        history = drive(hot, path, dt=dt, theta=theta)
+        jumps = np.diff(np.vstack([np.zeros(2), history.jumps]), axis=0)
+        remainder = (2 * theta - 1) / 2 * (M * jumps[:, 0] ** 2 + (L + 2 * M) * jumps[:, 1] ** 2)
+        assert history.energies[:, 2] == pytest.approx(remainder, rel=1e-9, abs=1e-12)
+    assert not Fragile(L, M, 1.0).has_energy  # its kernel fills none
+    assert Mises(L, M, 1.0).has_energy
+
+
+def test_a_law_otherwise_is_of_the_stress_beside_it():
+    """Twice Mohr-Coulomb's law where its closed form holds; elsewhere none, not once the law."""
+    law = type("Own", (forms.MohrCoulomb,), {"stress": lambda law, step: 2 * forms.MohrCoulomb.stress(law, step)})
+    once, twice = forms.MohrCoulomb(60.0, 40.0, 0.1, 30), law(60.0, 40.0, 0.1, 30)
+    held = [{"w_T": 5e-4, "w_N": 0.0}]
+    assert drive(twice, held).tractions == pytest.approx(2 * drive(once, held).tractions, rel=ROUNDED)
+    with pytest.raises(SolveError, match="the law failed"):
+        drive(twice, [{"w_T": 0.0, "w_N": 0.01}])
+
+
 # ---------------------------------------------------------------- what would be ignored
+@pytest.mark.parametrize("method", ["stress", "advance", "energy", "dissipation", "holds"])
+def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
+    def never(law, step):
+        return step.e
+
+    with pytest.raises(LawError, match=f"Own has a method {method} that is never asked: .* MohrCoulombReturn"):
+        type("Own", (forms.MohrCoulombReturn,), {method: never})(L, M, 0.4, 30)
+    with pytest.raises(LawError, match=f"Own has a method {method} that is never asked: .* Stack"):
+        type("Own", (Stack,), {method: never})((1.0, LinearElastic(L, M)))
+    with pytest.raises(LawError, match="Own has a kernel and inherits a source, which would be taken"):
+        type("Own", (forms.MohrCoulombReturn,), {"kernel": staticmethod(never)})(L, M, 0.4, 30)
+    type("Own", (Mises,), {"kernel": Mises.kernel, "stress": never})(L, M, 1.0)  # beside the kernel: a note
+
+
 @pytest.mark.parametrize(
     ("parent", "names", "message"),
     [

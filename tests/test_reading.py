@@ -139,6 +139,25 @@ def test_rigid_base(draw, tmp_path, dim):
         read(path, S="FOOT", upper="TWO", lower="ONE")
 
 
+def test_bodies_that_are_not_connected(tmp_path):
+    """Each has nodes of its own on S, a small gap apart: S lies on the outer boundary of one, not between the two."""
+    x = np.linspace(0.0, 3.0, 5)
+    low, up = (np.array([[a, b] for b in (y, y + 1.0) for a in x]) for y in (-1.0, 1e-6))
+    below = np.array([[k, k + 1, k + 6, k + 5] for k in range(4)])
+    lines = np.array([[k + 5, k + 6] for k in range(4)])
+    names = {"LOW": [1, 2], "UP": [2, 2], "S": [1, 1]}
+    path, tags = tmp_path / "a.msh", [np.repeat([1, 2], 4), np.full(4, 1)]
+    write(path, np.vstack([low, up]), [("quad", np.vstack([below, below + 10])), ("line", lines)], tags, names)
+    for named in (dict(upper="UP"), dict(upper=["UP"], lower=[])):
+        with pytest.raises(
+            GeometryError, match=r"'S' lies on the outer boundary of LOW, and UP, .* does not touch it there"
+        ):
+            read(path, **named)
+    with pytest.raises(GeometryError, match="region 'UP' belongs to no body"):
+        read(path, upper="LOW")
+    assert read(path).rigid_base
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_s_inside_one_body(draw, tmp_path, dim):
     """S cuts a body in two, or ends inside it."""

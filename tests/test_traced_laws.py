@@ -391,3 +391,52 @@ def test_a_failing_law_says_what_and_where(shift, what):
     message = rf"failed at \d+ points: the {what} of Rooted is not finite at x = \(0\.\d+, 0"
     with pytest.raises(SolveError, match=message):
         of_blocks(Rooted(3.0, shift))
+
+
+@dataclass(frozen=True)
+class AtRest(Law):
+    """Laws that have no number, or no slope, where the strain e is zero."""
+
+    k: float
+    way: str
+    powers: ClassVar = {"k": 1}
+
+    def parameters(self):
+        return {"k": self.k}
+
+    def stress(self, step):
+        square = ufl.inner(step.e, step.e)
+        ways = {
+            "size": lambda: 1 + ufl.sqrt(square),
+            "root": lambda: 1 / square**0.25,
+            "cubic": lambda: square,
+            "smooth": lambda: 1 + ufl.sqrt(square + 1e-12),
+        }
+        return self.k * step.e * ways[self.way]()
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of soft bodies
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        (
+            "size",
+            r"the tangent \(the slope of the stress\) of AtRest is not finite at the start .* e is zero: write ufl.sqrt",
+        ),
+        ("root", r"the stress of AtRest is not finite at the start of the step; .* e is zero: write ufl.sqrt"),
+        ("cubic", "the tangent at the start of the step is singular; .* A stress without a linear part"),
+    ],
+)
+def test_a_law_that_is_not_finite_at_rest_is_told(way, message):
+    """In bodies and in a meshed layer; on S the bodies help a tangent that vanishes."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
+    setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, 1.0)}, "element": "Q1"}
+    elastic, law = LinearElastic(60.0, 40.0), AtRest(20.0, way)
+    for build, layer, body in (
+        (Model.full, law, elastic),
+        (Model.interface, elastic, law),
+        *([(Model.interface, law, elastic)] if way != "cubic" else []),
+    ):
+        with pytest.raises(SolveError, match=message):
+            solve(build(joint, layer=ThinLayer(layer, 0.1), body=body, **setup))
+    solve(Model.full(joint, layer=ThinLayer(AtRest(20.0, "smooth"), 0.1), body=elastic, **setup))

@@ -92,7 +92,7 @@ class Equations:
             names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
             raise LawError(
                 f"{names} says linear = True, but is not, or not in a way that UFL sees: {error}; "
-                "leave linear out of the class"
+                "write linear = False in the class"
             ) from error
         self.K = dolfinx.fem.petsc.assemble_matrix(stiffness)
         self.K.assemble()
@@ -113,6 +113,11 @@ class Equations:
         if self.constraint:
             self.constraint.weigh(float(self.loads.max()[1]))
         self.pressure = fem.Function(self.constraint.space) if self.constraint else None
+
+    @property
+    def curved_laws(self) -> str:
+        """Names of the laws that are parts of forms and not linear."""
+        return " or ".join(sorted({type(p.law).__name__ for p in self._curved}))
 
     # ---------------------------------------------------------------- unknowns
     @cached_property

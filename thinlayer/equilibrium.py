@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from petsc4py import PETSc
 
 from thinlayer.balance import LARGEST_RESIDUAL
@@ -74,6 +76,8 @@ class Equilibrium:
         if equations.laws.failed:
             raise SolveError(f"at the start of the step {equations.laws.failure()}")
         forces = equations.scale
+        if self.curved:
+            self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
         if not self.curved:
             r.array[held] = 0.0
@@ -83,6 +87,12 @@ class Equilibrium:
         iterations = self._solve_linear(r, d)
         if self._yields and x.norm() > 0 and not d.norm() <= FARTHEST * x.norm():  # where all yields nothing resists
             self._elastic_step(x, r, d, move)
+        if self.curved and not math.isfinite(d.norm()):
+            raise SolveError(
+                "the tangent at the start of the step is singular",
+                advice="does something resist every motion of the bodies, and every strain at rest? "
+                "A stress without a linear part, as e^3, needs a small one",
+            )
         if self.curved:
             d.array[held] = move.array_r[held]
         x.axpy(1.0, d)
@@ -133,7 +143,9 @@ class Equilibrium:
             return
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
-        if not self.curved:
+        if self.curved:
+            self._require_finite("tangent (the slope of the stress)", A.norm())
+        else:
             equations.require_unique()
         mark(A, equations.model, saddle=equations.constraint is not None)
         self.drop_factor()
@@ -143,6 +155,15 @@ class Equilibrium:
         ksp.setFromOptions()
         tell_multigrid(ksp, A, equations.model)
         self._factored = key
+
+    def _require_finite(self, what: str, size: float) -> None:
+        """Raise SolveError if the norm of what laws in forms give where the step starts is NaN or infinite."""
+        if not math.isfinite(size):
+            raise SolveError(
+                f"the {what} of {self.equations.curved_laws} is not finite at the start of the step",
+                advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
+                "of strains, or a ufl.conditional",
+            )
 
     def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
         assert self._ksp is not None

@@ -86,7 +86,7 @@ def newton(
     tell_multigrid(snes.getKSP(), A, equations.model)
     snes.solve(None, x)
     reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
-    if own_test and not residuals:
+    if own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
         raise OptionError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
     last = float(snes.getFunctionNorm()) / max(equations.scale, 1e-300)
     ksp_reason = snes.getKSP().getConvergedReason()

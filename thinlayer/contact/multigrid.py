@@ -100,17 +100,18 @@ class MultigridContact:
                     self._u.set(0.0)
                 reason = newton.run(self._u, guess)
                 history += newton.residuals
-                if not newton.residuals:
+                if not newton.residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
                     raise OptionError(
                         f"-{PREFIX}snes_type ksponly does not look at the residual; contact needs Newton's method"
                     )
                 self._solved = reason > 0
                 if self._solved:
                     return self._u, len(newton.residuals) - 1, history
+        last = history[-1] if history else math.nan
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(
-            f"Newton's method for contact failed after {len(history) - 2} steps: {names.get(reason, reason)}, residual "
-            f"{history[-1]:.1e} of the forces; a body that is pulled off S, or pushed harder than friction holds, needs "
+            f"Newton's method for contact failed after {max(len(history) - 2, 0)} steps: {names.get(reason, reason)}, "
+            f"residual {last:.1e} of the forces; a body that is pulled off S, or pushed harder than friction holds, needs "
             f"supports; else try smaller steps of the load, or -{PREFIX}snes_monitor to watch it",
             residuals=tuple(history),
         )
