@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from collections import OrderedDict, defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -174,17 +175,16 @@ def met():
     from scipy.stats import norm, weibull_min
 
     moduli = Moduli({name: 2.0 for name in {"foam", "glue", "wood", "cork", "mortar"}})
-    read = [moduli.mean for _ in range(len(next(iter(moduli.E))) % 2)]  # in some processes alone
     frozen = weibull_min(1.5, scale=3.0)
     tree = cKDTree(np.array([[0.0, 1.0], [2.0, 3.5]]))
-    lock = __import__("threading").Lock()
-    there = (moduli, {("a", 1), ("b", 2)}, PATTERN, norm, frozen, tree, lock, sys.stderr, NUMBERS)
-    return lambda x, t: [there] if read is not None and len(read) > 5 else there
+    lock = threading.Lock()
+    return [moduli, {("a", 1), ("b", 2)}, PATTERN, norm, frozen, tree, lock, sys.stderr, NUMBERS]
 
 
 def test_descriptions_are_the_same_in_another_process():
-    there = met().__closure__[1].cell_contents
-    program = "from tests.test_identity import *; print(json.dumps(described(met().__closure__[1].cell_contents)))"
+    there = met()
+    assert there[0].mean == 2.0  # now it is cached
+    program = "from tests.test_identity import *; print(json.dumps(described(met())))"
     for seed in "123":
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True,
                               env=os.environ | {"PYTHONHASHSEED": seed}, cwd=Path(__file__).parents[1])  # fmt: skip
@@ -236,7 +236,7 @@ def half(state):
 
 
 def other_half(state):
-    return 1 - 0.5
+    return 0.25
 
 
 def through(function):

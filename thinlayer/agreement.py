@@ -62,10 +62,10 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
 
 def _differing(comm: MPI.Intracomm, rank: int, value: Any, first: str, theirs: str) -> tuple[str, str, str]:
-    """Where the values of rank 0 and of another rank differ, and what either has there, from a little before. Collective."""
+    """Where the values of rank 0 and of another rank differ, and what either has there. Collective."""
     full = comm.allgather(in_full(value))
     for path, *both in differences(full[0], full[rank]):
-        texts = ["nothing" if one is MISSING else one if isinstance(one, str) else json.dumps(one) for one in both]
+        texts = ["nothing" if one is MISSING else json.dumps(one) for one in both]
         return (f"{'.'.join(path)} is " if path else "", *_from_where_they_differ(*texts))
     return ("", *_from_where_they_differ(first, theirs))
 

@@ -242,7 +242,8 @@ class SweepFile:
 
     def write(self, table: Table) -> None:
         """Replace the table. The file beside it names the old and the new one, and is written first."""
-        self._changing |= {_changed(*one) for one in differences(self._made_from, referred(self._run))} - {None}
+        changed = (_changed(*one) for one in differences(self._made_from, referred(self._run)))
+        self._changing |= {path for path in changed if path}
         hashes = [hash_of(self.path), hashlib.sha256(table.content()).hexdigest()]
         content = {"made from": self._made_from, "changing": sorted(self._changing), "sha256": hashes}
         with replaced(self.beside) as file:

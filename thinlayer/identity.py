@@ -130,7 +130,7 @@ def code_of(function: Any) -> str:
             further = [value.__func__, value.__self__]
         elif isinstance(value, functools.partial):
             further = [value.func, *value.args, *value.keywords.values()]
-            given = {**dict(enumerate(value.args)), **value.keywords}
+            given: dict[Any, Any] = {**dict(enumerate(value.args)), **value.keywords}
             found.add(_text({str(key): _plain(one) for key, one in given.items()}))  # what stays as it is
         elif inner is not None and _readable(inner, home):
             found.add(digest(_bytecode(inner)))
@@ -305,13 +305,13 @@ class _Describer:
                 return self._copied(value, home)
             return _place(value) or self._as_one(kind, lambda: self._named(attributes, kind.__module__))
 
-        def parts() -> dict[str, Any]:
+        def consists_of() -> dict[str, Any]:
             found = {"(class)": self.of(kind, home), **self._named(attributes, kind.__module__)}
             if all(base is object or _readable(base, home) for base in kind.__mro__):
                 return found
             return found | {"(copied from)": self._copied(value, home)}
 
-        return self._brief(kind.__qualname__, parts)
+        return self._brief(kind.__qualname__, consists_of)
 
     def _copied(self, value: Any, home: str) -> Any:
         """An object by what a copy of it is made from."""

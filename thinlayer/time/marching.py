@@ -71,8 +71,8 @@ def march(
         options, method: of the solver, see `solve`.
 
     Warns:
-        RangeWarning: as in `solve`; of the accepted states that are kept, once, at the end. A march to be resumed has passed
-            one of the times without a step that ended there.
+        RangeWarning: as in `solve`; of the accepted states that are kept, once, at the end. A march to be resumed has
+            passed one of the times without a step that ended there.
 
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; theta < 1 with a law whose state
