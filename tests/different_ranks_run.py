@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import sys
@@ -25,12 +26,45 @@ def model(eps=0.1, law=SLOW, **change):
     return Model.interface(JOINT, **(data | change))
 
 
+def turned(given, rank):
+    return dict(reversed(given.items())) if rank else given
+
+
+def in_another_order(rank: int) -> None:
+    """That of tractions, bodies and what is observed: columns have that of rank 0."""
+    tractions = turned({"TOP": (0.0, 1.0), "RIGHT": lambda x, t: (0.2 * t, -0.1)}, rank)
+    observe = turned({"one": lambda state: 2 * state.t, "other": lambda state: -state.t}, rank)
+    body = turned(dict.fromkeys(JOINT.bodies, BODY), rank)
+    table = march(model(body=body, tractions=tractions), [0.3], observe=observe).table
+    assert table.columns[-2:] == ["one", "other"]
+    assert table["one"].tolist() == [0.0, 0.6]
+    assert table["other"].tolist() == [0.0, -0.3]
+
+
+class Load:
+    """A load with a value that is computed when it is first asked for."""
+
+    @functools.cached_property
+    def size(self):
+        return 1.5
+
+    def __call__(self, x, t):
+        return (0.0, self.size * t)
+
+
+def asked(rank: int) -> Load:
+    load = Load()
+    if rank:
+        assert load.size > 0
+    return load
+
+
 def cases(rank: int, folder: Path):
     """Name -> what is done on a rank."""
     elastic, other, good = model(law=LinearElastic(60.0, 40.0)), model(law=LinearElastic(50.0, 40.0)), model()
     state = solve(elastic)
     order = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"y": 0.1}}
-    turned = dict(reversed(order.items()))
+    factor = 1.0 + rank
     return {
         "thickness": lambda: model(0.1 + 0.2 * rank),
         "law": lambda: model(law=LinearElastic(60.0 + rank, 40.0)),
@@ -40,7 +74,10 @@ def cases(rank: int, folder: Path):
         "a function that fails": lambda: model(tractions={"TOP": lambda x, t: (0.0, 1.0 / (1 - rank))}),
         "supports": lambda: model(supports=SUPPORTS | {"RIGHT": {"y": 0.3 * rank}}),
         "fewer supports": lambda: model(supports=dict([*SUPPORTS.items()][: 2 - rank])),
-        "order of supports": lambda: model(supports=turned if rank else order),
+        "order of supports": lambda: model(supports=turned(order, rank)),
+        "order of others": lambda: in_another_order(rank),
+        "cached values": lambda: model(tractions={"TOP": asked(rank)}),
+        "what a load refers to": lambda: model(tractions={"TOP": lambda x, t: (0.0, factor * t)}),
         "element": lambda: model(element="P7" if rank else "P2"),
         "option": lambda: model(**({"colour": 3} if rank else {})),
         "no model": lambda: solve(None if rank else elastic),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import functools
 import json
 import os
 import signal
@@ -106,7 +107,8 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     assert path.read_bytes() == before
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
     with pytest.raises(
-        ModelError, match=r"is the table of another sweep \(row: .* there, .* here\); give another name"
+        ModelError,
+        match=r"is the table of another sweep \(row\.scaled\.FACTOR: 2\.0 there, 3\.0 here\); give another name",
     ):
         sweep(run, [0.4, 0.2, 0.1], path, resume=True)
     assert path.read_bytes() == before
@@ -120,6 +122,44 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     (tmp_path / "t.csv.json").write_text('{"made from": 3}')
     with pytest.raises(ModelError, match=r"t\.csv\.json' cannot be read"):
         sweep(run, [0.4], path, resume=True)
+
+
+class Study:
+    def __init__(self, E):
+        self.E, self.done, self.meshes, self.last = E, [], {}, None
+
+    def run(self, e):
+        self.done.append(e)
+        self.meshes[e] = self.last = Study(e)
+        return {"eps": e, "error_traction": self.E * e, "error_jump": e}
+
+
+def kept(e, E, done):
+    done.append(e)
+    return {"eps": e, "error_traction": E * e, "error_jump": e}
+
+
+def of_a_function(E):
+    study = {"E": E, "study": Study(E)}
+
+    def helper(e):
+        study["row"] = e
+        return study["study"].run(e)
+
+    return lambda e: helper(e)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda E: Study(E).run, lambda E: functools.partial(kept, E=E, done=[]), of_a_function],
+    ids=["method", "partial", "function"],
+)  # fmt: skip
+def test_what_changes_beside_it_does_not_hide_what_a_sweep_is_made_from(tmp_path, make):
+    path, run = tmp_path / "t.csv", make(60.0)
+    sweep(run, [0.4, 0.2], path)
+    for again in (make(60.0), run):
+        assert len(sweep(again, [0.4, 0.2, 0.1], path, resume=True)) == 3
+    with pytest.raises(ModelError, match=r"is the table of another sweep \(.*E: 60\.0 there, 120\.0 here"):
+        sweep(make(120.0), [0.4, 0.2, 0.1], path, resume=True)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
+import enum
+import functools
 import json
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections import OrderedDict, defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -71,8 +81,192 @@ def test_descriptions_are_json_and_end():
     assert json.loads(json.dumps(found)) == found
     moved = replace(JOINT, points=JOINT.points * 1.1)
     assert described(moved) != described(JOINT)
-    assert referred(row).keys() == {"code", "scaled"}
+    assert referred(row).keys() == {"(code)", "scaled"}
+    assert referred(row)["scaled"]["FACTOR"] == FACTOR
     assert len(repr(JOINT)) < 200
+
+
+class Times:
+    """A class decorator: what it calls is the function, what it returns depends on more."""
+
+    def __init__(self, function, factor):
+        functools.update_wrapper(self, function)
+        self.function, self.factor = function, factor
+
+    def __call__(self, *place):
+        return [self.factor * one for one in self.function(*place)]
+
+
+class Length(float):
+    def __new__(cls, value, unit):
+        length = super().__new__(cls, value)
+        length.unit = unit
+        return length
+
+
+def uniform(x, t):
+    return (0.0, 1.5)
+
+
+def with_attribute(value):
+    def load(x, t):
+        return (0.0, load.F * t)
+
+    load.F = value
+    return load
+
+
+def executed(text, name="found"):
+    namespace = {"__name__": "__main__", "enum": enum}
+    exec(text, namespace)
+    return namespace[name]
+
+
+def nameless(text):
+    namespace = {}
+    exec(text, namespace)
+    return namespace["found"]
+
+
+def made(value):
+    """Functions and objects that differ in a value alone."""
+    names = ["F", "G"] if value > 5 else ["G", "F"]
+    yield "attribute of a function", with_attribute(value)
+    yield "executed text", nameless(f"def found(t): return {value} * t")
+    yield "class of an executed text", nameless(f"class found:\n def F(self): return {value}")
+    yield "class of python3 -c", executed(f"class found:\n def F(self): return {value}")()
+    yield "own text", executed(f"class E(enum.StrEnum):\n A = 'a'\n def F(self): return {value}\nfound = E.A")
+    yield "class decorator", Times(uniform, value)
+    yield "vectorized", np.vectorize(lambda a: value * a)
+    yield "default", defaultdict(functools.partial(float, value))
+    yield "names in an array", np.array([(1.0, 2.0)], dtype=[(name, float) for name in names])
+    yield "entry of an array", np.array([(1.0, 2.0)], dtype=[(name, float) for name in names])[0]
+    yield "shape of texts", np.array(["a", "b", "c", "d", "e", "f"]).reshape((-1, int(value)))
+    yield "own number", Length(2.0, value)
+    yield "order that counts", OrderedDict((name, 1.0) for name in names)
+    yield "numbers and texts as keys", {1: value, "1": 2.0}
+    yield "namespace of a file", executed(f"class found:\n class G:\n  def F(self): return {value}").G
+
+
+def test_nothing_is_dropped_from_descriptions():
+    one, same, other = (dict(made(value)) for value in (3.0, 3.0, 6.0))
+    for name in one:
+        assert described(lambda x, t, it=one[name]: it) == described(lambda x, t, it=same[name]: it), name
+        assert described(one[name]) != described(other[name]), name
+    assert described({1: 2.0, "1": 3.0}) != described({1: 7.0, "1": 3.0})
+
+
+@dataclass
+class Moduli:
+    E: dict
+
+    @functools.cached_property
+    def mean(self):
+        return sum(self.E.values()) / len(self.E)
+
+
+PATTERN = re.compile("F=(.)")
+NUMBERS = [0.5 * k for k in range(40)]
+
+
+def met():
+    """What another process makes in another order, or computes anew."""
+    from scipy.spatial import cKDTree
+    from scipy.stats import norm, weibull_min
+
+    moduli = Moduli({name: 2.0 for name in {"foam", "glue", "wood", "cork", "mortar"}})
+    frozen = weibull_min(1.5, scale=3.0)
+    tree = cKDTree(np.array([[0.0, 1.0], [2.0, 3.5]]))
+    lock = threading.Lock()
+    return [moduli, {("a", 1), ("b", 2)}, PATTERN, norm, frozen, tree, lock, sys.stderr, NUMBERS]
+
+
+def test_descriptions_are_the_same_in_another_process():
+    there = met()
+    assert there[0].mean == 2.0  # now it is cached
+    program = "from tests.test_identity import *; print(json.dumps(described(met())))"
+    for seed in "123":
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True,
+                              env=os.environ | {"PYTHONHASHSEED": seed}, cwd=Path(__file__).parents[1])  # fmt: skip
+        assert json.loads(done.stdout) == described(there)
+    assert described(PATTERN) != described(re.compile("F=(..)"))
+
+
+def test_of_namespaces_what_is_read_counts():
+    arguments = argparse.Namespace(E=60.0, resume=False)
+
+    def read(e):
+        return arguments.E * e
+
+    def passed_on(e):
+        return vars(arguments)["E"] * e
+
+    before = [described(one) for one in (read, passed_on)]
+    arguments.resume = True
+    assert described(read) == before[0]
+    assert described(passed_on) != before[1]
+    arguments.E = 120.0
+    assert described(read) != before[0]
+
+
+def test_chains_too_long_to_follow():
+    class Link:
+        def __init__(self, behind):
+            self.behind = behind
+
+    chain = functools.reduce(lambda behind, _: Link(behind), range(2000), None)
+    with pytest.raises(ModelError, match="refers to things that refer to one another in a chain of hundreds"):
+        described(lambda x, t: chain)
+
+
+class Gauge:
+    def __init__(self, found):
+        self.found = found
+
+    def slip(self, state):
+        self.found.append(state)
+        return half(state)
+
+    def gap(self, state):
+        return half(state)
+
+
+def half(state):
+    return 0.5
+
+
+def other_half(state):
+    return 0.25
+
+
+def through(function):
+    @functools.wraps(function)
+    def inner(state):
+        return function(state)
+
+    return inner
+
+
+def test_observed_functions_are_all_code_that_they_call(monkeypatch):
+    """And no values that they collect."""
+    ways = (
+        through,
+        functools.cache,
+        numba.njit,
+        functools.partial,
+        lambda f: lambda state: f(state),
+        lambda f: Times(f, 1.0),
+    )
+    for way in ways:
+        assert code_of(way(half)) == code_of(way(half))
+        assert code_of(way(half)) != code_of(way(other_half))
+    assert code_of(Gauge([]).slip) == code_of(Gauge([1.0]).slip)
+    assert code_of(Gauge([]).slip) != code_of(Gauge([]).gap)
+    assert code_of(functools.partial(half, at=1.0)) != code_of(functools.partial(half, at=2.0))
+    assert code_of(functools.partial(half, [])) == code_of(functools.partial(half, [3.0]))
+    before = code_of(Gauge([]).slip)
+    monkeypatch.setitem(globals(), "half", other_half)
+    assert code_of(Gauge([]).slip) != before
 
 
 @pytest.mark.parametrize(

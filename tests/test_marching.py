@@ -6,6 +6,7 @@ import csv
 import signal
 import subprocess
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -24,6 +25,7 @@ from thinlayer import (
     Model,
     ModelError,
     OptionError,
+    RangeWarning,
     SolveError,
     Surface,
     ThinLayer,
@@ -400,6 +402,27 @@ def test_times_may_be_negative(tmp_path):
     for resume in (False, True):
         history = march(interface(), [-2.0, -1.0], start=-3.0, out=tmp_path, resume=resume)
         assert history.t == pytest.approx([-3.0, -2.0, -1.0])
+
+
+def test_times_that_a_resumed_march_has_passed(tmp_path):
+    """A row for them there will never be, and who asks for it is told."""
+    march(interface(), [0.2, 0.4], out=tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        march(interface(), [0.2, 0.4, 0.5], out=tmp_path, resume=True)
+    with pytest.warns(
+        RangeWarning, match=r"is at t = 0\.5 and has no step that ended at t = 0\.3, which times ask for"
+    ):
+        history = march(interface(), [0.3, 0.5, 0.6], out=tmp_path, resume=True)
+    assert history.t == pytest.approx([0.0, 0.2, 0.4, 0.5, 0.6])
+
+
+def test_what_is_observed_in_another_order(tmp_path):
+    observe = {"one": lambda state: 2 * state.t, "other": lambda state: -state.t}
+    march(interface(), [0.2], out=tmp_path, observe=observe)
+    resumed = march(interface(), [0.2, 0.3], out=tmp_path, observe=dict(reversed(observe.items())), resume=True)
+    assert resumed.table["one"] == pytest.approx([0.0, 0.4, 0.6])
+    assert resumed.table["other"] == pytest.approx([0.0, -0.2, -0.3])
 
 
 def test_files_that_do_not_fit_together(tmp_path):

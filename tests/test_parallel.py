@@ -65,15 +65,18 @@ def test_bad_input_on_two_ranks(tmp_path):
 
 
 DIFFERENT = {
-    "thickness": "different layer: .*eps=0.1.* on rank 0, .*eps=0.3.* on rank 1; give all ranks the same",
-    "law": "different layer: .*lmbda=60.* on rank 0, .*lmbda=61",
+    "thickness": "different layer: eps is 0.1 on rank 0, 0.3.* on rank 1; give all ranks the same",
+    "law": "different layer: law.lmbda is 60.* on rank 0, 61",
     "body": "different body",
-    "tractions": r"different tractions: .*\[0.0, 1.0\].* on rank 0, .*\[0.0, 1.5\]",
+    "tractions": r"different tractions: TOP\.1 is 1.0 on rank 0, 1.5",
     "a load that is no number": "different tractions: .* on rank 0, .*nan.* on rank 1",
     "a function that fails": "different tractions",
     "supports": "different supports: .*0.0.* on rank 0, .*0.3",
     "fewer supports": "different supports",
     "order of supports": "different supports",
+    "order of others": None,
+    "cached values": None,
+    "what a load refers to": r"different tractions: TOP\.factor is 1.0 on rank 0, 2.0 on rank 1",
     "element": "rank 1: element 'P7' does not exist",
     "option": "rank 1: unknown option of a model 'colour'",
     "no model": "rank 1: model is None",
@@ -101,7 +104,8 @@ def test_ranks_that_are_told_different_things(tmp_path):
     found = json.loads(done.stdout)
     assert found.keys() == DIFFERENT.keys()
     for name, message in DIFFERENT.items():
-        assert re.match(f"ModelError: .*{message}", str(found[name])), (name, found[name])
+        said = f"ModelError: .*{message}" if message else "nothing"
+        assert re.match(said, str(found[name])), (name, found[name])
 
 
 def test_an_error_of_one_rank_ends_all(tmp_path):

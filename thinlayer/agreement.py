@@ -9,7 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from thinlayer.identity import described, digest
+from thinlayer.identity import MISSING, described, differences, digest, in_full
 from thinlayer.loads import ModelError
 
 SHOWN = 60  # characters from where data differ
@@ -55,19 +55,29 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
     for name, first in found[0].items():
         for rank, theirs in enumerate(found):
             if theirs[name] != first:
-                here, there = _differing(first, theirs[name])
-                what = f"the ranks were given different {name}: {here} on rank 0, {there} on rank {rank}"
+                at, here, there = _differing(comm, rank, given[name], first, theirs[name])
+                what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
                 raise _for_all(ModelError(f"{what}; give all ranks the same"))
     return digest(mine)
 
 
-def _differing(one: str, other: str) -> list[str]:
+def _differing(comm: MPI.Intracomm, rank: int, value: Any, first: str, theirs: str) -> tuple[str, str, str]:
+    """Where the values of rank 0 and of another rank differ, and what either has there. Collective."""
+    full = comm.allgather(in_full(value))
+    for path, *both in differences(full[0], full[rank]):
+        texts = ["nothing" if one is MISSING else json.dumps(one) for one in both]
+        return (f"{'.'.join(path)} is " if path else "", *_from_where_they_differ(*texts))
+    return ("", *_from_where_they_differ(first, theirs))
+
+
+def _from_where_they_differ(one: str, other: str) -> tuple[str, str]:
     """The parts of two texts from a little before they differ."""
     shorter = min(len(one), len(other))
     alike = next((k for k in range(shorter) if one[k] != other[k]), shorter)
     start = max(alike - SHOWN // 2, 0)
     end = start + SHOWN
-    return ["... " * (start > 0) + text[start:end] + " ..." * (end < len(text)) for text in (one, other)]
+    here, there = ("... " * (start > 0) + text[start:end] + " ..." * (end < len(text)) for text in (one, other))
+    return here, there
 
 
 def _text(error: Exception) -> str:

@@ -21,7 +21,7 @@ from forms.law import LawError
 from geometry.parallel import on_root
 from thinlayer.agreement import on_all, require_same
 from thinlayer.folder import LOCK, moved_away, owned
-from thinlayer.identity import referred
+from thinlayer.identity import CODE, MISSING, SAME, differences, referred
 from thinlayer.loads import ModelError
 from thinlayer.model import Model
 from thinlayer.progress import track
@@ -192,13 +192,14 @@ def sweep(
 class SweepFile:
     """The csv file of a sweep, and beside it the one that says what its rows were made from; on one rank.
 
-    What `run` itself changes as it goes, such as a list of what it has found, is no part of that.
+    What `run` itself changes as it goes, such as a list of what it has found, is no part of that; what stands beside it,
+    and code, are.
     """
 
     def __init__(self, path: Path, run: Callable[[float], Mapping[str, Any]]) -> None:
         self.path, self.beside, self._run = path, path.with_name(f"{path.name}.json"), run
         self._made_from = referred(run)
-        self._changing: set[str] = set()
+        self._changing: set[tuple[str, ...]] = set()
 
     def begin(self, resume: bool) -> dict[float, Row]:
         """Thickness -> row, without orders, of the rows that are kept; errors as in `sweep`."""
@@ -225,21 +226,24 @@ class SweepFile:
             )
         try:
             content = json.loads(self.beside.read_text(encoding="utf-8"))
-            there, changing, hashes = dict(content["made from"]), {*content["changing"]}, [*content["sha256"]]
+            there, changing, hashes = (
+                dict(content["made from"]),
+                {*map(tuple, content["changing"])},
+                [*content["sha256"]],
+            )
         except (OSError, ValueError, LookupError, TypeError) as error:
             return f"{str(self.beside)!r} cannot be read ({error})"
         if hash_of(self.path) not in hashes:
             return f"{name!r} is not the table of a sweep: it has been changed since one wrote it"
-        here = self._made_from
         self._changing = changing
-        names = [n for n in {**here, **there} if here.get(n) != there.get(n) and n not in changing]
-        other = "; ".join(f"{n}: {_short(there.get(n))} there, {_short(here.get(n))} here" for n in names)
-        return f"{name!r} is the table of another sweep ({other})" if names else None
+        found = [one for one in differences(there, self._made_from) if _changed(*one) not in changing]
+        what = "; ".join(f"{'.'.join(path)}: {_short(one)} there, {_short(two)} here" for path, one, two in found)
+        return f"{name!r} is the table of another sweep ({what})" if found else None
 
     def write(self, table: Table) -> None:
         """Replace the table. The file beside it names the old and the new one, and is written first."""
-        now = referred(self._run)
-        self._changing |= {name for name, value in self._made_from.items() if now.get(name) != value}
+        changed = (_changed(*one) for one in differences(self._made_from, referred(self._run)))
+        self._changing |= {path for path in changed if path}
         hashes = [hash_of(self.path), hashlib.sha256(table.content()).hexdigest()]
         content = {"made from": self._made_from, "changing": sorted(self._changing), "sha256": hashes}
         with replaced(self.beside) as file:
@@ -247,7 +251,16 @@ class SweepFile:
         table.put(self.path)
 
 
+def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
+    """What has changed where two descriptions differ: a value, or that there are further ones ("*"); None for code."""
+    if {CODE, SAME} & {*path}:
+        return None
+    return (*path[:-1], "*") if one is MISSING else path
+
+
 def _short(value: Any) -> str:
+    if value is MISSING:
+        return "nothing"
     text = value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
 

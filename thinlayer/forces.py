@@ -45,7 +45,8 @@ class Forces:
         if tractions is not None and not isinstance(tractions, Mapping):
             raise ModelError(f"tractions is {tractions!r}; it must be {{facet name: traction}}")
         tractions = tractions or {}
-        for name, load in tractions.items():
+        for name in sorted(tractions, key=str):  # in the same order on all ranks
+            load = tractions[name]
             values = self._outer(name)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             side = f"{name.split('/')[0]}/{LAYER}"
@@ -116,7 +117,7 @@ class Forces:
         for name in forces:
             if name not in regions:
                 raise ModelError(unknown("body", name, regions))
-        return forces
+        return {name: forces[name] for name in regions if name in forces}
 
     def work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""

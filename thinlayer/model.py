@@ -103,9 +103,8 @@ class Model:
                 require_no_branches(joint)
             inflated = self._inflated(bodies, sublayers)
         self.mark = require_same(
-            comm, joint=joint, kind=kind, layer=layer, body=_ordered(body), supports=_ordered(supports),
-            tractions=_ordered(tractions), body_force=_ordered(body_force), plane=plane, element=self.element,
-            bodies=bodies, sublayers=sublayers,
+            comm, joint=joint, kind=kind, layer=layer, body=body, supports=_ordered(supports), tractions=tractions,
+            body_force=body_force, plane=plane, element=self.element, bodies=bodies, sublayers=sublayers,
         )  # fmt: skip
         self.domain = Domain.of(inflated, comm)
         self.comm = self.domain.comm
@@ -336,7 +335,7 @@ class Model:
                     f"body {name!r}: the stress of {type(laws[name]).__name__} falls as strains grow: all strain would "
                     "gather in one row of cells; let a layer soften, on S"
                 )
-        return laws
+        return {name: laws[name] for name in regions}  # in the same order on all ranks
 
     def _sides(self) -> forms.Interface:
         mesh, facets = self.domain.mesh, self.domain.facets(S)

@@ -61,7 +61,8 @@ class Journal:
         directed: bool = False,
     ) -> None:
         self.model, self._equations = equations.model, equations
-        self._observe, self._keep, self.out = observe, keep, out
+        names = self.model.comm.bcast([*observe])  # of columns, in one order on all ranks
+        self._observe, self._keep, self.out = {name: observe[name] for name in names}, keep, out
         self._directed = directed
         self.before: State | None = None
         self._checkpoint = Checkpoint(out, equations, self._mark(choices), 2 if directed else 1) if out else None
@@ -69,7 +70,7 @@ class Journal:
         self.history, self.pace = History(self.model), pace
 
     def _mark(self, choices: Mapping[str, Any]) -> str:
-        """What tells the march from others. Of what is observed the code counts, not what it may collect as it goes."""
+        """What tells the march from others. Of what is observed all code counts, not what it may collect as it goes."""
         observed = {name: code_of(function) for name, function in self._observe.items()}
         return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
 
@@ -103,7 +104,8 @@ class Journal:
     def note(self, state: State) -> None:
         """Add a row and a state to the history. They are written together with the next ones that are accepted."""
         before = self.history.last if self.history.states else None
-        self.history.table.append(self._row(state, state.t - before.t if before else 0.0))
+        row = self._row(state, state.t - before.t if before else 0.0)
+        self.history.table.append({name: row[name] for name in self.history.table.columns or row})
         if self._directed:
             self.before = before
         if self._keep == "last":

@@ -72,7 +72,8 @@ def march(
         options, method: of the solver, see `solve`.
 
     Warns:
-        RangeWarning: as in `solve`; of the accepted states that are kept, once, at the end.
+        RangeWarning: as in `solve`; of the accepted states that are kept, once, at the end. A march to be resumed has
+            passed one of the times without a step that ended there.
 
     Raises:
         ModelError: times, theta, names or loads out of range, before anything is solved; theta < 1 with a law whose state
@@ -88,7 +89,7 @@ def march(
         _check(model, theta, keep, out, resume, observe)
         plan = _planned(model, times, start, theta, method)
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
-    require_same(model.comm, times=plan, **choices, observe=list(observe or {}))
+    require_same(model.comm, times=plan, **choices, observe={*(observe or {})})
     if isinstance(plan, ArcLength):
         return _follow(model, plan, start, theta, observe, keep, out, resume, options, method)
     adaptive, folder = plan.adaptive, Path(out) if out else None

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from thinlayer.failure import LimitLoad, NoEquilibrium, SolveError
+from thinlayer.failure import LimitLoad, NoEquilibrium, SolveError, warn
 from thinlayer.loads import ModelError
 from thinlayer.progress import track
 from thinlayer.rigid import rigid_motions
@@ -63,11 +63,23 @@ class TimeStepping:
             last, end = self._history.last.t, self.plan.targets[-1]
             if last > end + SAME_TIME * max(abs(end), abs(self.start)):
                 raise ModelError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
+            if passed := self._passed():
+                warn(
+                    f"the march in {self._journal.out} is at t = {last:g} and has no step that ended at t = "
+                    f"{', '.join(f'{t:g}' for t in passed)}, which times ask for: there is no row for it",
+                    self.solver.model.comm,
+                )
         else:
             self._begin()
         for target in track(self.plan.after(self._history.last.t), "march", "t = {:g}"):
             self._reach(target)
         return self._history
+
+    def _passed(self) -> list[float]:
+        """Times asked for that a march to be resumed has passed without a row."""
+        done, end = self._history.t, self.plan.targets[-1]
+        near = SAME_TIME * max(abs(end), abs(self.start))
+        return [t for t in self.plan.targets if t < done[-1] - near and np.abs(done - t).min() > near]
 
     def _begin(self) -> None:
         """The first state. One at rest is written together with the first step: until then nothing has been solved."""
