@@ -2,14 +2,59 @@
 
 from __future__ import annotations
 
+import atexit
 import sys
+import time
 import traceback
 
 from mpi4py import MPI
+
+GRACE = 5.0  # s in which ranks that all end with an error come to their ends, rather than be cut off in what they print
+POLL = 1e-3  # s between two looks
 
 
 def abort(error: BaseException, status: int = 1) -> None:
     """Print an error and end all ranks."""
     traceback.print_exception(error)
-    sys.stderr.flush()
+    _end(status)
+
+
+def is_done(request: MPI.Request, within: float) -> bool:
+    """Whether what has been asked for is done within so many seconds."""
+    end = time.monotonic() + within
+    while not request.Test():
+        if time.monotonic() > end:
+            return False
+        time.sleep(POLL)
+    return True
+
+
+def _end(status: int) -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
     MPI.COMM_WORLD.Abort(status)
+
+
+def _end_before_petsc() -> None:
+    """Let `python3 -m mpi4py` end all ranks before PETSc ends on the rank that has an error.
+
+    mpi4py notes the status to abort with, and aborts as the last thing of all. PETSc, once it has started, ends before that,
+    together with the other ranks: it waits for them.
+    """
+    note, noted = MPI._set_abort_status, list[int]()
+
+    def note_here(status: int) -> None:
+        note(status)
+        noted.append(status)
+
+    def end() -> None:
+        if noted and noted[-1] and not is_done(MPI.COMM_WORLD.Ibarrier(), GRACE):
+            _end(noted[-1])
+
+    MPI._set_abort_status = note_here
+    atexit.register(end)
+
+
+if MPI.COMM_WORLD.size > 1:
+    _end_before_petsc()

@@ -30,6 +30,8 @@ from ufl.constantvalue import ConstantValue
 from ufl.core.multiindex import MultiIndex
 from ufl.corealg.traversal import traverse_unique_terminals
 
+from thinlayer.sources import content
+
 OURS = ("forms", "geometry", "thinlayer")
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # objects of theirs differ from one process to the next
 IMPORT = dis.opmap["IMPORT_NAME"]
@@ -293,7 +295,7 @@ class _Describer:
         ):
             return None
         if name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():  # the C file of a law
-            return digest(Path(value).read_bytes())
+            return digest(content(Path(value)))
         return self.of(value, home)
 
 
