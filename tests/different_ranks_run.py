@@ -23,7 +23,12 @@ SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
 
 
 def model(eps=0.1, law=SLOW, profile=None, build=Model.interface, **change):
-    data = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": (0.0, 1.0)}, "layer": ThinLayer(law, eps, profile)}
+    data = {
+        "body": BODY,
+        "supports": SUPPORTS,
+        "tractions": {"TOP": (0.0, 1.0)},
+        "layer": ThinLayer(law, eps, profile=profile),
+    }
     return build(JOINT, **(data | change))
 
 

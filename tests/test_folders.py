@@ -84,7 +84,9 @@ def test_a_lock_of_this_process_and_folders_for_nothing(tmp_path):
 
 def test_links_to_folders(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "there")
-    with pytest.raises(ModelError, match=r"in '\S+/link/in': '\S+/link' is a link to '\S+/there', which is no folder; give"):
+    with pytest.raises(
+        ModelError, match=r"in '\S+/link/in': '\S+/link' is a link to '\S+/there', which is no folder; give"
+    ):
         march(interface(), [0.1], out=tmp_path / "link" / "in")
     (tmp_path / "there").mkdir()
     assert len(march(interface(), [0.1], out=tmp_path / "link" / "in")) == 2

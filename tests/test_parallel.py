@@ -142,17 +142,6 @@ def model():
 """
 
 
-@pytest.mark.parametrize(("ending", "status"), [("raise RuntimeError('one alone')", 1), ("sys.exit(3)", 3)])
-def test_an_error_of_one_rank_after_a_solve_ends_all(tmp_path, ending, status):
-    """PETSc, which has started by then, ends before mpi4py and waits for the other rank."""
-    script = tmp_path / "script.py"
-    script.write_text(f"{MODEL}\nmarch(model(), [0.1])\nprint('solved')\nif COMM.rank == 1: {ending}\nCOMM.Barrier()\n")
-    done = mpirun(2, str(script), timeout=60)
-    assert done.returncode == status
-    assert ("RuntimeError: one alone" in done.stderr) == (status == 1)
-    assert "solved" in done.stdout
-
-
 def test_an_error_of_all_ranks_is_told_by_all(tmp_path):
     """A rank that comes to its end first does not cut off the others."""
     script = tmp_path / "script.py"

@@ -47,7 +47,7 @@ def test_a_law_in_c_with_headers(tmp_path):
     header.write_text('#include "inner.h"\n#ifdef NEVER\n#include "no/such/file.h"\n#endif\n')
     known = set()
     for factor in (3, 7):
-        inner.write_text(f"#pragma once\n#include \"factor.h\"\n#define FACTOR {factor}\n")
+        inner.write_text(f'#pragma once\n#include "factor.h"\n#define FACTOR {factor}\n')
         law = from_c(5.0, source=source)
         expected = [0.025 * factor, -0.1 * factor]
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)

@@ -73,7 +73,9 @@ class Lock:
         for folder in (*reversed(absolute.parents), absolute):
             if not folder.is_dir():
                 if folder.is_symlink():
-                    raise OSError(errno.ENOENT, f"{str(folder)!r} is a link to {os.readlink(folder)!r}, which is no folder")
+                    raise OSError(
+                        errno.ENOENT, f"{str(folder)!r} is a link to {os.readlink(folder)!r}, which is no folder"
+                    )
                 folder.mkdir(exist_ok=True)
                 self._made.insert(0, folder)
 
