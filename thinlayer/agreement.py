@@ -64,8 +64,8 @@ def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience:
             here.Wait()
         elif not is_done(here, patience):
             problem.add_note(
-                f"Rank {comm.rank} has had this error for {patience:.0f} s. The others have not come to where they would learn "
-                "of it: they may wait for this rank in a collective call. All ranks are ended."
+                f"Rank {comm.rank} has had this error for {patience:.0f} s. The others have not come to where they would "
+                "learn of it: they may wait for this rank in a collective call. All ranks are ended."
             )
             abort(problem)
         found = comm.allgather((depth, text))
