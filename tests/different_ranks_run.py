@@ -8,11 +8,13 @@ import math
 import sys
 from pathlib import Path
 
+import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
-from thinlayer import Model, ThinLayer, fields, march, solve, sweep
+from thinlayer import Model, ThinLayer, compare, fields, march, solve, sweep
 
 COMM = MPI.COMM_WORLD
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
@@ -21,9 +23,14 @@ BODY = LinearElastic.young(100.0, 0.3)
 SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
 
 
-def model(eps=0.1, law=SLOW, **change):
-    data = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": (0.0, 1.0)}, "layer": ThinLayer(law, eps)}
-    return Model.interface(JOINT, **(data | change))
+def model(eps=0.1, law=SLOW, profile=None, build=Model.interface, **change):
+    data = {
+        "body": BODY,
+        "supports": SUPPORTS,
+        "tractions": {"TOP": (0.0, 1.0)},
+        "layer": ThinLayer(law, eps, profile=profile),
+    }
+    return build(JOINT, **(data | change))
 
 
 def turned(given, rank):
@@ -63,6 +70,11 @@ def cases(rank: int, folder: Path):
     """Name -> what is done on a rank."""
     elastic, other, good = model(law=LinearElastic(60.0, 40.0)), model(law=LinearElastic(50.0, 40.0)), model()
     state = solve(elastic)
+    full = solve(model(build=Model.full, law=LinearElastic(60.0, 40.0)))
+    if rank:  # numbers of constants count nothing
+        fem.Constant(state.model.domain.mesh, 1.0)
+    limit = fem.Constant(state.model.domain.mesh, 0.25)
+    compare(full, state, where=lambda x: x[0] > limit)
     order = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"y": 0.1}}
     factor = 1.0 + rank
     return {
@@ -93,6 +105,11 @@ def cases(rank: int, folder: Path):
         "out": lambda: march(good, [0.1], out=folder / f"{rank}"),
         "sweep": lambda: sweep(lambda e: {"eps": e, "error_traction": e, "error_jump": e}, [0.2, 0.1][: 2 - rank]),
         "run": lambda: sweep(lambda e: {"eps": e / (1 - rank), "error_traction": e, "error_jump": e}, [0.2, 0.1]),
+        "where": lambda: compare(full, state, where=lambda x: x[0] > 0.25 + 0.5 * rank),
+        "where with a constant": lambda: compare(full, state, where=lambda x: x[0] > (1 + rank) * limit),
+        "bad where": lambda: compare(full, state, where=lambda x: x[0] > 0.5 / (1 - rank)),
+        "profile": lambda: model(profile=lambda x: np.where((x[0] > 0.5) & (rank == 1), math.nan, 1.0)),
+        "observed by one": lambda: march(good, [0.1], observe={"one": lambda state: 1.0 / (1 - rank)}),
         "path": lambda: fields.write(state, folder / f"{rank}.pvd"),
         "ending": lambda: fields.write(state, folder / ("a.txt" if rank else "a.pvd")),
     }

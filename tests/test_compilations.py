@@ -169,3 +169,54 @@ def test_a_folder_that_cannot_be_written(tmp_path, compiled):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match=r"cannot be kept in .*file/cache: .*; set XDG_CACHE_HOME"):
         compiled(tmp_path / "file" / "cache")
+
+
+def cut(file):
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def zeroed(file):
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2].ljust(len(whole), b"\0"))
+
+
+def emptied(file):
+    file.write_bytes(b"")
+
+
+LIBRARY = """
+import sys
+from pathlib import Path
+from dolfinx import jit
+import thinlayer.compiled
+
+def compiled(folder):
+    jit.get_options = lambda: {"cache_dir": folder}
+    assert thinlayer.compiled.library(Path(folder, "half.c")).lib.half(7.0) == 3.5
+"""
+
+
+@pytest.mark.parametrize("program", [FORM, LIBRARY], ids=["form", "source"])
+def test_damaged_libraries_are_compiled_again(tmp_path, program):
+    """As a crash of the machine may leave them: to load a part of a library may end the process (SIGBUS)."""
+    (tmp_path / "half.c").write_text("double half(double x)\n{\n    return x / 2;\n}\n")
+    words = [sys.executable, "-c", f"{program}\ncompiled(sys.argv[1])", str(tmp_path)]
+    assert subprocess.run(words, cwd=CLONE, timeout=60).returncode == 0
+    (library,) = tmp_path.glob("*.so")
+    whole = library.stat().st_size
+    for damage in (cut, zeroed, emptied):
+        damage(library)
+        assert subprocess.run(words, cwd=CLONE, timeout=60).returncode == 0, damage
+        assert library.stat().st_size == whole
+    library.unlink()
+    library.mkdir()
+    done = subprocess.run(words, cwd=CLONE, timeout=60, capture_output=True, text=True)
+    assert f"{library} is a folder, where a compiled file belongs; remove it" in done.stderr.splitlines()[-1]
+
+
+def test_forms_that_ffcx_kept_by_itself_are_used(tmp_path, compiled):
+    """It writes no seal."""
+    compiled(tmp_path)
+    (ready,) = tmp_path.glob("*.cached")
+    ready.write_text("what the compiler said\n")
+    assert compiled(tmp_path).code == (None, None)

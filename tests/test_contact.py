@@ -28,6 +28,7 @@ from thinlayer import (
     plotting,
     solve,
 )
+from thinlayer.contact import dense
 from thinlayer.contact import nodes as nodes_module
 from thinlayer.contact.nodes import ContactNodes
 from thinlayer.contact.report import ContactReport
@@ -497,6 +498,17 @@ def test_pictures(tmp_path):
 
 
 # ------------------------------------------------------------------------ status known before
+def test_an_error_within_newtons_method_is_no_lack_of_equilibrium(monkeypatch):
+    """Such as a compiled source that cannot be loaded."""
+
+    def broken(*_, **__):
+        raise ImportError("no such library")
+
+    monkeypatch.setattr(dense, "sweep_nodes", broken)
+    with pytest.raises(ImportError, match="no such library"):
+        bar(4, coulomb("middle"), method="condensed")
+
+
 @pytest.mark.parametrize("method", ["condensed", "multigrid"])
 def test_a_similar_state_saves_steps(method):
     joint, setup = sliding_bar(31)

@@ -65,7 +65,7 @@ def test_the_second_run_at_a_time_is_refused(tmp_path):
         words = [sys.executable, "-c", program, str(out / name)]
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as first:
             assert first.stdout.readline() == "locked\n"
-            with pytest.raises(ModelError, match=r"another run \(process 123 on there\) is writing into"):
+            with pytest.raises(ModelError, match=r"^another run \(process 123 on there\) is writing into"):
                 march(interface(), [0.1], out=out) if name == ".lock" else sweep(row, [0.2], out / "t.csv")
             first.send_signal(signal.SIGKILL)
     assert sorted(path.name for path in out.iterdir()) == [".lock", ".t.csv.lock"]
@@ -81,6 +81,16 @@ def test_a_lock_of_this_process_and_folders_for_nothing(tmp_path):
     assert not (tmp_path / "a").exists()
     with pytest.raises(ModelError, match=r"no files can be written in .*: "):
         march(interface(), [0.1], out="/proc/no/such")
+
+
+def test_links_to_folders(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    with pytest.raises(
+        ModelError, match=r"in '\S+/link/in': '\S+/link' is a link to '\S+/there', which is no folder; give"
+    ):
+        march(interface(), [0.1], out=tmp_path / "link" / "in")
+    (tmp_path / "there").mkdir()
+    assert len(march(interface(), [0.1], out=tmp_path / "link" / "in")) == 2
 
 
 def test_file_systems_without_locks(tmp_path, monkeypatch):

@@ -20,12 +20,12 @@ CLEAN = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_RANK", "
 CLEAN |= {k: v for k, v in os.environ.items() if k.startswith("PRTE_MCA")}
 
 
-def mpirun(ranks: int, *command: str, cwd: Path = CLONE) -> subprocess.CompletedProcess:
+def mpirun(ranks: int, *command: str, cwd: Path = CLONE, timeout: float = 240) -> subprocess.CompletedProcess:
     # ranks that wait leave the cores to those that compute: there may be fewer cores than ranks
     environment = CLEAN | {"PYTHONPATH": str(CLONE), "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     # mpi4py ends all ranks where one has an error
     words = ["mpirun", "-n", str(ranks), sys.executable, "-m", "mpi4py", *command]
-    return subprocess.run(words, env=environment, cwd=cwd, capture_output=True, text=True, timeout=240)
+    return subprocess.run(words, env=environment, cwd=cwd, capture_output=True, text=True, timeout=timeout)
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +92,11 @@ DIFFERENT = {
     "out": "different out",
     "sweep": "different eps",
     "run": "rank 1: ZeroDivisionError",
+    "where": r'different where: "\(x\[0\]\) > \(0.25\)" on rank 0, "\(x\[0\]\) > \(0.75\)" on rank 1',
+    "where with a constant": "different where",
+    "bad where": "rank 1: where is no function of coordinates .*division by zero",
+    "profile": "rank 1: the thickness profile is nan at .*it must be > 0 on S",
+    "observed by one": r"observe\['one'\] at t = 0: rank 1: ZeroDivisionError",
     "path": "different path",
     "ending": "rank 1: cannot write .*allowed endings",
 }
@@ -122,3 +127,80 @@ def test_an_error_of_one_rank_ends_all(tmp_path):
     done = mpirun(2, str(script), str(tmp_path / "file" / "table.csv"))
     assert done.returncode != 0
     assert "FileExistsError" in done.stderr or "NotADirectoryError" in done.stderr
+
+
+MODEL = """
+import sys
+from mpi4py import MPI
+import thinlayer.agreement
+from forms import KelvinVoigt, LinearElastic
+from geometry import sandwich
+from thinlayer import Model, ThinLayer, march, sweep
+
+COMM, joint = MPI.COMM_WORLD, sandwich(1.0, 0.5, 0.5, 0.5)
+
+def model():
+    layer = ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.1)
+    body, supports = LinearElastic.young(100.0, 0.3), {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
+    return Model.interface(joint, layer=layer, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)})
+"""
+
+
+def test_an_error_of_all_ranks_is_told_by_all(tmp_path):
+    """A rank that comes to its end first does not cut off the others."""
+    script = tmp_path / "script.py"
+    ending = "if COMM.rank == 1: time.sleep(0.5)\nraise RuntimeError(f'on {COMM.rank}')\n"
+    script.write_text(f"{MODEL}\nimport time\nmarch(model(), [0.1])\n{ending}")
+    done = mpirun(2, str(script), timeout=60)
+    assert done.returncode == 1
+    assert "RuntimeError: on 0" in done.stderr
+    assert "RuntimeError: on 1" in done.stderr
+
+
+@pytest.mark.parametrize(("ending", "status"), [("raise RuntimeError('one alone')", 1), ("sys.exit(3)", 3)])
+def test_an_error_of_one_rank_after_a_solve_ends_all(tmp_path, ending, status):
+    """PETSc, which has started by then, ends before mpi4py and waits for the other rank."""
+    script = tmp_path / "script.py"
+    script.write_text(f"{MODEL}\nmarch(model(), [0.1])\nprint('solved')\nif COMM.rank == 1: {ending}\nCOMM.Barrier()\n")
+    done = mpirun(2, str(script), timeout=60)
+    assert done.returncode == status
+    assert ("RuntimeError: one alone" in done.stderr) == (status == 1)
+    assert "solved" in done.stdout
+
+
+def test_an_error_of_one_rank_where_others_wait_for_it(tmp_path):
+    """A user's function fails on one rank; the other one waits in a collective call that it would come to."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"{MODEL}\n"
+        "thinlayer.agreement.PATIENCE = 0.3\n"
+        "def observed(state):\n"
+        "    if COMM.rank == 1: raise ValueError('one alone')\n"
+        "    return COMM.allreduce(1.0)\n"
+        "try: march(model(), [0.1], observe={'one': observed})\n"
+        "except Exception: pass\n"
+    )
+    done = mpirun(2, str(script), timeout=60)
+    assert done.returncode == 1
+    assert "ValueError: one alone" in done.stderr
+    assert "Rank 1 has had this error for " in done.stderr
+    assert "they may wait for this rank in a collective call. All ranks are ended." in done.stderr
+
+
+def test_an_error_of_one_rank_where_others_build_a_model(tmp_path):
+    """They learn of it there, and all ranks go on together."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"{MODEL}\n"
+        "def run(e):\n"
+        "    if COMM.rank == 1: raise ValueError('one alone')\n"
+        "    march(model(), [0.1])\n"
+        "found = ''\n"
+        "try: sweep(run, [0.2, 0.1])\n"
+        "except Exception as error: found = f'{type(error).__name__}: {error}'\n"
+        "found = COMM.allgather(found)\n"
+        "if COMM.rank == 0: print(found)\n"
+    )
+    done = mpirun(2, str(script), timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(["ModelError: rank 1: one alone", "ValueError: one alone"])

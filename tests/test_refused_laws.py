@@ -13,6 +13,8 @@ from forms import HolonomicCoulomb, Law, LawError, LinearElastic, PointLaw, Stac
 from geometry import sandwich
 from tests.test_parallel import mpirun
 from thinlayer import Model, ThinLayer, drive, march
+from thinlayer.compiled import _FILES, _LOADED
+from thinlayer.identity import described
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)
@@ -36,6 +38,23 @@ def test_a_law_in_c(tmp_path, kind):
     assert drive(from_c(5.0, source=kind(source)), STEP).tractions[0] == pytest.approx([0.025, -0.1], rel=1e-14)
     source.write_text(SPRING.replace("= in[17]", "= 2 * in[17]"))  # edited in the same session
     assert drive(from_c(5.0, source=kind(source)), STEP).tractions[0] == pytest.approx([0.05, -0.2], rel=1e-14)
+
+
+def test_a_law_in_c_with_headers(tmp_path):
+    """What a header says is a part of the law: of its compiled module, and of what a march is known by."""
+    source, header, inner = tmp_path / "spring.c", tmp_path / "factor.h", tmp_path / "inner.h"
+    source.write_text(f'#include <math.h>\n# include "{header}"\n' + SPRING.replace("= in[17]", "= FACTOR * in[17]"))
+    header.write_text('#include "inner.h"\n#ifdef NEVER\n#include "no/such/file.h"\n#endif\n')
+    known = set()
+    for factor in (3, 7):
+        inner.write_text(f'#pragma once\n#include "factor.h"\n#define FACTOR {factor}\n')
+        law = from_c(5.0, source=source)
+        expected = [0.025 * factor, -0.1 * factor]
+        assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
+        _FILES.clear(), _LOADED.clear()  # as in another process
+        assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
+        known.add(described(law))
+    assert len(known) == 2
 
 
 @pytest.mark.parametrize(

@@ -3,39 +3,74 @@
 from __future__ import annotations
 
 import json
+import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from mpi4py import MPI
 
+from thinlayer.abort import abort, is_done
 from thinlayer.identity import MISSING, described, differences, digest, in_full
 from thinlayer.loads import ModelError
 
 SHOWN = 60  # characters from where data differ
+PATIENCE = 60.0  # s that a rank with an error waits at least for the others, which may be at work
 LONG = 4000  # characters of data that are compared as a whole; of longer ones a digest is
+_DEPTH: Counter[int] = Counter()  # blocks that this rank is in, one within the other, by communicator
 
 
 @contextmanager
 def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
-    """What each rank checks by itself, without a collective call: an error of one rank is an error of all. Collective.
+    """What each rank does by itself, a user's code too: an error of one rank is an error of all. Collective.
+
+    The code may have collective calls in it. Where an error keeps a rank from one that the others wait in, they never come
+    to the end of the block: the rank waits for them for PATIENCE, or as long as it has been in the block if that is longer,
+    and then ends all ranks.
 
     Raises:
         ModelError: not all ranks have an error; it names the first that has. Else each rank's own error.
     """
-    problem: Exception | None = None
-    try:
-        yield
-    except Exception as error:
-        problem = error
     comm = comm or MPI.COMM_WORLD
-    if comm.size > 1:
-        texts = comm.allgather(None if problem is None else _text(problem))
-        wrong = [rank for rank, text in enumerate(texts) if text is not None]
-        if wrong and len(wrong) < comm.size:
-            raise _for_all(ModelError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
-    if problem is not None:
-        raise _for_all(problem)
+    key, began = comm.py2f(), time.monotonic()
+    problem: Exception | None = None
+    _DEPTH[key] += 1
+    try:
+        try:
+            yield
+        except Exception as error:
+            problem = error
+        if comm.size > 1:
+            texts = _texts(comm, _DEPTH[key], problem, max(PATIENCE, time.monotonic() - began))
+            wrong = [rank for rank, text in enumerate(texts) if text is not None]
+            if wrong and len(wrong) < comm.size:
+                raise _for_all(ModelError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
+        if problem is not None:
+            raise _for_all(problem)
+    finally:
+        _DEPTH[key] -= 1
+
+
+def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
+    """Every rank's error, once all are at the end of the same block.
+
+    Ranks that are in a block within this one learn of the errors there, and come here with errors of their own.
+    """
+    text = None if problem is None else _text(problem)
+    while True:
+        here = comm.Ibarrier()
+        if problem is None:
+            here.Wait()
+        elif not is_done(here, patience):
+            problem.add_note(
+                f"Rank {comm.rank} has had this error for {patience:.0f} s. The others have not come to where they would "
+                "learn of it: they may wait for this rank in a collective call. All ranks are ended."
+            )
+            abort(problem)
+        found = comm.allgather((depth, text))
+        if max(theirs for theirs, _ in found) == depth:
+            return [theirs for _, theirs in found]
 
 
 def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:

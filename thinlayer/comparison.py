@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import ufl
 from mpi4py import MPI
+from ufl.algorithms.analysis import extract_coefficients, extract_constants
 
 from forms.declarations import is_number
 from forms.kinematics import Expr
@@ -120,12 +121,20 @@ def _require_same_structure(full: Model, interface: Model) -> None:
 
 def _part(surface: Surface, where: Where) -> Expr:
     """1 on a part of S, 0 elsewhere."""
-    try:
-        part = ufl.conditional(where(ufl.SpatialCoordinate(surface.model.domain.mesh)), 1.0, 0.0)
-    except Exception as error:
-        raise ModelError(
-            f"where is no function of coordinates that returns a UFL condition, as x[0] > 1 or ufl.And(a, b) are: {error}"
-        ) from error
+    mesh = surface.model.domain.mesh
+    with on_all(surface.model.comm):
+        try:
+            condition = where(ufl.SpatialCoordinate(mesh))
+            part = ufl.conditional(condition, 1.0, 0.0)
+        except Exception as error:
+            raise ModelError(
+                "where is no function of coordinates that returns a UFL condition, as x[0] > 1 or ufl.And(a, b) are: "
+                f"{error}"
+            ) from error
+        # a text tells more, but names functions and constants by numbers that each rank counts by itself
+        named = extract_coefficients(part) or extract_constants(part)
+        shown = (part * ufl.dx(domain=mesh)).signature() if named else str(condition)
+    require_same(surface.model.comm, where=shown)
     if surface.integral(part) <= 0:
         raise ModelError("where holds nowhere on S, or on less than its quadrature points see")
     return part

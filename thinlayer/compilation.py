@@ -2,8 +2,10 @@
 
 FFCx compiles in the folder itself and takes a form's C file as its lock, which nobody frees after a kill: from then on
 every process that needs the form waits for it in vain. Here each compilation has a folder of its own, from which its
-files are moved when all are complete. Who needs the same form meanwhile waits for a lock that the kernel frees with its
-process. The change of FFCx is one of the whole process: forms that a script compiles by itself are kept in the same way.
+files are moved when all are complete and on the disk. Who needs the same form meanwhile waits for a lock that the kernel
+frees with its process. Beside a library stands its seal, its length and SHA-256: one that has another, as the crash of a
+machine may leave it, is compiled again, for to load a part of a library may end the process. The change of FFCx is one of
+the whole process: forms that a script compiles by itself are kept in the same way.
 """
 
 from __future__ import annotations
@@ -25,7 +27,10 @@ import dolfinx.jit
 import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
 
+import thinlayer.abort  # noqa: F401  # whoever starts DOLFINx starts PETSc
+
 _LOCKS: dict[Path, int] = {}  # descriptors of lock files by folder; never closed, which would free the process's locks
+SEAL = b"thinlayer: a library of "
 
 
 class CacheError(OSError):
@@ -78,6 +83,43 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
         yield Path(work)
 
 
+def seal(library: Path, beside: Path) -> None:
+    """Write what a library is known by at the end of the file beside it, in which FFCx keeps the compiler's messages."""
+    with beside.open("ab") as file:
+        file.write(_seal_of(library))
+
+
+def is_whole(library: Path, beside: Path, *, unsealed: bool = False) -> bool:
+    """Whether a library is there as it was sealed; `unsealed` says what holds of one without a seal."""
+    try:
+        known = beside.read_bytes()
+        return known.endswith(_seal_of(library)) if SEAL in known else unsealed
+    except OSError:
+        return False
+
+
+def _seal_of(library: Path) -> bytes:
+    content = library.read_bytes()
+    return b"\n%s%d bytes, %s\n" % (SEAL, len(content), hashlib.sha256(content).hexdigest().encode())
+
+
+def keep(made: Path, file: Path) -> None:
+    """Move a file to where it is kept, once the disk has its content.
+
+    Raises:
+        CacheError: there is a folder of that name.
+    """
+    descriptor = os.open(made, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    try:
+        made.replace(file)
+    except IsADirectoryError:
+        raise CacheError(f"{file} is a folder, where a compiled file belongs; remove it") from None
+
+
 def _mend_ffcx() -> None:
     """Let FFCx look for a compiled form under the lock, and compile in a folder of its own."""
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
@@ -85,8 +127,10 @@ def _mend_ffcx() -> None:
 
     def kept(module_name: str, object_names: list[str], folder: Path, timeout: int) -> tuple[Any, Any]:
         """(objects, module), or (None, None) where files are missing or broken."""
-        there = [(folder / f"{module_name}{end}").exists() for end in (".c", ".c.cached")]
-        if not all(there) or not any((folder / f"{module_name}{end}").exists() for end in EXTENSION_SUFFIXES):
+        source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
+        # FFCx itself, in a process without thinlayer, seals nothing
+        whole = (is_whole(folder / f"{module_name}{end}", ready, unsealed=True) for end in EXTENSION_SUFFIXES)
+        if not source.exists() or not any(whole):
             return None, None
         try:
             return find(module_name, object_names, folder, timeout)
@@ -115,8 +159,10 @@ def _mend_ffcx() -> None:
                 made = {file.name: file for file in work.iterdir() if file.name.startswith(f"{name}.")}
                 ready = made.pop(f"{name}.c.cached")
                 made.pop(f"{name}.o", None)
+                (library,) = (made[f"{name}{end}"] for end in EXTENSION_SUFFIXES if f"{name}{end}" in made)
+                seal(library, ready)
                 for file in [*made.values(), ready]:  # the last one says that all are there
-                    file.replace(folder / file.name)
+                    keep(file, folder / file.name)
         finally:
             release(folder, name)
         return code

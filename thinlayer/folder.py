@@ -60,18 +60,22 @@ class Lock:
             while self._file is None:
                 self._open()
             self._try_disk()
+        except ModelError:  # which is a ValueError, and says all
+            self.free()
+            raise
         except (OSError, ValueError) as error:  # a name with a null character is no OSError
             self.free()
             what = getattr(error, "strerror", None) or str(error)
             raise ModelError(f"no files can be written in {str(self.folder)!r}: {what}; give another folder") from error
-        except ModelError:
-            self.free()
-            raise
 
     def _make(self) -> None:
         absolute = self.folder.absolute()
         for folder in (*reversed(absolute.parents), absolute):
             if not folder.is_dir():
+                if folder.is_symlink():
+                    raise OSError(
+                        errno.ENOENT, f"{str(folder)!r} is a link to {os.readlink(folder)!r}, which is no folder"
+                    )
                 folder.mkdir(exist_ok=True)
                 self._made.insert(0, folder)
 

@@ -34,6 +34,7 @@ from ufl.core.multiindex import MultiIndex
 from ufl.corealg.traversal import traverse_unique_terminals
 
 from thinlayer.loads import ModelError
+from thinlayer.sources import content
 
 OURS = ("forms", "geometry", "thinlayer")
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # objects of theirs differ from one process to the next
@@ -410,7 +411,7 @@ class _Describer:
         ):
             return None
         if name == "source" and isinstance(value, (str, Path)) and Path(value).is_file():  # the C file of a law
-            return digest(Path(value).read_bytes())
+            return digest(content(Path(value)))
         return self.of(value, home)
 
 

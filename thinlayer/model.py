@@ -101,6 +101,8 @@ class Model:
             self._check_stability()
             if kind == "interface" and not joint.rigid_base:
                 require_no_branches(joint)
+            if kind == "interface" and layer is not None:
+                joint.relative_thickness(layer.profile)  # a function: errors it may have on one rank alone
             inflated = self._inflated(bodies, sublayers)
         self.mark = require_same(
             comm, joint=joint, kind=kind, layer=layer, body=body, supports=_ordered(supports), tractions=tractions,

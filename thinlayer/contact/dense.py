@@ -124,7 +124,10 @@ class DenseSystem:
         try:
             snes.solve(None, x)
             self.converged = snes.getConvergedReason() > 0
-        except PETSc.Error:  # a singular tangent
+        except PETSc.Error as error:  # a singular tangent
+            if error.__cause__ is not None:  # an error of what PETSc calls here
+                self.destroy()
+                raise error.__cause__ from None
             self.converged = False
         w[:] = x.array_r.reshape(w.shape)
         steps = int(snes.getIterationNumber())

@@ -12,6 +12,7 @@ import numpy as np
 from forms.declarations import LawError
 from geometry.joint import GeometryError
 from geometry.parallel import on_root
+from thinlayer.agreement import on_all
 from thinlayer.equations import Equations
 from thinlayer.failure import SolveError
 from thinlayer.identity import code_of
@@ -125,19 +126,17 @@ class Journal:
 
     def _observed(self, name: str, state: State) -> float:
         """What rank 0 observes: a function of a state has to give the same on all ranks."""
-        value, problem, cause = math.nan, None, None
+        comm, what = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
         try:
-            value = float(self._observe[name](state))
+            with on_all(comm):
+                value = float(self._observe[name](state))
         except Exception as error:
-            problem, cause = _problem(error), error
-        found = self.model.comm.allgather((value, problem))
-        values = np.array([value for value, _ in found])
-        problem = next((problem for _, problem in found if problem), None)
-        if not problem and not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
+            raise ModelError(f"{what}: {_problem(error)}") from error
+        values = np.array(comm.allgather(value))
+        if not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
             numbers = ", ".join(f"{value:.6g}" for value in values)
-            problem = f"the ranks find {numbers}; add up what each has of its own, or take the largest, over the ranks"
-        if problem:
-            raise ModelError(f"observe[{name!r}] at t = {state.t:g}: {problem}") from cause
+            advice = "add up what each has of its own, or take the largest, over the ranks"
+            raise ModelError(f"{what}: the ranks find {numbers}; {advice}")
         return float(values[0])
 
 
