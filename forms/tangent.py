@@ -117,6 +117,14 @@ def _stress(law: Law, e: Array, n: Array) -> Array | None:
         return None
 
 
+def is_silent(law: Law, n: Array) -> bool:
+    """Whether a layer's law has no stress without strain, whatever has been: no memory, rate, pressure, stress of its own."""
+    if law.rate or law.internal or law.constrained or law.varies or isinstance(law, PointLaw):
+        return False
+    stress = _stress(law, np.zeros((3, 3)), np.pad(n, (0, 3 - len(n))) if law.pointwise else n)
+    return stress is not None and not stress.any()
+
+
 def rests_by_itself(law: Law) -> bool:
     """Whether a layer's law must not push its faces apart as they part or slip, for what `tangent_at_rest` says of it.
 

@@ -23,6 +23,7 @@ from forms.series import Stack, parts
 from forms.tangent import (
     Array,
     average_lame,
+    is_silent,
     require_stable_body,
     require_stable_layer,
     rests_by_itself,
@@ -259,6 +260,17 @@ class Model:
     @cached_property
     def _layer_over(self) -> dict[float, list[Array | None]]:
         return {}
+
+    @cached_property
+    def silent_together(self) -> bool:
+        """Whether the interface law has no traction where [u] = 0, whatever has been and whatever the bodies strain."""
+        n = self.sheet.mean_normal
+        return (
+            self.layer is not None
+            and self.layer.order == 0
+            and not self.contact
+            and all(is_silent(law, n) for _, law, _ in self.layer_at_rest)
+        )
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:

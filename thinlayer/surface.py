@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.classes import Condition, Restricted
 from ufl.domain import extract_domains
@@ -25,6 +26,7 @@ from thinlayer.model import Model
 from thinlayer.state import State, transfer
 
 MASS_TOLERANCE = 1e-14
+SAME_PLACE = 1e-12  # of the largest displacement: jumps below are rounding
 SPREAD = 0.1  # of the way from the places where it is known: over less a traction tells no slope
 
 
@@ -155,24 +157,28 @@ class Surface:
 
         Mean over both faces of the bodies' reactions. Where a support holds a component of one body, its reaction there is
         the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
-        (on a rigid base: of the body), no reaction tells it: under contact it is the law's, else it goes on linearly from
-        what it is around, two nodes deep (zero where supports hold all of these, too). That is right for a uniform and for
-        a linear traction; where it falls steeply to zero at a clamped end, what it is there is off by a part of what it is
-        one cell farther on. It is zero at nodes where S ends inside the bodies: nothing jumps there.
+        (on a rigid base: of the body), no reaction tells it. Under contact it is the law's. Where they hold the bodies
+        together it is zero, if the interface law says so of every [u] = 0: of order 0, without memory, rate, pressure, or a
+        stress of its own (a meshed layer about as hard as the bodies is strained there: take a surface of order 1). Else it goes on linearly from what it is around, two nodes deep (zero where supports hold all of
+        these, too), which is right for a uniform and for a linear traction. It is zero at nodes where S ends inside the
+        bodies: nothing jumps there.
         """
         self._require_same_joint(state)
         r = reaction(state)
-        held = fem.Function(r.function_space)
+        held, u = fem.Function(r.function_space), fem.Function(r.function_space)
         held.x.array[state.model.supports.held(r.function_space, state.model.supports.given)] = 1.0
         held.x.scatter_forward()
-        r, held = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held))
+        u.interpolate(state.u)
+        r, held, u = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held, u))
         untold = self._tell_by_other_side(r, held.x.array > 0)
+        none = np.zeros(len(untold), bool)
         if state.model.contact:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[untold] = by_law.x.array[untold]
-        elif self.model.comm.allreduce(int(untold.any())):
-            self._extrapolate(r, untold)
-        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r)
+        zero = untold & ~self._jumps(u) if self.model.silent_together else none
+        if not state.model.contact and self.model.comm.allreduce(int((untold & ~zero).any())):
+            self._extrapolate(r, untold, untold & ~zero)
+        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, zero)
         if self.model.joint.rigid_base:
             return -self.sides.upper(t)
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
@@ -182,7 +188,7 @@ class Surface:
         f = self._expression(f, (self.model.joint.dim,))
         v = ufl.TestFunction(self.trace_space)
         r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
-        return self._divide_by_mass(r)
+        return self._divide_by_mass(r, np.zeros(len(r.x.array), bool))
 
     def frame(self, f: Expr) -> Expr:
         """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
@@ -255,8 +261,14 @@ class Surface:
         r.x.array[told] = -self._of_other_side(r)[told]
         return unknown
 
-    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_]) -> None:
-        """Set nodal forces where supports hold both sides, from those around.
+    def _jumps(self, u: fem.Function) -> npt.NDArray[np.bool_]:
+        """Where a function of the trace space differs from side to side (on a rigid base: from zero)."""
+        largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
+        other = 0.0 if self.model.joint.rigid_base else self._of_other_side(u)
+        return np.asarray(np.abs(u.x.array - other) > SAME_PLACE * largest)
+
+    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_], wanted: npt.NDArray[np.bool_]) -> None:
+        """Set those nodal forces that are wanted, among those where supports hold both sides, from those around.
 
         Over the areas of the nodes they are what a linear traction is at the centroids of the nodes' functions. The linear
         function of the place that fits them goes on, two neighbours deep, with weights of the mass matrix's square. Along
@@ -264,11 +276,8 @@ class Surface:
         """
         _, on_s = self._mass
         owned, d = len(on_s), self.model.joint.dim
-        at, told, area = (
-            np.flatnonzero(on_s & untold[:owned]),
-            on_s & ~untold[:owned],
-            np.where(on_s, self._around, 1.0),
-        )
+        at, told = np.flatnonzero(on_s & wanted[:owned]), on_s & ~untold[:owned]
+        area = np.where(on_s, self._around, 1.0)
         x = self.trace_space.tabulate_dof_coordinates()[: owned // d, :d] - self.model.joint.points.mean(axis=0)
         x = np.array([self._times_mass(row) / area for row in x.repeat(d, axis=0).T])
         known = [np.ones(owned), *x, r.x.array[:owned] / area]
@@ -352,12 +361,13 @@ class Surface:
         t.x.scatter_forward()
         return t
 
-    def _divide_by_mass(self, r: fem.Function) -> fem.Function:
-        """Solve M t = r on the nodes of S."""
+    def _divide_by_mass(self, r: fem.Function, zero: npt.NDArray[np.bool_]) -> fem.Function:
+        """Solve M t = r on the nodes of S but for the components that are zero."""
         V = self.trace_space
         mass, on_s = self._mass
+        keep = on_s & ~zero[: len(on_s)]
         first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
-        rows = PETSc.IS().createGeneral((first + np.flatnonzero(on_s)).astype(PETSc.IntType), comm=self.model.comm)
+        rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)
         A = mass.createSubMatrix(rows, rows)
         t = fem.Function(V)
         ksp = PETSc.KSP().create(self.model.comm)
@@ -367,11 +377,11 @@ class Surface:
         ksp.setTolerances(rtol=MASS_TOLERANCE, atol=0.0, max_it=1000)
         b = A.createVecLeft()
         x = A.createVecRight()
-        b.array[:] = r.x.array[: len(on_s)][on_s]
+        b.array[:] = r.x.array[: len(on_s)][keep]
         size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
         b.array[:] /= size  # the solver squares forces: very small and very large ones have no squares
         ksp.solve(b, x)
-        t.x.array[: len(on_s)][on_s] = x.array * size
+        t.x.array[: len(on_s)][keep] = x.array * size
         t.x.scatter_forward()
         for thing in (A, b, x, rows, ksp):
             thing.destroy()
