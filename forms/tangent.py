@@ -118,7 +118,7 @@ def _stress(law: Law, e: Array, n: Array) -> Array | None:
 
 
 def is_silent(law: Law, n: Array) -> bool:
-    """Whether a layer's law has no stress without strain, whatever has been: no memory, rate, pressure, stress of its own."""
+    """Whether a law has no stress without strain, whatever has been: no memory, rate, pressure, or stress of its own."""
     if law.rate or law.internal or law.constrained or law.varies or isinstance(law, PointLaw):
         return False
     stress = _stress(law, np.zeros((3, 3)), np.pad(n, (0, 3 - len(n))) if law.pointwise else n)
@@ -134,11 +134,16 @@ def rests_by_itself(law: Law) -> bool:
     return not (law.softens or (law.rate and law.internal) or (isinstance(law, TractionLaw) and not law.linear))
 
 
+def across(C: Array, n: Array) -> Array:
+    """n.C.n of a tangent, (d, d): the traction of a jump over the thickness."""
+    N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
+    return np.asarray(N @ C @ N.T)
+
+
 def require_stable_layer(law: Law, C: Array | None, n: Array) -> None:
     """Raise LawError if n.C.n of a layer's tangent at rest has a negative eigenvalue; silent if it is not known."""
-    N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
     if C is not None and np.isfinite(C).all():
-        _require_stable(law, "across the layer (of n.C.n)", N @ C @ N.T, C)
+        _require_stable(law, "across the layer (of n.C.n)", across(C, n), C)
 
 
 def require_stable_body(law: Law, C: Array | None, d: int) -> None:

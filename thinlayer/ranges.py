@@ -13,7 +13,7 @@ import scipy.sparse.linalg
 
 from forms.contact import ContactLaw
 from forms.law import Law
-from forms.tangent import average_lame, in_plane_modulus
+from forms.tangent import across, average_lame, in_plane_modulus
 from forms.traction import TractionLaw
 from geometry.joint import LAYER, S
 from geometry.sheet import Rim
@@ -30,6 +30,7 @@ LONG = (
 SHARE = 0.1  # of a layer's stiffness: errors of this size are told
 OVERLAP = 2.0  # closing over thickness: from 1 on bodies overlap, here by another thickness
 VOLUME, HELD = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), 1e8  # trace of a strain; bulk modulus that holds it, over mu
+CORNER = 0.25  # rad between a facet and the mean of its neighbours: more is a corner of S, less a curve
 JUMPS = 1e-9  # modulus along S over mu, rounding: a law with less sees jumps alone
 SHEAR = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' over 1/(3 h), degree 2
 STRETCH = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v over h/30
@@ -49,6 +50,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     if law is None:
         return
     strata = _strata(model)
+    _warn_of_facets(model)
     if not _of_jumps(strata):
         _warn_of_thickness(model)
         _warn_of_hard_layer(model, strata)
@@ -153,6 +155,56 @@ def _strata(model: Model, dt: float = 0.0) -> list[Stratum]:
 def _of_jumps(strata: list[Stratum]) -> bool:
     """Whether strains along S leave the law without stress, as springs: its traction then does not know the thickness."""
     return bool(strata) and all(stratum.along <= JUMPS * stratum.mu for stratum in strata)
+
+
+def _warn_of_facets(model: Model) -> None:
+    """Straight facets of a curved S have angles between them, into which a slip along S has to open the layer.
+
+    A slip w opens it by w . (N - n), with the facet's normal n and the mean one N of its neighbours at each vertex: normal
+    stiffness times the mean of |N - n|^2 comes to the tangential one. Larger angles are taken for corners of S.
+    """
+    sheet, joint = model.sheet, model.joint
+    if joint.degree > 1 or joint.planar:
+        return
+    used, number = np.unique(sheet.vertices, return_inverse=True)
+    number = number.reshape(sheet.vertices.shape)
+    sums = np.zeros((len(used), joint.dim))
+    np.add.at(sums, number, sheet.normals * sheet.areas[:, None, None])
+    tilt = sums[number] / np.linalg.norm(sums[number], axis=2, keepdims=True) - sheet.normals
+    tilt[np.linalg.norm(tilt, axis=2) > CORNER] = 0.0
+    k = joint.dim
+    squares = ((tilt.sum(axis=1) ** 2).sum(axis=1) + (tilt**2).sum(axis=(1, 2))) / (k * (k + 1))
+    angle = math.sqrt(float(sheet.areas @ squares / sheet.areas.sum()))
+    normal, tangential = stiffness_of_jumps(model)
+    if normal * angle**2 > SHARE * tangential:
+        what = (
+            f"is about {1 + normal * angle**2 / tangential:.3g} times too stiff against it,"
+            if tangential
+            else "resists"
+        )
+        warn(
+            f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average: a slip "
+            f"along S opens the layer there, which {what} by the mesh alone; use curved cells (degree 2), or a finer mesh",
+            model.comm,
+        )
+
+
+def stiffness_of_jumps(model: Model) -> tuple[float, float]:
+    """Normal and least tangential stiffness of the layer at rest, over an area; zeros if they are not known."""
+    n = model.sheet.mean_normal
+    assert model.layer is not None
+    compliances = np.zeros(2)
+    for fraction, _, C in model.layer_at_rest:
+        if C is None:
+            return 0.0, 0.0
+        A = across(C, n)
+        size, up = float(np.abs(A).max()), float(n @ A @ n)
+        along = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
+        if min(along, up) <= JUMPS * size:
+            return up, 0.0
+        compliances += [fraction / up, fraction / along]
+    normal, tangential = 1 / (compliances * model.layer.eps)
+    return float(normal), float(tangential)
 
 
 def _warn_of_thickness(model: Model) -> None:

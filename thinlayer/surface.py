@@ -159,9 +159,10 @@ class Surface:
         the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
         (on a rigid base: of the body), no reaction tells it. Under contact it is the law's. Where they hold the bodies
         together it is zero, if the interface law says so of every [u] = 0: of order 0, without memory, rate, pressure, or a
-        stress of its own (a meshed layer about as hard as the bodies is strained there: take a surface of order 1). Else it goes on linearly from what it is around, two nodes deep (zero where supports hold all of
-        these, too), which is right for a uniform and for a linear traction. It is zero at nodes where S ends inside the
-        bodies: nothing jumps there.
+        stress of its own (a meshed layer about as hard as the bodies is strained there: take a surface of order 1). Else
+        it goes on linearly from what it is around, two nodes deep (zero where supports hold all of these, too), which is
+        right for a uniform and for a linear traction. It is zero at nodes where S ends inside the bodies: nothing jumps
+        there.
         """
         self._require_same_joint(state)
         r = reaction(state)
