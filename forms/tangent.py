@@ -19,6 +19,8 @@ from forms.traction import TractionLaw
 
 Array = npt.NDArray[np.float64]
 SMALL = 1e-6  # strain of the divided differences: far from yielding, and far from their rounding
+SIZES = (1e-6, 1e-2, 10.0)  # of strains that laws are asked about: elastic ones, and some beyond
+UNCOUPLED = 1e-9  # of a traction, or of a unit normal: less is rounding
 NEGATIVE = 1e-6  # of a tangent's size: that much below zero is no rounding, nor an error of divided differences
 SCALES = np.array([1.0 if i == j else ROOT2 for i, j in MANDEL])  # of a component of a tensor in Mandel's order
 LONG = 1e30  # time step in which what depends on rates has come to rest
@@ -117,12 +119,27 @@ def _stress(law: Law, e: Array, n: Array) -> Array | None:
         return None
 
 
-def is_silent(law: Law, n: Array) -> bool:
-    """Whether a law has no stress without strain, whatever has been: no memory, rate, pressure, or stress of its own."""
-    if law.rate or law.internal or law.constrained or law.varies or isinstance(law, PointLaw):
-        return False
-    stress = _stress(law, np.zeros((3, 3)), np.pad(n, (0, 3 - len(n))) if law.pointwise else n)
-    return stress is not None and not stress.any()
+def held_along(law: Law, n: Array) -> npt.NDArray[np.bool_] | None:
+    """(d,) along which axes the traction of a layer's law is zero while the jump has no component along them.
+
+    None if the law has a traction where nothing jumps, parameters that vary, or cannot be evaluated. A law with memory is
+    asked from rest, one with a rate in the end; an incompressible one has its pressure along n.
+    """
+    if law.varies or isinstance(law, PointLaw):
+        return None
+    director = np.pad(n, (0, 3 - len(n))) if law.pointwise else n
+    N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
+    coupled = law.constrained & (np.abs(n) > UNCOUPLED)
+    for size in (0.0, *SIZES):
+        for b, axis in enumerate(np.eye(len(n))):
+            e = np.zeros((3, 3))
+            e[: len(n), : len(n)] = size * (np.outer(axis, n) + np.outer(n, axis)) / 2
+            stress = _stress(law, e, director)
+            if stress is None or (size == 0 and stress.any()):
+                return None
+            t = np.abs(N @ stress)
+            coupled |= (t > UNCOUPLED * t.max()) & (np.arange(len(n)) != b)
+    return np.asarray(~coupled)
 
 
 def rests_by_itself(law: Law) -> bool:

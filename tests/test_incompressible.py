@@ -111,7 +111,7 @@ def test_structures(name, cell):
             states.append(state)
         rows.append(compare(*states))
     for quantity in ("error_traction", "error_jump"):
-        assert 0.9 < observed_orders(eps, [row[quantity] for row in rows])[1] < 1.25
+        assert 0.9 < observed_orders(eps, [row[quantity] for row in rows])[1] < 1.3
     assert max(row["error_jump"] for row in rows) < 0.1
 
 

@@ -268,7 +268,7 @@ def test_all_ranks_refuse():
     assert done.stdout.startswith("2 1 ")
     assert "alpha(T): T is 150; the table knows 0 to 100" in done.stdout
     assert "Varying.at(x, t)" in done.stdout
-    assert "observe['a'] at t = 0: ZeroDivisionError" in done.stdout
+    assert "observe['a'] at t = 0: rank 1: ZeroDivisionError" in done.stdout
 
 
 if __name__ == "__main__":

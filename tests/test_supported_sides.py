@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, KelvinVoigt, Law, LinearElastic
+from forms import Anisotropic, HolonomicCoulomb, KelvinVoigt, Law, LinearElastic
 from geometry import block, sandwich
 from thinlayer import Model, Surface, ThinLayer, compare, march, piecewise, solve
 
@@ -203,3 +203,23 @@ def test_tractions_of_any_size(scale):
     surface = Surface(model)
     x, found = surface.profile(surface.traction(solve(model)))
     assert found / scale == pytest.approx(np.tile(t / scale, (len(x), 1)), rel=EXACT)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+@pytest.mark.parametrize("coupling", [0.0, 25.0])
+def test_rollers_that_hold_a_component_of_both_bodies(coupling, angle):
+    """The other component jumps: where the law couples them, or S is inclined, there is a traction along the first."""
+    stiffness = np.diag([0, 90.0, 0, 0, 0, 60.0])  # normal and shear, per thickness
+    stiffness[1, 5] = stiffness[5, 1] = coupling
+    one = sandwich(1.6, 0.6, 0.7, 0.05, cell="quadrilateral", structured=True)
+    shear = np.array([[1.0, 0.0], [np.tan(angle), 1.0]])
+    one = replace(one, points=one.points @ shear.T)
+    data = {"supports": {"LEFT": {"x": 0.0}, "BOTTOM": 0.0, "RIGHT": {"x": 0.0}}, "tractions": {"TOP": (0.3, -1.0)}}
+    model = Model.interface(one, layer=ThinLayer(Anisotropic(stiffness, "layer"), 1.0), body=BODY, **data)
+    surface, state = Surface(model), solve(model)
+    found, w = (surface.profile(surface.frame(f(state)))[1] for f in (surface.traction, surface.jump))
+    K = np.array([[60.0, coupling], [coupling, 90.0]])
+    expected = w @ K
+    assert found[0] == pytest.approx(expected[0], abs=0.05 * np.abs(expected).max())
+    assert found[-1] == pytest.approx(expected[-1], abs=0.05 * np.abs(expected).max())
+    assert list(model.silent[0]) == [coupling == angle == 0] * 2

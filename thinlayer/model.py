@@ -23,7 +23,7 @@ from forms.series import Stack, parts
 from forms.tangent import (
     Array,
     average_lame,
-    is_silent,
+    held_along,
     require_stable_body,
     require_stable_layer,
     rests_by_itself,
@@ -262,15 +262,26 @@ class Model:
         return {}
 
     @cached_property
-    def silent_together(self) -> bool:
-        """Whether the interface law has no traction where [u] = 0, whatever has been and whatever the bodies strain."""
-        n = self.sheet.mean_normal
-        return (
-            self.layer is not None
-            and self.layer.order == 0
-            and not self.contact
-            and all(is_silent(law, n) for _, law, _ in self.layer_at_rest)
-        )
+    def silent(self) -> tuple[npt.NDArray[np.bool_], bool]:
+        """Axes along which the interface law has no traction where supports hold that component of both bodies together.
+
+        (d,); and whether it has none where they hold all components. Laws with a stress of their own and order 1 have one,
+        an incompressible one has its pressure, and laws with memory or rate remember that the bodies have been apart.
+        """
+        none = np.zeros(self.joint.dim, bool)
+        if self.layer is None or self.layer.order or self.contact:
+            return none, False
+        laws = [law for _, law, _ in self.layer_at_rest]
+        moving = any(callable(value) for _, given in self.supports.entries for value in given.values())
+        if moving and any(law.rate or law.internal for law in laws):
+            return none, False
+        along = ~none & self.joint.planar
+        for law in laws:
+            found = held_along(law, self.sheet.mean_normal)
+            if found is None:
+                return none, False
+            along &= found
+        return along, not any(law.constrained for law in laws)
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:

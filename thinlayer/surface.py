@@ -158,11 +158,10 @@ class Surface:
         Mean over both faces of the bodies' reactions. Where a support holds a component of one body, its reaction there is
         the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
         (on a rigid base: of the body), no reaction tells it. Under contact it is the law's. Where they hold the bodies
-        together it is zero, if the interface law says so of every [u] = 0: of order 0, without memory, rate, pressure, or a
-        stress of its own (a meshed layer about as hard as the bodies is strained there: take a surface of order 1). Else
-        it goes on linearly from what it is around, two nodes deep (zero where supports hold all of these, too), which is
-        right for a uniform and for a linear traction. It is zero at nodes where S ends inside the bodies: nothing jumps
-        there.
+        together it is zero, if the interface law says so (`Model.silent`; a meshed layer about as hard as the bodies is
+        strained there: take a surface of order 1). Else it goes on linearly from what it is around, two nodes deep (zero
+        where supports hold all of these, too), which is right for a uniform and for a linear traction. It is zero at nodes
+        where S ends inside the bodies: nothing jumps there.
         """
         self._require_same_joint(state)
         r = reaction(state)
@@ -172,11 +171,10 @@ class Surface:
         u.interpolate(state.u)
         r, held, u = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held, u))
         untold = self._tell_by_other_side(r, held.x.array > 0)
-        none = np.zeros(len(untold), bool)
         if state.model.contact:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[untold] = by_law.x.array[untold]
-        zero = untold & ~self._jumps(u) if self.model.silent_together else none
+        zero = self._silent(untold & ~self._jumps(u))
         if not state.model.contact and self.model.comm.allreduce(int((untold & ~zero).any())):
             self._extrapolate(r, untold, untold & ~zero)
         t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, zero)
@@ -261,6 +259,14 @@ class Surface:
         told = held & ~unknown & self._areas_at_corners.astype(bool)
         r.x.array[told] = -self._of_other_side(r)[told]
         return unknown
+
+    def _silent(self, together: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Which components have no traction, of those in which supports hold the bodies together."""
+        if not self.model.comm.allreduce(int(together.any())):
+            return together
+        along, whole = self.model.silent
+        nodes = together.reshape(-1, len(along))
+        return np.asarray((nodes & (along | (whole & nodes.all(axis=1, keepdims=True)))).ravel())
 
     def _jumps(self, u: fem.Function) -> npt.NDArray[np.bool_]:
         """Where a function of the trace space differs from side to side (on a rigid base: from zero)."""
