@@ -71,6 +71,15 @@ def test_a_copy_and_a_colon_are_refused(tmp_path):
     assert "has a colon in its name" in done.stderr
 
 
+def test_variables_of_the_caller_come_through(tmp_path, monkeypatch):
+    """Those, too, that have the names of the launcher's own."""
+    monkeypatch.setenv("HOST", "cluster 7")
+    monkeypatch.setenv("TREE", "oak")
+    monkeypatch.delenv("HERE", raising=False)
+    show = "import os; print([os.environ.get(name) for name in ('HOST', 'TREE', 'HERE')])"
+    assert fenicsx("python3", "-c", show, cwd=tmp_path).stdout.strip() == "['cluster 7', 'oak', None]"
+
+
 def test_no_shared_memory_is_left(tmp_path):
     """Open MPI would leave 16 MB in /dev/shm for each process that is not run by mpirun."""
     show = "from mpi4py import MPI; print([line for line in open('/proc/self/maps') if '/dev/shm' in line])"
