@@ -20,6 +20,7 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
+from thinlayer.compat import cell_nodes
 from thinlayer.contact.nodes import ContactNodes
 from thinlayer.loads import ModelError, has_finite_numbers
 from thinlayer.model import Model
@@ -220,9 +221,9 @@ class Surface:
     @cached_property
     def _vertices(self) -> npt.NDArray[np.int64]:
         """The vertex of the joint at each local node of the trace space."""
-        geometry, cells = self.model.domain.mesh.geometry, self.trace_space.dofmap.list
+        mesh, cells = self.model.domain.mesh, self.trace_space.dofmap.list
         numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
-        numbers[cells] = np.asarray(geometry.input_global_indices)[geometry.dofmap[:, : cells.shape[1]]]
+        numbers[cells] = np.asarray(mesh.geometry.input_global_indices)[cell_nodes(mesh)[:, : cells.shape[1]]]
         return numbers
 
     @cached_property
