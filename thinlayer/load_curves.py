@@ -20,6 +20,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.declarations import is_number
 from forms.kinematics import Expr
+from forms.trace import asked_by_ufl
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # of times, relative: a sum of steps that ends where the curve does; of slopes that are the same
@@ -84,9 +85,11 @@ class Time(fem.Constant):
         _refuse("whether t is true")
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, ufl.core.expr.Expr):
+        if isinstance(other, ufl.core.expr.Expr):
+            return bool(super().__eq__(other))
+        if not asked_by_ufl():
             _refuse(f"t == {other!r}")
-        return bool(super().__eq__(other))
+        return False
 
     __hash__ = fem.Constant.__hash__
 
@@ -98,21 +101,26 @@ def symbols() -> Iterator[None]:
     UFL compares the expressions themselves: x[0] == 0 is False, everywhere.
     """
     kind = ufl.core.expr.Expr
-    same, true = kind.__eq__, kind.__bool__
+    same, other_than, true = kind.__eq__, kind.__ne__, kind.__bool__
 
     def compared(self: Any, other: object) -> bool:
-        if not isinstance(other, kind):
+        if not (isinstance(other, kind) or asked_by_ufl()):
             _refuse(f"whether {self} == {other!r}")
         return bool(same(self, other))
+
+    def different(self: Any, other: object) -> bool:
+        if not (isinstance(other, kind) or asked_by_ufl()):
+            _refuse(f"whether {self} != {other!r}")
+        return bool(other_than(self, other))
 
     def truth(self: Any) -> bool:
         _refuse(f"whether {self} is true")
 
-    kind.__eq__, kind.__bool__ = compared, truth
+    kind.__eq__, kind.__ne__, kind.__bool__ = compared, different, truth
     try:
         yield
     finally:
-        kind.__eq__, kind.__bool__ = same, true
+        kind.__eq__, kind.__ne__, kind.__bool__ = same, other_than, true
 
 
 class LoadCurve:
