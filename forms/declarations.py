@@ -12,7 +12,7 @@ from numbers import Real
 from typing import Any
 
 OURS = ("forms", "geometry", "thinlayer")  # packages
-DEFAULTS = ("forms.law", "forms.traction", "forms.point", "forms.contact")  # modules of the base classes
+DEFAULTS = ("forms.law", "forms.traction", "forms.kernel", "forms.contact")  # modules of the base classes
 ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
 CHANGES = ("advance", "evolve")  # of its memory
 OF_ANSWERS = ("stiffness", "gradient", "plane_stress", "otherwise", "energetic")  # what is written for one stress alone

@@ -3,10 +3,10 @@
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic
 from forms.incompressible import Incompressible
+from forms.kernel import KernelLaw
 from forms.law import Law, LawError, Step
 from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
-from forms.point import PointLaw
 from forms.series import Stack
 from forms.temperature import Tabulated
 from forms.traction import JumpStep, TractionLaw
@@ -20,6 +20,7 @@ __all__ = [
     "IncrementalCoulomb",
     "JumpStep",
     "KelvinVoigt",
+    "KernelLaw",
     "Law",
     "LawError",
     "LinearElastic",
@@ -30,7 +31,6 @@ __all__ = [
     "NonMonotone",
     "NonMonotoneUnrelaxed",
     "Norton",
-    "PointLaw",
     "Stack",
     "Step",
     "Tabulated",

@@ -11,9 +11,9 @@ import ufl
 
 from forms.declarations import is_number, warn_of_range
 from forms.elastic import isotropic_stiffness, lame, require_moduli
+from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
 from forms.law import Law, LawError, Step, require
-from forms.point import PointLaw
 from forms.viscous import isotropic_energy
 
 RADIANS = 1.6  # degrees: smaller friction angles look like radians, which end at pi/2
@@ -160,7 +160,7 @@ class MohrCoulomb(Plastic):
 
 
 @dataclass(frozen=True)
-class MohrCoulombReturn(PointLaw, MohrCoulomb):
+class MohrCoulombReturn(KernelLaw, MohrCoulomb):
     """`MohrCoulomb` by the return to faces, edges and apex of its yield surface in principal stresses, in 3D.
 
     Parameters (angles in degrees) and plastic strain are the same; this is the general answer, compiled from C.

@@ -11,9 +11,9 @@ import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.utils.stacks import StackDict
 
+from forms.kernel import KernelLaw
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law, LawError, Step
-from forms.point import PointLaw
 from forms.trace import symbolic
 from forms.traction import TractionLaw
 
@@ -42,7 +42,7 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
         return declared
     if law.pointwise:
         n = np.pad(n, (0, 3 - len(n)))
-    if isinstance(law, PointLaw):
+    if isinstance(law, KernelLaw):
         return _of_kernel(law, n, LONG if law.rate else 0.0)
     columns = []
     for i, j in MANDEL:
@@ -70,7 +70,7 @@ def tangent_over(law: Law, n: Array, dt: float) -> Array | None:
     if not law.linear:
         return None
     n = np.pad(n, (0, 3 - len(n)))
-    if isinstance(law, PointLaw):
+    if isinstance(law, KernelLaw):
         return _of_kernel(law, n, dt)
     try:
         point = symbolic(law)
@@ -87,7 +87,7 @@ def tangent_over(law: Law, n: Array, dt: float) -> Array | None:
     return C if np.isfinite(C).all() else None
 
 
-def _of_kernel(law: PointLaw, n: Array, dt: float) -> Array | None:
+def _of_kernel(law: KernelLaw, n: Array, dt: float) -> Array | None:
     """Tangent that a function of a point, not compiled, fills in a step from rest; None if it is written in C or fails."""
     if law.source is not None:
         return None
@@ -125,7 +125,7 @@ def held_along(law: Law, n: Array) -> npt.NDArray[np.bool_] | None:
     None if the law has a traction where nothing jumps, parameters that vary, or cannot be evaluated. A law with memory is
     asked from rest, one with a rate in the end; an incompressible one has its pressure along n.
     """
-    if law.varies or isinstance(law, PointLaw):
+    if law.varies or isinstance(law, KernelLaw):
         return None
     director = np.pad(n, (0, 3 - len(n))) if law.pointwise else n
     N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])

@@ -17,8 +17,8 @@ GAUSS = (-(12**-0.5), 12**-0.5)  # places through a thickness from -1/2 to 1/2
 
 
 @dataclass(frozen=True)
-class Points:
-    """Points where one law acts.
+class Term:
+    """The integral over a measure of the work of one law.
 
     Attributes:
         law: the law, its parameters real.
@@ -78,17 +78,17 @@ class Interface:
         return self.upper(v) - self.lower(v)
 
 
-def body(law: Law, measure: ufl.Measure) -> Points:
+def body(law: Law, measure: ufl.Measure) -> Term:
     """A law in the volume of a body."""
-    return Points(law, strain, 1, measure)
+    return Term(law, strain, 1, measure)
 
 
-def band(law: Law, measure: ufl.Measure, n: Expr) -> Points:
+def band(law: Law, measure: ufl.Measure, n: Expr) -> Term:
     """A layer's law in the meshed layer (or in one of its sublayers)."""
-    return Points(law, strain, 1, measure, n)
+    return Term(law, strain, 1, measure, n)
 
 
-def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Points]:
+def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Term]:
     """A layer's law on S.
 
     A traction law acts on the jump itself: strain sym([u] (x) n), weight 1. Of other laws, order 0: strain
@@ -102,9 +102,9 @@ def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Point
         return jump_strain(sides.jump(u), sides.n) / eps
 
     if isinstance(law, TractionLaw):
-        return [Points(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)]
+        return [Term(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)]
     if order == 0:
-        return [Points(law, jump_part, eps, sides.measure, sides.n)]
+        return [Term(law, jump_part, eps, sides.measure, sides.n)]
     tangential = ufl.Identity(len(sides.n)) - ufl.outer(sides.n, sides.n)
 
     def along(u: Expr, side: Callable[[Expr], Expr]) -> Expr:
@@ -117,19 +117,19 @@ def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Point
 
         return point_strain
 
-    return [Points(law, at(z), eps / 2, sides.measure, sides.n) for z in GAUSS]
+    return [Term(law, at(z), eps / 2, sides.measure, sides.n) for z in GAUSS]
 
 
-def work(points: Iterable[Points], u: Expr, v: Expr) -> Expr:
+def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:
     """Virtual work of the stresses of u in the strains of v, a UFL form linear in v."""
 
-    def stress(p: Points) -> Expr:
+    def stress(p: Term) -> Expr:
         with explained(p.law, "stress"):
             return shaped(p.law, "stress", p.law.stress(p.step(u)), (3, 3))
 
-    return sum(ufl.inner(stress(p), p.strain(v)) * p.weight * p.measure for p in points)
+    return sum(ufl.inner(stress(p), p.strain(v)) * p.weight * p.measure for p in terms)
 
 
-def energy(points: Iterable[Points], u: Expr) -> Expr:
+def energy(terms: Iterable[Term], u: Expr) -> Expr:
     """Stored energy of a displacement, a UFL form."""
-    return sum(p.law.energy(p.step(u)) * p.weight * p.measure for p in points)
+    return sum(p.law.energy(p.step(u)) * p.weight * p.measure for p in terms)

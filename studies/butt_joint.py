@@ -11,7 +11,7 @@ from forms.kinematics import Expr
 from geometry import disc
 from studies.sweeping import Sweep
 from thinlayer import ThinLayer, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa

@@ -20,9 +20,9 @@ import numpy as np
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
 from thinlayer import Model, State, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
-from thinlayer.progress import track
-from thinlayer.record import Record
-from thinlayer.table import Row
+from thinlayer.files.progress import track
+from thinlayer.files.table import Row
+from thinlayer.running.record import Record
 
 SIDE = 100.0  # mm
 EPS = 1.0  # mm

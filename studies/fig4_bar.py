@@ -18,8 +18,8 @@ from geometry import block
 from studies.fig4_drawing import draw_energies, draw_limit, draw_response
 from studies.measured import MeanJump, SupportForce
 from thinlayer import History, Model, Surface, Table, ThinLayer, march, piecewise
-from thinlayer.progress import track
-from thinlayer.record import Record
+from thinlayer.files.progress import track
+from thinlayer.running.record import Record
 from thinlayer.time.journal import Observe
 
 Array = npt.NDArray[np.float64]

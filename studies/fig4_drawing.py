@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from forms.limits import Bar
 from thinlayer import Table
-from thinlayer.plotting import COLOURS
-from thinlayer.plotting.curves import MARKERS, finish
-from thinlayer.record import Record
+from thinlayer.output.plotting import COLOURS
+from thinlayer.output.plotting.curves import MARKERS, finish
+from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
 LIMIT = (0.1, 0.05, 0.0)  # thicknesses that are shown side by side

@@ -9,8 +9,8 @@ import numpy as np
 from forms import Law, LinearElastic, Stack
 from geometry import block
 from thinlayer import Model, State, Surface, Table, ThinLayer, observed_orders, plotting, solve
-from thinlayer.progress import track
-from thinlayer.record import Record
+from thinlayer.files.progress import track
+from thinlayer.running.record import Record
 
 EPS = 0.1  # mm
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa

@@ -7,8 +7,8 @@ import numpy as np
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from thinlayer import Model, Table, plotting, solve
-from thinlayer.contact.report import ContactReport
-from thinlayer.record import Record
+from thinlayer.output.contact_report import ContactReport
+from thinlayer.running.record import Record
 
 FRICTION = 1.0
 N = 31  # squares along AB: 32 nodes with the held corner B

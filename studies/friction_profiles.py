@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from thinlayer import State, Surface, Table, plotting
-from thinlayer.plotting.contacts import STATUS
-from thinlayer.plotting.curves import finish
-from thinlayer.record import Record
+from thinlayer.output.plotting.contacts import STATUS
+from thinlayer.output.plotting.curves import finish
+from thinlayer.running.record import Record
 
 NO_PRESSURE, AT_LIMIT = 1e-3, 1e-2  # of the largest pressure, of the threshold: what counts as separated, as sliding
 CONTACT: dict[str, Any] = {"color": "black", "linewidth": 1.8, "label": "contact on S"}

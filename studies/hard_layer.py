@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from forms import LinearElastic
 from studies.problems import FOURIER_BODY, fourier
 from thinlayer import Model, ThinLayer, compare, plotting, solve
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128, 1 / 256)
 LAYERS = {"harder": LinearElastic(lmbda=600.0, mu=400.0), "softer": LinearElastic(lmbda=6.0, mu=4.0)}  # bodies: E = 100

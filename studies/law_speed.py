@@ -12,11 +12,11 @@ from mpi4py import MPI
 from forms import Law, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from forms.kinematics import MANDEL, ROOT2
 from thinlayer import SolveError, Table, plotting
-from thinlayer.plotting.curves import finish
+from thinlayer.files.progress import track
+from thinlayer.output.plotting.curves import finish
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
-from thinlayer.progress import track
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 LMBDA, MU, C, OMEGA, PSI = 60.0, 40.0, 0.1, 30.0, 10.0
 PLANE, SPACE = (0, 1, 3), tuple(range(6))  # Mandel components of strains in plane strain and in 3D

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from forms import MohrCoulomb, MohrCoulombMonodirectional, limits
 from thinlayer import Table, plotting
-from thinlayer.plotting.curves import finish
+from thinlayer.output.plotting.curves import finish
 from thinlayer.pointwise.drive import PointHistory, drive
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.floating[Any]]
 LMBDA, MU = 60.0, 40.0

@@ -7,8 +7,8 @@ import ufl
 from forms import Anisotropic
 from studies.problems import fourier
 from thinlayer import Model, State, Surface, Table, ThinLayer, plotting, solve
-from thinlayer.progress import track
-from thinlayer.record import Record
+from thinlayer.files.progress import track
+from thinlayer.running.record import Record
 
 KAPPA = (1e4, 1e5, 1e6)
 SLIDING = (1.0, 1e-2, 1e-4, 1e-6)

@@ -12,7 +12,7 @@ from forms.kinematics import Expr
 from geometry import read
 from studies.sweeping import Sweep
 from thinlayer import ThinLayer, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 MESH = Path(__file__).parent / "data" / "arch.msh"  # curved cells; arch.geo is its drawing
 EPS = (0.04, 0.02, 0.01, 0.005)  # m

@@ -16,13 +16,13 @@ from thinlayer import Model, SolveError, Table, plotting
 from thinlayer.contact.blocks import faster_products
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.solver import contact_problem, scheme
-from thinlayer.equations import Equations, Interval
-from thinlayer.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.options import PREFIX, defaults, require_all_read
-from thinlayer.progress import track
-from thinlayer.record import Record
-from thinlayer.solvers import Solver
-from thinlayer.table import Row
+from thinlayer.files.progress import track
+from thinlayer.files.table import Row
+from thinlayer.running.record import Record
+from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
+from thinlayer.solving.options import PREFIX, defaults, require_all_read
+from thinlayer.solving.solvers import Solver
 
 STIFFNESS = (15e8, 5e8)  # lmbda, mu per thickness, N/mm^3
 FRICTION = 1.0

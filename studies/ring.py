@@ -10,7 +10,7 @@ from forms import LinearElastic
 from geometry import ring
 from studies.sweeping import Sweep
 from thinlayer import ThinLayer, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
 SHAFT = LinearElastic.young(E=210e3, nu=0.3)  # MPa

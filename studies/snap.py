@@ -17,9 +17,9 @@ from studies.fig4_bar import meet, near, straight
 from studies.snap_drawing import PURE, RELAXED, draw_phases, draw_response
 from studies.snap_structures import END, LIMIT, Structure, distance, moved, pulled_block, strip, switches
 from thinlayer import History, PhaseReport, Table, plotting
-from thinlayer.progress import track
-from thinlayer.record import Record
-from thinlayer.table import Row
+from thinlayer.files.progress import track
+from thinlayer.files.table import Row
+from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
 OTHER_STEPS = (7, 33)

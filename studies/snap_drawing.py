@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from forms.limits import Bar
 from thinlayer import Table, plotting
-from thinlayer.plotting import COLOURS
-from thinlayer.plotting.curves import finish
-from thinlayer.record import Record
+from thinlayer.output.plotting import COLOURS
+from thinlayer.output.plotting.curves import finish
+from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
 PURE, RELAXED, BACK = "pure phases", "relaxed law", ", back"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from studies.problems import FOURIER_LAYER, fourier
 from studies.sweeping import Sweep
 from thinlayer import ThinLayer, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 
 def run(

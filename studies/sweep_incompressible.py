@@ -8,7 +8,7 @@ from forms import Incompressible
 from studies.problems import fourier
 from studies.sweeping import Solution, Sweep, last
 from thinlayer import Surface, ThinLayer, observed_orders, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 LAYER = Incompressible(mu=40.0)
 

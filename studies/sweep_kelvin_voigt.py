@@ -8,7 +8,7 @@ from forms import KelvinVoigt
 from studies.problems import fourier
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 LAYER = KelvinVoigt(lmbda=60.0, mu=40.0, theta_lmbda=0.3, theta_mu=0.5)
 TIMES = (0.1, 0.2, 0.3, 0.4, 0.5)  # the jump is still a fifth short of the elastic one

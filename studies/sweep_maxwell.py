@@ -9,7 +9,7 @@ from forms import Maxwell
 from studies.problems import fourier
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 LAYERS = {
     "": Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=1.0),  # the mean stress relaxes with the time 1.04

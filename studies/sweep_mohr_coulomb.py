@@ -15,7 +15,7 @@ from studies.fig3_mohr_coulomb import GLUE, OMEGA, READINGS, SIDE, STEEL, glue, 
 from studies.problems import fourier
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 LAYERS = {
     "": MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02),

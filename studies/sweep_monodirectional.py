@@ -10,7 +10,7 @@ from forms import Law, LinearElastic, MohrCoulombMonodirectional, Stack
 from studies.problems import pressed
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 SLIPPING = MohrCoulombMonodirectional(lmbda=60.0, mu=40.0, C=0.05, Omega=25.0)
 FRACTION, LESS = 0.01, 1e-4  # elastic, where there is no strength in shear or none along n

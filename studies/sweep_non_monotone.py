@@ -18,7 +18,7 @@ from geometry import Joint, sandwich
 from studies.problems import FOURIER_BODY
 from studies.sweeping import Solution, Sweep, draw_rates, last
 from thinlayer import History, PhaseReport, RangeWarning, Table, ThinLayer, observed_orders, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
 # law; amplitudes of shear and pull on the upper side

@@ -9,7 +9,7 @@ from forms import Norton
 from studies.problems import fourier
 from studies.sweeping import Solution, Sweep, draw_rates
 from thinlayer import History, Surface, ThinLayer
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 LAYERS = {"": Norton(lmbda=60.0, mu=40.0, eta=5.0, p=1.5), "p3": Norton(lmbda=60.0, mu=40.0, eta=2000.0, p=3.0)}
 EARLY = 0.05

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from studies.problems import FOURIER_LAYER, fourier
 from thinlayer import Model, ThinLayer, compare, plotting, solve
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 128)
 

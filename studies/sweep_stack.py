@@ -9,7 +9,7 @@ from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from studies.problems import fourier
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
 LAYERS = {

@@ -10,7 +10,7 @@ from forms import Law, Stack
 from forms.kinematics import Expr
 from geometry import Joint
 from thinlayer import History, Model, State, Table, ThinLayer, compare, plotting, solve
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 Solution = State | History
 

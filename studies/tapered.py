@@ -10,7 +10,7 @@ import numpy.typing as npt
 from studies.problems import FOURIER_LAYER, fourier
 from studies.sweeping import Sweep
 from thinlayer import ThinLayer, plotting
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
 

@@ -15,7 +15,7 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from geometry import block, sandwich
 from studies.problems import sliding_bar
 from thinlayer import Model, march, piecewise, solve
-from thinlayer.contact.report import ContactReport
+from thinlayer.output.contact_report import ContactReport
 
 
 def to_and_fro(folder=None, last=4.0, method=None):

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from tests.test_marching import interface
 from thinlayer import Table, fields, march, plotting, sweep
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 COMM = MPI.COMM_WORLD
 FULL_FROM = [0.15]  # time

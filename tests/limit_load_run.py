@@ -10,7 +10,7 @@ from mpi4py import MPI
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block, sandwich
 from thinlayer import Model, ThinLayer, march, solve
-from thinlayer.failure import LimitLoad
+from thinlayer.errors import LimitLoad
 
 BODY = LinearElastic.young(100.0, 0.3)
 SLIDING = MohrCoulombMonodirectional(60.0, 40.0, C=0.1, Omega=30.0)

@@ -9,8 +9,8 @@ import numpy as np
 import ufl
 
 from forms.elastic import lame
+from forms.kernel import KernelLaw
 from forms.law import Law
-from forms.point import PointLaw
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, isotropic_energy
 
@@ -77,7 +77,7 @@ class Hardening(Law):
 
 
 @dataclass(frozen=True)
-class Mises(PointLaw):
+class Mises(KernelLaw):
     """Elastic, ideally plastic: |dev stress| <= limit, a return along the deviator at t + theta dt."""
 
     lmbda: float

@@ -16,7 +16,8 @@ from geometry import Joint, block, sandwich
 from tests import reference
 from tests.test_columns import OneSided
 from tests.test_fourier import ABOVE, BELOW
-from thinlayer import Model, SolveError, Surface, ThinLayer, compare, linear_solvers, observed_orders, solve
+from thinlayer import Model, SolveError, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer.solving import linear_solvers
 
 TRACTION = np.array([0.3, -0.8, 0.2])
 LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
-from thinlayer import cli
-from thinlayer.catalogue import studies
+from thinlayer.running import cli
+from thinlayer.running.catalogue import studies
 
 CLONE = Path(__file__).parent.parent
 
@@ -57,9 +57,8 @@ def assert_drawn(path: Path) -> None:
 
 
 def test_list_is_light_and_matches_the_readme():
-    probe = (
-        "import sys; from thinlayer.cli import main; main(['list']); print([m for m in sys.modules if '.' not in m])"
-    )
+    probe = "import sys; from thinlayer.running.cli import main; main(['list']); "
+    probe += "print([m for m in sys.modules if '.' not in m])"
     done = subprocess.run([sys.executable, "-c", probe], cwd=CLONE, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     *listed, modules = done.stdout.splitlines()

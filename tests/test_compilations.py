@@ -108,7 +108,7 @@ from pathlib import Path
 import cffi, ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-import thinlayer.compilation
+import thinlayer.compiling.compilation
 
 def compiled(folder, timeout=1):
     domain = mesh.create_unit_interval(MPI.COMM_SELF, 2)
@@ -188,11 +188,11 @@ LIBRARY = """
 import sys
 from pathlib import Path
 from dolfinx import jit
-import thinlayer.compiled
+import thinlayer.compiling.compiled
 
 def compiled(folder):
     jit.get_options = lambda: {"cache_dir": folder}
-    assert thinlayer.compiled.library(Path(folder, "half.c")).lib.half(7.0) == 3.5
+    assert thinlayer.compiling.compiled.library(Path(folder, "half.c")).lib.half(7.0) == 3.5
 """
 
 

@@ -31,7 +31,7 @@ from thinlayer import (
 from thinlayer.contact import dense
 from thinlayer.contact import nodes as nodes_module
 from thinlayer.contact.nodes import ContactNodes
-from thinlayer.contact.report import ContactReport
+from thinlayer.output.contact_report import ContactReport
 
 SOLVERS = ("condensed", "multigrid", "newton")
 STIFFNESS = {"stiff": (15e8, 5e8), "middle": (15e4, 5e4), "soft": (15.0, 5.0)}

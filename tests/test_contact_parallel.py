@@ -9,7 +9,7 @@ import pytest
 
 from tests.contact_run import content, reports, to_and_fro
 from tests.test_parallel import mpirun
-from thinlayer.contact.report import ContactReport
+from thinlayer.output.contact_report import ContactReport
 
 
 def run(ranks: int, *arguments: str):

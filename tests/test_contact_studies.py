@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from studies import fig8_friction, performance, relaxation
-from thinlayer.cli import main
-from thinlayer.table import Table
+from thinlayer.files.table import Table
+from thinlayer.running.cli import main
 
 
 def test_figure_8(tmp_path):

@@ -23,8 +23,9 @@ import ufl
 from forms import KelvinVoigt
 from tests.test_identity import Spring
 from tests.test_marching import JOINT, SETUP, SLOW
-from thinlayer import Model, ModelError, ThinLayer, compare, identity, march, solve, sweep
-from thinlayer.identity import described
+from thinlayer import Model, ModelError, ThinLayer, compare, march, solve, sweep
+from thinlayer.identity import identity
+from thinlayer.identity.identity import described
 
 DATA = SETUP | {"layer": ThinLayer(SLOW, 0.1)}
 

@@ -14,9 +14,9 @@ from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import Model, SolveError, Surface, ThinLayer, march, solve
 from thinlayer.contact.solver import ContactSolver
-from thinlayer.equilibrium import Equilibrium
-from thinlayer.linear_solvers import solve_linear
-from thinlayer.uniqueness import pieces
+from thinlayer.solving.equilibrium import Equilibrium
+from thinlayer.solving.linear_solvers import solve_linear
+from thinlayer.solving.uniqueness import pieces
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)
 PLATES = sandwich(40, 4, 6, h=2.0)

@@ -16,14 +16,15 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-import thinlayer.record
-import thinlayer.table
+import thinlayer.files.table
+import thinlayer.running.record
 from studies import sweep_elastic
 from tests.test_marching import SUDDEN, interface
 from tests.test_parallel import CLONE, mpirun
-from thinlayer import ModelError, Table, cli, march, plotting, sweep
-from thinlayer.folder import owned
-from thinlayer.record import Record
+from thinlayer import ModelError, Table, march, plotting, sweep
+from thinlayer.files.folder import owned
+from thinlayer.running import cli
+from thinlayer.running.record import Record
 
 FACTOR = 2.0
 
@@ -247,12 +248,12 @@ def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
     study(tmp_path, {"b": 1.0})
     run = json.loads((tmp_path / "run.json").read_text())
     assert run["petsc"].keys() == {"options", "PETSC_OPTIONS", "files"}
-    monkeypatch.setattr(thinlayer.record, "code", lambda: "0123456789ab")
+    monkeypatch.setattr(thinlayer.running.record, "code", lambda: "0123456789ab")
     with pytest.raises(ModelError, match="was made with other source code"):
         study(tmp_path, {"b": 1.0}, resume=True)
     monkeypatch.undo()
     options = {"options": {"-thinlayer_snes_rtol": "0.9"}, "PETSC_OPTIONS": "", "files": []}
-    monkeypatch.setattr(thinlayer.record, "petsc_options", lambda: options)
+    monkeypatch.setattr(thinlayer.running.record, "petsc_options", lambda: options)
     with pytest.raises(ModelError, match="had other PETSc options: -thinlayer_snes_rtol"):
         study(tmp_path, {"b": 1.0}, resume=True)
     monkeypatch.undo()
@@ -298,7 +299,7 @@ def test_folders_that_cannot_be(tmp_path, monkeypatch, capsys, out, message):
 def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys):
     def writes_too_much(record, **_):
         record.sweep(row, [0.2])
-        monkeypatch.setattr(thinlayer.table.os, "fsync", fail_to_write)
+        monkeypatch.setattr(thinlayer.files.table.os, "fsync", fail_to_write)
         record.write("more.csv", Table([row(0.2)]))
 
     monkeypatch.setattr(sweep_elastic, "run", writes_too_much)
@@ -334,7 +335,7 @@ def test_an_interrupt_before_anything_has_begun():
     program = (
         "import os, signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it\n"
-        "from thinlayer import cli, startup\n"
+        "from thinlayer.running import cli, startup\n"
         "startup.end_on_interrupt()\n"
         "cli.main = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
         "cli.start()\n"
@@ -346,7 +347,7 @@ def test_an_interrupt_before_anything_has_begun():
 
 def test_texts_are_read_whatever_the_locale():
     environment = os.environ | {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    program = "from thinlayer.catalogue import studies; print(len(studies()))"
+    program = "from thinlayer.running.catalogue import studies; print(len(studies()))"
     words = [sys.executable, "-c", program]
     done = subprocess.run(words, cwd=CLONE, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

@@ -22,10 +22,10 @@ from studies import sweep_friction, sweep_monodirectional
 from studies.problems import pressed
 from tests.test_parallel import mpirun
 from thinlayer import Model, Surface, Table, ThinLayer, compare, march, observed_orders, solve
-from thinlayer.cli import main
+from thinlayer.running.cli import main
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 
 BODY = LinearElastic.young(100.0, 0.3)
 H = 0.5  # of each body

@@ -22,7 +22,7 @@ import pytest
 from forms.laws import LinearElastic
 from tests.test_marching import JOINT, SETUP, SLOW
 from thinlayer import Model, ModelError, ThinLayer, march, piecewise
-from thinlayer.identity import code_of, described, referred
+from thinlayer.identity.identity import code_of, described, referred
 
 FACTOR = 2.0
 SCALE = {"a": [1.0, 2.0]}

@@ -22,7 +22,7 @@ from tests import reference
 from tests.test_tips import partly
 from thinlayer import Model, ModelError, SolveError, State, Surface, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.pointwise.constraint import Constraint
-from thinlayer.solvers import Solver
+from thinlayer.solving.solvers import Solver
 
 MU = 40.0
 LAW = Incompressible(MU)
@@ -134,7 +134,7 @@ def test_three_dimensions(cell):
         assert errors[1][quantity] < 0.6 * errors[0][quantity]
 
 
-@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of the penalty
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the penalty
 @pytest.mark.parametrize("cell", CELLS)
 def test_s_that_ends_inside(cell):
     """A crack filled with an incompressible layer cannot open, but it slides; beside it the bodies are bonded."""
@@ -180,7 +180,7 @@ def norm(p: fem.Function) -> float:
 
 
 # ---------------------------------------------------------------- multiplier and traction
-@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of the free ends
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the free ends
 @pytest.mark.parametrize("cell", CELLS)
 def test_traction_is_the_multiplier(cell):
     """On S: t_N = p, both tested with the same functions of degree 1; t_T = mu [u_T], projected to degree 1."""
@@ -295,7 +295,7 @@ def test_close_to_the_limit_however_thin():
     assert rows[-1]["error_jump"] < 2e-4
 
 
-@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # that is what it is about
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # that is what it is about
 @pytest.mark.parametrize("build", BUILDS)
 def test_nearly_incompressible_layers(build):
     """Elastic layers with growing lmbda come to it with order 1 in mu/lmbda, until their own cells lock."""
@@ -314,8 +314,8 @@ def schur(model: Model, degree: int) -> np.ndarray:
     """G K^-1 G^T with displacements of a degree: the square of a pressure's norm sup_v (int q tr e(v))^2/a(v, v)."""
     V = model.V if degree == 2 else model.space(degree)
     fine = lambda p: replace(p, measure=p.measure.reconstruct(metadata={"quadrature_degree": 2 * degree + 1}))
-    constraint = Constraint(model.domain, V, fine(model.layer_points[0]))
-    stiffness = work([fine(p) for p in model.points], ufl.TrialFunction(V), ufl.TestFunction(V))
+    constraint = Constraint(model.domain, V, fine(model.layer_terms[0]))
+    stiffness = work([fine(p) for p in model.terms], ufl.TrialFunction(V), ufl.TestFunction(V))
     K = dolfinx.fem.petsc.assemble_matrix(fem.form(stiffness))
     K.assemble()
     free = np.setdiff1d(np.arange(K.getSize()[0]), model.supports.held(V))

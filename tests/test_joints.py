@@ -12,7 +12,7 @@ from forms import LinearElastic
 from geometry import GeometryError, Joint, disc, inflate, ring, sandwich
 from geometry.topology import lagrange
 from thinlayer import Model, ThinLayer
-from thinlayer.surface import nodal_forces
+from thinlayer.output.surface import nodal_forces
 
 QUADS = np.array([[0, 1, 2, 3], [2, 3, 4, 5]])
 

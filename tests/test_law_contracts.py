@@ -19,7 +19,7 @@ from forms.viscous import isotropic_energy
 from geometry import sandwich
 from tests.own_laws import Fragile, Mises
 from thinlayer import Model, Surface, ThinLayer, drive, march, solve
-from thinlayer.failure import RangeWarning, SolveError
+from thinlayer.errors import RangeWarning, SolveError
 
 L, M = 3.0, 2.0  # moduli per thickness; lmbda + 2 mu = 7
 EPS, CREEP = 0.1, 0.5

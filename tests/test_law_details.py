@@ -31,7 +31,7 @@ from geometry import sandwich
 from tests.own_laws import Slipping
 from tests.test_points import E2, respond, tensor, vector
 from thinlayer import Model, ThinLayer, drive, solve
-from thinlayer.loads import ModelError
+from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import Columns
 
 

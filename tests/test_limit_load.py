@@ -19,12 +19,12 @@ from forms.traction import TractionLaw
 from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
 from tests.test_parallel import mpirun
 from thinlayer import Adaptive, SolveError, Surface, march, solve
-from thinlayer.cli import OK, SOLVE_FAILED
-from thinlayer.cli import main as command
-from thinlayer.continuation import Continuation
-from thinlayer.failure import LimitLoad
-from thinlayer.record import Record
-from thinlayer.solvers import Solver
+from thinlayer.errors import LimitLoad
+from thinlayer.running.cli import OK, SOLVE_FAILED
+from thinlayer.running.cli import main as command
+from thinlayer.running.record import Record
+from thinlayer.solving.continuation import Continuation
+from thinlayer.solving.solvers import Solver
 
 TAN, SIN, COS = np.tan(np.pi / 6), np.sin(np.pi / 6), np.cos(np.pi / 6)
 LIMITS = {SLIDING: 0.1 + TAN, FULL: 0.1 * COS + SIN}  # of the mean shear traction under a mean pressure of 1

@@ -12,7 +12,7 @@ from forms import LinearElastic, Maxwell, NonMonotone, Stack, Tabulated
 from forms.law import LawError
 from geometry import GeometryError, block, disc, sandwich
 from thinlayer import Adaptive, ArcLength, Model, ModelError, Surface, ThinLayer, drive, march, piecewise, solve
-from thinlayer.equations import Equations
+from thinlayer.solving.equations import Equations
 
 GLUE = LinearElastic(lmbda=60.0, mu=40.0)
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)

@@ -16,7 +16,7 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
-from forms.laws import KelvinVoigt, Law, LinearElastic, Maxwell, Norton, PointLaw
+from forms.laws import KelvinVoigt, KernelLaw, Law, LinearElastic, Maxwell, Norton
 from geometry import sandwich
 from tests import marching_run
 from tests.test_parallel import CLEAN, CLONE, mpirun
@@ -34,7 +34,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
-from thinlayer.cli import main
+from thinlayer.running.cli import main
 
 BODY = LinearElastic.young(100.0, 0.3)
 SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
@@ -199,7 +199,7 @@ def test_adaptive_steps(theta, order):
 
 
 @dataclass(frozen=True)
-class Brittle(PointLaw):
+class Brittle(KernelLaw):
     """Elastic, but gives up where the strain changes by more than `most` in a step."""
 
     k: float
@@ -371,7 +371,7 @@ def test_bad_adaptive_steps():
         Adaptive(1.0, 0.1, at=[2.0])
 
 
-@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of bodies softer than the layer
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of bodies softer than the layer
 @pytest.mark.parametrize(
     ("change", "what"),
     [
@@ -472,8 +472,8 @@ def test_a_killed_study_is_resumed(tmp_path, capsys):
     script.write_text(
         "import os, signal, sys\n"
         "from itertools import count\n"
-        "from thinlayer.solvers import Solver\n"
-        "from thinlayer.cli import main\n"
+        "from thinlayer.solving.solvers import Solver\n"
+        "from thinlayer.running.cli import main\n"
         "step, calls = Solver.step, count()\n"
         "Solver.step = lambda *a: step(*a) if next(calls) < 15 else os.kill(os.getpid(), signal.SIGKILL)\n"
         "main(sys.argv[1:])\n"

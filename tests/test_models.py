@@ -14,9 +14,9 @@ from forms import Anisotropic, Law, LawError, LinearElastic, MohrCoulomb, Stack
 from geometry import GeometryError, block, sandwich
 from tests.limit_load_run import dragged
 from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, solve
-from thinlayer.failure import RangeWarning
-from thinlayer.solvers import Solver
-from thinlayer.surface import nodal_forces
+from thinlayer.errors import RangeWarning
+from thinlayer.output.surface import nodal_forces
+from thinlayer.solving.solvers import Solver
 
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
 BODY = LinearElastic.young(100.0, 0.3)

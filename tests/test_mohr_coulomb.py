@@ -25,8 +25,7 @@ from forms import (
 )
 from tests.own_laws import Slipping
 from tests.test_points import jump_strain, material, respond, tensor, traction, vector
-from thinlayer.failure import SolveError
-from thinlayer.loads import ModelError
+from thinlayer.errors import ModelError, SolveError
 from thinlayer.pointwise.drive import drive
 
 LMBDA, MU, C, OMEGA = 60.0, 40.0, 0.1, 30.0  # nu = 0.3

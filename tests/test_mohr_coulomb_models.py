@@ -20,7 +20,7 @@ from thinlayer import Model, Surface, ThinLayer, march, solve
 from thinlayer.pointwise.drive import PointHistory, drive
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 
 BODY = LinearElastic.young(100.0, 0.3)
 LMBDA, MU = 60.0, 40.0
@@ -165,7 +165,7 @@ def test_ranks():
 
 def test_studies(tmp_path):
     """Quick versions hold their own checks; every table has the elastic fraction."""
-    from thinlayer.cli import main
+    from thinlayer.running.cli import main
 
     for study, options in {
         "fig3_mohr_coulomb": ["--loads", "R1"],

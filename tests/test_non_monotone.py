@@ -13,7 +13,7 @@ from forms.non_monotone import lamination_gain
 from geometry import sandwich
 from tests.test_points import jump_strain, material, respond, tensor, traction, vector
 from thinlayer import Model, ThinLayer, drive
-from thinlayer.loads import ModelError
+from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import TIE
 
 LMBDA, MU, ALPHA, C = 60.0, 40.0, 1.2, 0.02

@@ -26,7 +26,7 @@ from tests.test_parallel import mpirun
 from thinlayer import Model, ModelError, PhaseReport, Surface, ThinLayer, march, piecewise, solve
 
 # layers whose thickness tends to zero under the same load, and columns of any height
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 
 LMBDA, MU, ALPHA = 60.0, 40.0, 1.2
 CHI3 = np.array([[0.3, 0.5, -0.2], [0.5, 0.9, 0.4], [-0.2, 0.4, -0.6]])

@@ -14,7 +14,7 @@ from studies.fig4_bar import BAR, meet, straight
 from studies.measured import MeanJump, SupportForce
 from studies.snap_structures import distance
 from thinlayer import Model, Surface, ThinLayer, solve
-from thinlayer.cli import main
+from thinlayer.running.cli import main
 
 
 def rows(path):

@@ -14,7 +14,7 @@ from studies.hard_layer import LAYERS
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
 from thinlayer import Model, ModelError, Surface, ThinLayer, compare, march, observed_orders, solve
-from thinlayer.failure import RangeWarning
+from thinlayer.errors import RangeWarning
 
 # |t_full - t_order1| in L2(S) of the Fourier problem, from transfer matrices
 TRACTION_ERRORS = {1 / 8: 1.885e-3, 1 / 16: 5.320e-4, 1 / 32: 1.371e-4, 1 / 64: 3.452e-5}
@@ -41,7 +41,7 @@ def test_soft_layer(cell):
         assert orders[-2:] == pytest.approx([2.0, 2.0], abs=0.1)
 
 
-@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # that the layer alone is too stiff
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # that the layer alone is too stiff
 @pytest.mark.parametrize("nu", [0.3, 0.49, 0.499, 0.4999])
 def test_layer_that_keeps_its_volume(nu):
     """Order 2 whatever nu; a law whose displacements are linear through the layer would lock."""

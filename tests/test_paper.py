@@ -11,7 +11,7 @@ from studies.fig6_stratified import EPS, GLUE, GLUE_MODULI, K_T, PLACE, Bar
 from studies.limits import BONDED_JUMP, BONDED_TRACTION, SLIDING_JUMP, SLIDING_TRACTION
 from studies.problems import fourier
 from thinlayer import Model, Surface, ThinLayer, observed_orders, solve
-from thinlayer.record import Record
+from thinlayer.running.record import Record
 
 # t_T/u_T (N/mm^3) of the meshed layer at some x (mm), P1 on a graded mesh, from an independent code
 RATIOS = {10.0: 85752.2418, 20.0: 85733.8001, 30.0: 85730.6296}

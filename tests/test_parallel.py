@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.parallel_norms import norms
-from thinlayer.cli import main
+from thinlayer.running.cli import main
 
 CLONE = Path(__file__).parent.parent
 # an outer MPI process must not be taken for our parent
@@ -132,7 +132,7 @@ def test_an_error_of_one_rank_ends_all(tmp_path):
 MODEL = """
 import sys
 from mpi4py import MPI
-import thinlayer.agreement
+import thinlayer.parallel.agreement
 from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
 from thinlayer import Model, ThinLayer, march, sweep
@@ -173,7 +173,7 @@ def test_an_error_of_one_rank_where_others_wait_for_it(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         f"{MODEL}\n"
-        "thinlayer.agreement.PATIENCE = 0.3\n"
+        "thinlayer.parallel.agreement.PATIENCE = 0.3\n"
         "def observed(state):\n"
         "    if COMM.rank == 1: raise ValueError('one alone')\n"
         "    return COMM.allreduce(1.0)\n"

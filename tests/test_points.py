@@ -17,12 +17,12 @@ from forms import (
     Anisotropic,
     Incompressible,
     KelvinVoigt,
+    KernelLaw,
     Law,
     LawError,
     LinearElastic,
     Maxwell,
     Norton,
-    PointLaw,
     Stack,
     TractionLaw,
     limits,
@@ -160,7 +160,7 @@ def memory_blocks(law: Law) -> list[int]:
     """Sizes of what is remembered: 1 a number, 3 a vector, 6 a symmetric tensor."""
     if isinstance(law, Stack) and len(law.laws) > 1:
         return [3] * len(law.laws) + [size for one in law.laws for size in memory_blocks(one)]
-    return [6] * (law.memory // 6) if isinstance(law, PointLaw) else [SIZES[shape] for shape in law.internal.values()]
+    return [6] * (law.memory // 6) if isinstance(law, KernelLaw) else [SIZES[shape] for shape in law.internal.values()]
 
 
 # ---------------------------------------------------------------- tangents, energies, rotations
@@ -880,7 +880,7 @@ def test_a_rate_that_is_not_declared():
 # ---------------------------------------------------------------- declarations and kernels
 def declared(body: str, decorated: bool = True):
     """A law's class from source."""
-    names = {"Law": Law, "PointLaw": PointLaw, "dataclass": dataclass, "np": np}
+    names = {"Law": Law, "KernelLaw": KernelLaw, "dataclass": dataclass, "np": np}
     decorator = "@dataclass(frozen=True)\n" if decorated else ""
     exec(f"{decorator}class Mine(Law):\n    k: float = 30.0\n" + body, names)
     return names["Mine"]
@@ -918,7 +918,7 @@ def spoiled_kernel(body: str, memory: object = 0):
     arguments = "e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies"
     exec(f"def kernel({arguments}):\n" + body, names)
     return dataclass(frozen=True)(
-        type("Spoiled", (PointLaw,), {"kernel": staticmethod(names["kernel"]), "memory": memory})
+        type("Spoiled", (KernelLaw,), {"kernel": staticmethod(names["kernel"]), "memory": memory})
     )
 
 

@@ -18,9 +18,9 @@ from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.test_parallel import mpirun
 from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, march, solve
-from thinlayer.failure import RangeWarning
-from thinlayer.ranges import Stratum, _Faces, _strata, free_rim, pressure_excess, pressure_length, warn_of_model
-from thinlayer.state import Report, State
+from thinlayer.discretisation.state import Report, State
+from thinlayer.errors import RangeWarning
+from thinlayer.solving.ranges import Stratum, _Faces, _strata, free_rim, pressure_excess, pressure_length, warn_of_model
 
 STIFF = LinearElastic.young(1e5, 0.3)
 MODULI = np.diag([7.0, 5, 9, 2, 3, 4])

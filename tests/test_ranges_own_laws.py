@@ -14,11 +14,11 @@ from forms import (
     Anisotropic,
     Incompressible,
     KelvinVoigt,
+    KernelLaw,
     Law,
     LawError,
     LinearElastic,
     Maxwell,
-    PointLaw,
     Stack,
     TractionLaw,
 )
@@ -28,7 +28,7 @@ from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.own_laws import Mises, StandardSolid
 from thinlayer import Model, ThinLayer, march, solve
-from thinlayer.failure import RangeWarning
+from thinlayer.errors import RangeWarning
 
 STIFF = LinearElastic.young(1e5, 0.3)
 
@@ -54,7 +54,7 @@ class Remembering(Own):
 
 
 @dataclass(frozen=True)
-class Compiled(PointLaw):
+class Compiled(KernelLaw):
     """The same as a function of one point."""
 
     a: float

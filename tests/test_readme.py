@@ -15,7 +15,7 @@ import pytest
 from forms import LinearElastic
 from geometry import sandwich
 from thinlayer import ArcLength, Model, Surface, ThinLayer, march
-from thinlayer.catalogue import studies
+from thinlayer.running.catalogue import studies
 
 CLONE = Path(__file__).parent.parent
 README = (CLONE / "README.md").read_text()

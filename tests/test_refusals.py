@@ -11,19 +11,8 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from geometry import GeometryError, sandwich
 from tests.meshes import grid
-from thinlayer import (
-    Model,
-    ModelError,
-    SolveError,
-    Surface,
-    ThinLayer,
-    compare,
-    fields,
-    linear_solvers,
-    plotting,
-    solve,
-    sweep,
-)
+from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, compare, fields, plotting, solve, sweep
+from thinlayer.solving import linear_solvers
 
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
 JOINT = sandwich(2.0, 1.0, 1.0, 0.5)

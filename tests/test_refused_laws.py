@@ -9,12 +9,12 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import HolonomicCoulomb, Law, LawError, LinearElastic, PointLaw, Stack
+from forms import HolonomicCoulomb, KernelLaw, Law, LawError, LinearElastic, Stack
 from geometry import sandwich
 from tests.test_parallel import mpirun
 from thinlayer import Model, ThinLayer, drive, march
-from thinlayer.compiled import _FILES, _LOADED
-from thinlayer.identity import described
+from thinlayer.compiling.compiled import _FILES, _LOADED
+from thinlayer.identity.identity import described
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)
@@ -25,10 +25,10 @@ SPRING = """int kernel(double *out, const void *unused, const double *in)
 """
 
 
-def from_c(k: float, **declared: Any) -> PointLaw:
+def from_c(k: float, **declared: Any) -> KernelLaw:
     """A law of one parameter whose class declares this."""
     names = {"__annotations__": {"k": float}, "__module__": __name__, "powers": {"k": 1}}
-    return dataclass(frozen=True)(type("FromC", (PointLaw,), names | declared))(k)
+    return dataclass(frozen=True)(type("FromC", (KernelLaw,), names | declared))(k)
 
 
 @pytest.mark.parametrize("kind", [str, lambda path: path], ids=["str", "Path"])
@@ -137,7 +137,7 @@ def partly(holds=opens, **declared: Any) -> Law:
     return dataclass(frozen=True)(type("Partly", (Soft,), names | declared))(5.0)
 
 
-@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of the thick layer
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the thick layer
 def test_a_law_that_holds_in_part():
     steps = [{"w_T": 0.01, "w_N": 0.02}, {"w_T": 0.01, "w_N": -0.02}]
     assert drive(partly(otherwise=lambda law: Stiff(law.k)), steps[1:]).tractions[0] == pytest.approx([2.5, -10.0])

@@ -15,7 +15,7 @@ from forms.elastic import lame
 from forms.kinematics import lift
 from geometry import disc, sandwich
 from thinlayer import Model, ThinLayer, march, solve
-from thinlayer.failure import RangeWarning
+from thinlayer.errors import RangeWarning
 
 EPS = 0.05
 STIFF = LinearElastic.young(1e6, 0.3)

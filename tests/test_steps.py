@@ -12,8 +12,8 @@ from tests.own_laws import Mises, StandardSolid
 from tests.test_limit_load import LIMITS
 from tests.test_marching import JOINT, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Adaptive, Model, Surface, ThinLayer, march, piecewise
-from thinlayer.failure import LimitLoad
-from thinlayer.solvers import Solver
+from thinlayer.errors import LimitLoad
+from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
 
 # ---------------------------------------------------------------- where loads break

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Law, LawError, LinearElastic, PointLaw, TractionLaw
+from forms import KernelLaw, Law, LawError, LinearElastic, TractionLaw
 from forms.elastic import lame
 from forms.trace import stress_key
 from geometry import sandwich
@@ -49,7 +49,7 @@ class JumpsReadGlobals(TractionLaw):
 
 
 @dataclass(frozen=True)
-class KernelReadsGlobals(PointLaw):
+class KernelReadsGlobals(KernelLaw):
     k: float
     powers: ClassVar = {"k": 1}
 
@@ -415,7 +415,7 @@ class AtRest(Law):
         return self.k * step.e * ways[self.way]()
 
 
-@pytest.mark.filterwarnings("ignore::thinlayer.failure.RangeWarning")  # of soft bodies
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of soft bodies
 @pytest.mark.parametrize(
     ("way", "message"),
     [

@@ -10,19 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from thinlayer.comparison import compare, observed_orders, sweep
-    from thinlayer.contact.report import ContactReport
-    from thinlayer.failure import LimitLoad, RangeWarning, SolveError
-    from thinlayer.layer import ThinLayer
-    from thinlayer.loads import ModelError, piecewise
-    from thinlayer.model import Model
-    from thinlayer.options import OptionError
-    from thinlayer.phases import PhaseReport
+    from thinlayer.discretisation.layer import ThinLayer
+    from thinlayer.discretisation.loads import piecewise
+    from thinlayer.discretisation.model import Model
+    from thinlayer.discretisation.state import State
+    from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError
+    from thinlayer.files.table import Table
+    from thinlayer.output.comparison import compare, observed_orders, sweep
+    from thinlayer.output.contact_report import ContactReport
+    from thinlayer.output.surface import Surface
     from thinlayer.pointwise.drive import PointHistory, drive
-    from thinlayer.solvers import solve
-    from thinlayer.state import State
-    from thinlayer.surface import Surface
-    from thinlayer.table import Table
+    from thinlayer.pointwise.phases import PhaseReport
+    from thinlayer.solving.options import OptionError
+    from thinlayer.solving.solvers import solve
     from thinlayer.time.arc_length import ArcLength
     from thinlayer.time.history import History
     from thinlayer.time.marching import march
@@ -56,30 +56,31 @@ __all__ = [
 ]
 
 _HOME = {
-    "compare": "comparison",
-    "observed_orders": "comparison",
-    "sweep": "comparison",
-    "ContactReport": "contact.report",
+    "compare": "output.comparison",
+    "observed_orders": "output.comparison",
+    "sweep": "output.comparison",
+    "ContactReport": "output.contact_report",
     "History": "time.history",
-    "ThinLayer": "layer",
-    "ModelError": "loads",
-    "piecewise": "loads",
+    "ThinLayer": "discretisation.layer",
+    "ModelError": "errors",
+    "piecewise": "discretisation.loads",
     "Adaptive": "time.plan",
     "ArcLength": "time.arc_length",
     "march": "time.marching",
-    "Model": "model",
-    "OptionError": "options",
-    "PhaseReport": "phases",
+    "Model": "discretisation.model",
+    "OptionError": "solving.options",
+    "PhaseReport": "pointwise.phases",
     "PointHistory": "pointwise.drive",
     "drive": "pointwise.drive",
-    "LimitLoad": "failure",
-    "RangeWarning": "failure",
-    "SolveError": "failure",
-    "solve": "solvers",
-    "State": "state",
-    "Surface": "surface",
-    "Table": "table",
+    "LimitLoad": "errors",
+    "RangeWarning": "errors",
+    "SolveError": "errors",
+    "solve": "solving.solvers",
+    "State": "discretisation.state",
+    "Surface": "output.surface",
+    "Table": "files.table",
 }
+_MODULES = {"plotting": "output.plotting", "fields": "output.fields"}
 
 
 def _refuse_shadows() -> None:
@@ -108,6 +109,8 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f"thinlayer.{_MODULES[name]}")
     if name not in _HOME:
         raise AttributeError(f"module 'thinlayer' has no attribute {name!r}")
     return getattr(import_module(f"thinlayer.{_HOME[name]}"), name)

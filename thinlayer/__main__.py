@@ -1,9 +1,9 @@
 """python3 -m thinlayer"""
 
-from thinlayer.startup import end_on_interrupt
+from thinlayer.running.startup import end_on_interrupt
 
 end_on_interrupt()
 
-from thinlayer.cli import start  # noqa: E402
+from thinlayer.running.cli import start  # noqa: E402
 
 raise SystemExit(start())

@@ -15,9 +15,8 @@ from thinlayer.contact.nodes import Array
 from thinlayer.contact.orders import chains_of, oblique_order
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.schur import FactorError, SchurFactor
-from thinlayer.contact.sides import Sides
-from thinlayer.failure import SolveError
-from thinlayer.loads import ModelError
+from thinlayer.contact.side_displacements import SideDisplacements
+from thinlayer.errors import ModelError, SolveError
 
 TOLERANCE = 1e-11  # of Newton's method, over the forces
 RAMP = (0.1, 0.3, 0.6, 1.0)  # of stiffness and friction, where Newton's method fails at once
@@ -42,7 +41,7 @@ class Condensed:
         if problem.comm.size > 1:
             raise ModelError("method='condensed' runs on one rank; use 'multigrid'")
         self.problem, self.law = problem, problem.law
-        self._sides = Sides(problem)
+        self._sides = SideDisplacements(problem)
         if not len(self._sides.dofs):
             raise ModelError("supports hold every displacement on S: nothing is left for contact")
 

@@ -16,7 +16,7 @@ from forms.contact import ContactLaw
 from thinlayer.contact.gauss_seidel import sweep_nodes
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.turning import Sliding, sliding, turned
-from thinlayer.options import PREFIX, OptionValue, defaults
+from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
 Indices = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.contact import ContactLaw
-from thinlayer.compiled import library
+from thinlayer.compiling.compiled import library
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

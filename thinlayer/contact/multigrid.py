@@ -13,13 +13,13 @@ from forms.law import LawError
 from thinlayer.contact.gauss_seidel import load
 from thinlayer.contact.nodes import Array, ContactNodes
 from thinlayer.contact.problem import ContactProblem
-from thinlayer.contact.surface_blocks import Surface
+from thinlayer.contact.surface_stiffness import SurfaceStiffness
 from thinlayer.contact.tangent import Tangent
 from thinlayer.contact.turning import Sliding, sliding, turned
-from thinlayer.exchange import carry
-from thinlayer.failure import SolveError
-from thinlayer.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.options import PREFIX, OptionError, OptionValue, defaults, is_set
+from thinlayer.errors import SolveError
+from thinlayer.parallel.exchange import carry
+from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
+from thinlayer.solving.options import PREFIX, OptionError, OptionValue, defaults, is_set
 
 Shares = tuple[float, float]  # of the residual, that the first and the later linear solves leave
 
@@ -67,7 +67,7 @@ class MultigridContact:
         load(problem.comm)
         self.given, self.tolerance = problem, tolerance
         self.problem = _from_softer_side(problem)
-        self._surface = Surface(self.problem)
+        self._surface = SurfaceStiffness(self.problem)
         self._tangent: Tangent | None = None
         self._u = problem.A.createVecRight()
         self._solved = False

@@ -12,10 +12,10 @@ from petsc4py import PETSc
 
 from geometry.joint import S
 from geometry.topology import corner_count
-from thinlayer.compat import interior_facet_entities
-from thinlayer.exchange import ask
-from thinlayer.loads import ModelError
-from thinlayer.model import Model
+from thinlayer.discretisation.compat import interior_facet_entities
+from thinlayer.discretisation.model import Model
+from thinlayer.errors import ModelError
+from thinlayer.parallel.exchange import ask
 
 Array = npt.NDArray[np.float64]
 

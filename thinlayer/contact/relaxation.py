@@ -11,9 +11,8 @@ from petsc4py import PETSc
 from thinlayer.contact.gauss_seidel import relax
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.problem import ContactProblem
-from thinlayer.failure import SolveError
-from thinlayer.loads import ModelError
-from thinlayer.options import PREFIX, OptionError
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.options import PREFIX, OptionError
 
 LARGEST_RESIDUAL = 1e-6
 SLOW = 1e5  # residual over the tolerance of the increments that slow convergence may leave

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.compiled import library
-from thinlayer.options import PREFIX, OptionValue, defaults
+from thinlayer.compiling.compiled import library
+from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -11,9 +11,9 @@ from petsc4py import PETSc
 
 from thinlayer.contact.nodes import Array, ContactNodes
 from thinlayer.contact.problem import ContactProblem
-from thinlayer.linear_solvers import rigid_modes
-from thinlayer.model import Model
-from thinlayer.state import State, transfer
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State, transfer
+from thinlayer.solving.linear_solvers import rigid_modes
 
 METHODS = ("condensed", "multigrid", "relaxation")
 _HOME = {"condensed": "Condensed", "multigrid": "MultigridContact", "relaxation": "ContactRelaxation"}

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 from forms.contact import ContactLaw
 from thinlayer.contact.nodes import Array, ContactNodes
-from thinlayer.model import Model
+from thinlayer.discretisation.model import Model
 
 
 class ContactSprings:

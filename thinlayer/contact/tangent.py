@@ -7,8 +7,8 @@ from petsc4py import PETSc
 
 from thinlayer.contact.blocks import faster_products, in_blocks, multiply_in_blocks
 from thinlayer.contact.nodes import Array
-from thinlayer.contact.surface_blocks import Surface
-from thinlayer.options import PREFIX
+from thinlayer.contact.surface_stiffness import SurfaceStiffness
+from thinlayer.solving.options import PREFIX
 
 CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # stiffest springs in the hierarchy, times E/h
 FLOOR = 1e-3  # softest springs in the hierarchy, times E/h: they hold a body that nothing else holds
@@ -25,7 +25,7 @@ class Tangent:
         start: expected jumps, for the springs of the hierarchy; None: bonded.
     """
 
-    def __init__(self, surface: Surface, start: Array | None) -> None:
+    def __init__(self, surface: SurfaceStiffness, start: Array | None) -> None:
         self.surface, self.problem, self.nodes = surface, surface.problem, surface.problem.nodes
         self._build(self._springs(start))
         self._contact: PETSc.PC | None = None

@@ -7,7 +7,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.work import Points
+from forms.work import Term
 from geometry.domain import Domain
 from thinlayer.pointwise.quadrature import Region
 
@@ -25,11 +25,11 @@ class Constraint:
         volume: a vector of its rows.
     """
 
-    def __init__(self, domain: Domain, V: fem.FunctionSpace, points: Points) -> None:
-        self.region = region = Region(domain, points.measure)
+    def __init__(self, domain: Domain, V: fem.FunctionSpace, term: Term) -> None:
+        self.region = region = Region(domain, term.measure)
         self.space = fem.functionspace(region.mesh, ("Lagrange", 1))
         q, v = region.side(ufl.TestFunction(self.space)), ufl.TrialFunction(V)
-        form = q * ufl.tr(points.strain(v)) * points.weight * points.measure
+        form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
         self.G = dolfinx.fem.petsc.assemble_matrix(fem.form(form, entity_maps=region.maps))
         self.G.assemble()
         self.unit = 1.0

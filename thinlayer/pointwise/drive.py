@@ -14,11 +14,10 @@ from forms.declarations import is_number
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
 from forms.temperature import real
-from thinlayer.failure import SolveError
-from thinlayer.loads import ModelError
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.files.table import Table
 from thinlayer.pointwise.kernels import Array
-from thinlayer.pointwise.point import COMPONENTS, Point, PointState
-from thinlayer.table import Table
+from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,7 +117,7 @@ def drive(
     timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
     if no_time and law.rate:
         raise ModelError(timeless)
-    point = Point(law, normal, axes, float(theta))
+    point = MaterialPoint(law, normal, axes, float(theta))
     states = [point.rest()]
     parts: list[int] = []
 
@@ -186,7 +185,9 @@ def _lengths(dt: float | Sequence[float], count: int) -> Array:
     return np.broadcast_to(lengths, count)
 
 
-def _history(law: Law, n: Array, memory: int, states: Sequence[PointState], parts: Sequence[int]) -> PointHistory:
+def _history(
+    law: Law, n: Array, memory: int, states: Sequence[MaterialPointState], parts: Sequence[int]
+) -> PointHistory:
     """The steps so far; `states` begin with the one at rest."""
     rows: Any = states[1:]
     d = len(n)

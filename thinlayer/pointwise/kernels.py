@@ -1,6 +1,6 @@
 """Laws as compiled functions of one point.
 
-A law written in UFL is differentiated by UFL and compiled by FFCx; a `PointLaw` is compiled by numba, or from C. Each is
+A law written in UFL is differentiated by UFL and compiled by FFCx; a `KernelLaw` is compiled by numba, or from C. Each is
 then a C function of two arrays of numbers,
 
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
@@ -25,14 +25,14 @@ from mpi4py import MPI
 from ufl.conditional import Condition
 
 from forms.contact import ContactLaw
+from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
 from forms.law import Law, LawError, Step, explained, shaped
-from forms.point import PointLaw
 from forms.series import Stack
 from forms.symmetry import require_declared_stress
 from forms.trace import SIZES, Symbolic, key, named, require_numbers_alone, symbolic, undecided
 from forms.traction import TractionLaw
-from thinlayer.compiled import SourceError, library
+from thinlayer.compiling.compiled import SourceError, library
 
 Array = npt.NDArray[np.float64]
 ARGUMENTS = 7  # of the C functions that FFCx writes; fewer in older releases, which ignore the rest
@@ -72,10 +72,10 @@ def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
     values = [np.ravel(np.asarray(value, float)) for value in law.parameters().values()]
     numbers = np.concatenate([np.empty(0), *values])
     kind: Any = type(law)
-    if isinstance(law, PointLaw) and law.source is not None:
+    if isinstance(law, KernelLaw) and law.source is not None:
         address, keep = _compiled_from_c(comm, law)
         return Kernel(address, _memory(law), numbers, fraction, keep=keep)
-    if isinstance(law, PointLaw):
+    if isinstance(law, KernelLaw):
         _rehearse(law, numbers)
         address, keep = _compiled_by_numba(kind, len(numbers))
         return Kernel(address, law.memory, numbers, fraction, keep=keep)
@@ -105,11 +105,13 @@ def _require_substitute(law: Law, other: Any) -> None:
         raise LawError(
             f"{name}.otherwise has the parameters {others}; it must have those of {name}, in their order: {mine}"
         )
-    same = _memory(law) == _memory(other)  # the shapes of a `PointLaw` are its own
-    if not isinstance(other, PointLaw):
+    same = _memory(law) == _memory(other)  # the shapes of a `KernelLaw` are its own
+    if not isinstance(other, KernelLaw):
         same = list(law.internal.items()) == list(other.internal.items())
     if not same:
-        kept = f"{other.memory} internal values" if isinstance(other, PointLaw) else f"internal values {other.internal}"
+        kept = (
+            f"{other.memory} internal values" if isinstance(other, KernelLaw) else f"internal values {other.internal}"
+        )
         asked = f"those of {name}, {law.internal}: {_memory(law)} numbers"
         raise LawError(f"{name}.otherwise keeps {kept}; it must keep {asked}")
     if law.has_energy != other.has_energy:
@@ -117,7 +119,7 @@ def _require_substitute(law: Law, other: Any) -> None:
 
 
 def _memory(law: Law) -> int:
-    if isinstance(law, PointLaw):
+    if isinstance(law, KernelLaw):
         if not isinstance(law.memory, int) or law.memory < 0:
             raise LawError(f"{type(law).__name__}: memory is {law.memory!r}; allowed: a whole number >= 0")
         return law.memory
@@ -243,7 +245,7 @@ def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
 
 
 # ---------------------------------------------------------------- laws written for one point
-def _compiled_from_c(comm: MPI.Intracomm, law: PointLaw) -> tuple[int, Any]:
+def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, Any]:
     name, source = type(law).__name__, law.source
     if not isinstance(source, (str, Path)):
         raise LawError(f"{name}.source is {source!r}; it must be the name of a C file")
@@ -257,12 +259,14 @@ def _compiled_from_c(comm: MPI.Intracomm, law: PointLaw) -> tuple[int, Any]:
     return int(ffi.cast("intptr_t", ffi.addressof(module.lib, "kernel"))), module
 
 
-def _rehearse(law: PointLaw, parameters: Array) -> None:
+def _rehearse(law: KernelLaw, parameters: Array) -> None:
     """Call the kernel once, uncompiled, at rest: mistakes have clear messages there, and indices are checked."""
     name = type(law).__name__
     kernel = getattr(law, "kernel", None)
     if kernel is None:
-        raise LawError(f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.PointLaw")
+        raise LawError(
+            f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.KernelLaw"
+        )
     memory = _memory(law)
     outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
     rest = np.zeros(6), np.zeros(6), np.zeros(memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
@@ -273,7 +277,7 @@ def _rehearse(law: PointLaw, parameters: Array) -> None:
         return
     except Exception as error:
         raise LawError(
-            f"{name}.kernel: {type(error).__name__}: {error}; see forms.PointLaw for its arguments"
+            f"{name}.kernel: {type(error).__name__}: {error}; see forms.KernelLaw for its arguments"
         ) from error
     if not isinstance(done, (bool, np.bool_)):
         raise LawError(f"{name}.kernel returns {done!r}; it must return whether it succeeded")

@@ -10,11 +10,11 @@ from petsc4py import PETSc
 
 from forms.law import LawError
 from forms.symmetry import NOT_SYMMETRIC
-from thinlayer.model import Model
+from thinlayer.discretisation.model import Model
 from thinlayer.pointwise.columns import Switching
+from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.kernels import Array
-from thinlayer.pointwise.points import LawPoints, Response
-from thinlayer.softening import may_soften
+from thinlayer.solving.softening import may_soften
 
 ASYMMETRY = 1e-8  # of a tangent, over its size
 
@@ -30,8 +30,8 @@ class PointLaws:
 
     def __init__(self, model: Model) -> None:
         self.comm, self._symmetric = model.comm, model.symmetric
-        places = [p for p in model.points if p.law.pointwise]
-        self.points = [LawPoints(model.domain, model.V, p, model.degree_at(p)) for p in places]
+        places = [p for p in model.terms if p.law.pointwise]
+        self.points = [CompiledTerm(model.domain, model.V, p, model.degree_at(p)) for p in places]
         self.failed, self.eased, self._t = 0, 0.0, 0.0
         self._responses: list[Response] = []
 
@@ -44,12 +44,12 @@ class PointLaws:
     @property
     def can_ease(self) -> bool:
         """Whether laws can be replaced by easier ones."""
-        return any(p.points.law.can_ease for p in self.points)
+        return any(p.term.law.can_ease for p in self.points)
 
     @property
     def flat(self) -> bool:
         """Whether tangents of laws with an energy may vanish along some strains."""
-        return any(p.points.law.flat for p in self.points)
+        return any(p.term.law.flat for p in self.points)
 
     @property
     def switches(self) -> bool:
@@ -59,7 +59,7 @@ class PointLaws:
     @property
     def steady(self) -> bool:
         """Whether the tangents of linear laws are the same for steps of all lengths."""
-        return all(p.points.law.switches for p in self.points)
+        return all(p.term.law.switches for p in self.points)
 
     def rest(self) -> list[Array]:
         """Internal values before anything happened."""
@@ -105,7 +105,7 @@ class PointLaws:
             forces.axpy(1.0, p.forces(r.stress))
 
     def stiffness(self, lack: float) -> list[PETSc.Mat]:
-        """Matrices of the last response's tangents, see `LawPoints.stiffness`; whoever calls destroys them.
+        """Matrices of the last response's tangents, see `CompiledTerm.stiffness`; whoever calls destroys them.
 
         Raises:
             LawError: a law that says it is symmetric, and is not: half of its tangent would be lost.
@@ -115,7 +115,7 @@ class PointLaws:
             self.comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
             for p, skew in zip(self.points, found, strict=True):
                 if skew > ASYMMETRY:
-                    raise LawError(NOT_SYMMETRIC.format(type(p.points.law).__name__, skew))
+                    raise LawError(NOT_SYMMETRIC.format(type(p.term.law).__name__, skew))
         return [p.stiffness(r.tangent, lack) for p, r in zip(self.points, self._responses, strict=True)]
 
     def softened(self, u: PETSc.Vec) -> tuple[str, int]:
@@ -124,7 +124,7 @@ class PointLaws:
         And the number of points; "" and 0 if there is none.
         """
         for p, e_old, q, r in zip(self.points, self._e_old, self._begins, self._responses, strict=True):
-            law = p.points.law
+            law = p.term.law
             if not may_soften(law):
                 continue
             if count := self.comm.allreduce(p.falls(p.strain(u), e_old, q, r)):

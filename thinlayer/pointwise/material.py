@@ -13,10 +13,10 @@ from mpi4py import MPI
 
 from forms.law import Law, LawError
 from forms.series import parts
-from thinlayer.compiled import library
+from thinlayer.compiling.compiled import library
 from thinlayer.pointwise.kernels import Array, kernels
 
-SOURCE = Path(__file__).with_name("points.c")
+SOURCE = Path(__file__).with_name("response.c")
 
 
 class Material:

@@ -12,11 +12,11 @@ import ufl
 from dolfinx import fem
 
 from forms.kinematics import Expr, lift
-from forms.work import Points
+from forms.work import Term
 from geometry.domain import Domain
 from geometry.joint import S
-from thinlayer.compat import create_submesh
-from thinlayer.loads import Coordinates
+from thinlayer.discretisation.compat import create_submesh
+from thinlayer.discretisation.loads import Coordinates
 from thinlayer.pointwise.columns import Columns, column_numbers
 
 Array = npt.NDArray[np.float64]
@@ -79,12 +79,12 @@ class Quadrature:
         weights: (points,) quadrature weights.
     """
 
-    def __init__(self, domain: Domain, points: Points, degree: int) -> None:
-        self.domain, self.points = domain, points
-        metadata = dict(points.measure.metadata())
+    def __init__(self, domain: Domain, term: Term, degree: int) -> None:
+        self.domain, self.term = domain, term
+        metadata = dict(term.measure.metadata())
         self.degree = metadata.setdefault("quadrature_degree", degree)
-        self.region = Region(domain, points.measure)
-        self._measure = points.measure.reconstruct(metadata=metadata)
+        self.region = Region(domain, term.measure)
+        self._measure = term.measure.reconstruct(metadata=metadata)
         self._geometry()
 
     def _space(self, shape: tuple[int, ...]) -> fem.FunctionSpace:
@@ -101,8 +101,8 @@ class Quadrature:
         mesh = self.region.mesh
         self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
         q = self.region.side(ufl.TestFunction(W))
-        n, x = lift(self.points.n), self.region.side(ufl.SpatialCoordinate(self.domain.mesh))
-        rows = ufl.as_vector([n[0], n[1], n[2], 1, self.points.weight, *(x[i] for i in range(d))])
+        n, x = lift(self.term.n), self.region.side(ufl.SpatialCoordinate(self.domain.mesh))
+        rows = ufl.as_vector([n[0], n[1], n[2], 1, self.term.weight, *(x[i] for i in range(d))])
         form = fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
         values = fem.assemble_vector(form).array.reshape(-1, 5 + d)[: self.count]
         self._integrals, self.weights = values[:, 3].copy(), values[:, 4].copy()

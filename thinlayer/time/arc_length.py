@@ -9,9 +9,9 @@ from numbers import Integral
 import numpy as np
 
 from forms.declarations import is_number
-from thinlayer.equations import Equations
-from thinlayer.loads import ModelError
-from thinlayer.model import Model
+from thinlayer.discretisation.model import Model
+from thinlayer.errors import ModelError
+from thinlayer.solving.equations import Equations
 from thinlayer.time.plan import distinct
 from thinlayer.time.scheme import takes_time
 
@@ -86,7 +86,7 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
         raise ModelError(f"method is {method!r}; a path is followed by Newton's method")
     if model.contact:
         raise ModelError(f"{type(model.contact).__name__} is a contact law: march in time instead of ArcLength")
-    for law in (p.law for p in model.points):
+    for law in (p.law for p in model.terms):
         name = type(law).__name__
         if law.rate:
             raise ModelError(f"{name} depends on the strain rate, and t is no time on a path: march in time")
@@ -107,5 +107,5 @@ def require_no_time(equations: Equations) -> None:
     for p in equations.laws.points:
         if takes_time(p):
             raise ModelError(
-                f"{type(p.points.law).__name__} creeps or relaxes, and t is no time on a path: march in time"
+                f"{type(p.term.law).__name__} creeps or relaxes, and t is no time on a path: march in time"
             )

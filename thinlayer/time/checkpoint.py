@@ -13,15 +13,15 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from geometry.parallel import on_root
-from thinlayer.equations import Equations
-from thinlayer.exchange import carry
-from thinlayer.identity import digest
-from thinlayer.loads import ModelError
-from thinlayer.model import Model
-from thinlayer.pointwise.points import LawPoints
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import Audit, Report, State, cell_values
+from thinlayer.errors import ModelError
+from thinlayer.files.table import Table, replaced
+from thinlayer.identity.identity import digest
+from thinlayer.parallel.exchange import carry
+from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.quadrature import Region
-from thinlayer.state import Audit, Report, State, cell_values
-from thinlayer.table import Table, replaced
+from thinlayer.solving.equations import Equations
 from thinlayer.time.history import History
 
 Array = npt.NDArray[Any]
@@ -283,7 +283,7 @@ class _Places:
             self.order = np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1)
 
     @classmethod
-    def of_points(cls, points: LawPoints) -> _Places:
+    def of_points(cls, points: CompiledTerm) -> _Places:
         """Places of quadrature points; in a cell their order is the cell's own."""
         region = points.region
         on_facets = region.dim < region.domain.joint.dim

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.equations import Equations
-from thinlayer.state import State
+from thinlayer.discretisation.state import State
+from thinlayer.solving.equations import Equations
 
 Array = npt.NDArray[np.float64]
 LEAST_JUMP = 1e-6  # of the displacements: what is left of a jump that is none lies far below, errors that matter above

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from thinlayer.failure import SolveError
-from thinlayer.loads import ModelError
-from thinlayer.options import OptionValue
-from thinlayer.path import Path
-from thinlayer.path_equations import PathEquations
-from thinlayer.solvers import Solver
-from thinlayer.state import State
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.options import OptionValue
+from thinlayer.solving.solvers import Solver
 from thinlayer.time.arc_length import ArcLength
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
+from thinlayer.time.path import EquilibriumPath
+from thinlayer.time.path_equations import PathEquations
 
 WANTED = 4  # Newton steps; of one that needs fewer the next is longer
 LEAST, MOST = 0.5, 2.0  # of the change of a step
@@ -43,7 +42,7 @@ class PathFollowing:
         self.solver, self.plan, self.start = solver, plan, start
         self._journal = journal
         balance = PathEquations(solver.equations, plan.first, (start + plan.end) / 2, options)
-        self._path = Path(balance, plan.first)
+        self._path = EquilibriumPath(balance, plan.first)
         self._unit = math.sqrt(2.0)  # length of the first step, which has a length of 1 in u and in t
         self._aimed = False  # whether the path's direction is that at the last state
 

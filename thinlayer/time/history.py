@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.declarations import is_number
-from thinlayer.loads import ModelError
-from thinlayer.model import Model
-from thinlayer.state import State
-from thinlayer.table import Table
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.files.table import Table
 
 SAME_TIME = 1e-9  # relative to the span of a march
 
@@ -40,7 +40,7 @@ class History:
 
     Attributes:
         model: the model.
-        table: a row for each accepted state: t, dt, iterations, residual, its energy balance (`thinlayer.state.Audit`),
+        table: a row for each accepted state: t, dt, iterations, residual, its energy balance (`Audit`),
             and what the march was told to observe.
         states: the states that are kept, by their row.
     """

@@ -12,15 +12,14 @@ import numpy as np
 from forms.declarations import LawError
 from geometry.joint import GeometryError
 from geometry.parallel import on_root
-from thinlayer.agreement import on_all
-from thinlayer.equations import Equations
-from thinlayer.failure import SolveError
-from thinlayer.identity import code_of
-from thinlayer.loads import ModelError
-from thinlayer.options import OptionError
-from thinlayer.phases import PhaseReport
-from thinlayer.state import State
-from thinlayer.table import Row
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.files.table import Row
+from thinlayer.identity.identity import code_of
+from thinlayer.parallel.agreement import on_all
+from thinlayer.pointwise.phases import PhaseReport
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.options import OptionError
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
 from thinlayer.time.history import History
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from thinlayer.agreement import on_all, require_same
-from thinlayer.folder import owned
-from thinlayer.loads import ModelError
-from thinlayer.model import Model
-from thinlayer.options import OptionValue
-from thinlayer.ranges import warn_of_model, warn_of_states
-from thinlayer.solvers import Solver, comm_of, require_hardening
+from thinlayer.discretisation.model import Model
+from thinlayer.errors import ModelError
+from thinlayer.files.folder import owned
+from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.solving.options import OptionValue
+from thinlayer.solving.ranges import warn_of_model, warn_of_states
+from thinlayer.solving.solvers import Solver, comm_of, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing
@@ -150,7 +150,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
             raise ModelError(
                 f"observe[{name!r}] is {function!r}; it must be a function of a state that returns a number"
             )
-        if name in COLUMNS or (name in PHASE_COLUMNS and any(p.law.phases for p in model.layer_points)):
+        if name in COLUMNS or (name in PHASE_COLUMNS and any(p.law.phases for p in model.layer_terms)):
             raise ModelError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
@@ -165,7 +165,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
 
 def _check_switching(model: Model, plan: Plan) -> None:
     """Raise ModelError where phases that switch at one moment are asked for something that has no such moment."""
-    names = [type(p.law).__name__ for p in model.layer_points if p.law.switches]
+    names = [type(p.law).__name__ for p in model.layer_terms if p.law.switches]
     if names and plan.adaptive:
         raise ModelError(
             f"Adaptive is for laws that depend on time; steps of {names[0]} have no error: give the times to stop at"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from forms.declarations import is_number
 from forms.temperature import real
-from thinlayer.loads import ModelError
+from thinlayer.errors import ModelError
 from thinlayer.time.history import SAME_TIME
 
 HALVINGS = 10

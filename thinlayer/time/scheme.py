@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from forms.series import parts
-from thinlayer.equations import BETWEEN, Equations
-from thinlayer.loads import ModelError
-from thinlayer.model import Model
+from thinlayer.discretisation.model import Model
+from thinlayer.errors import ModelError
+from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import Array
-from thinlayer.pointwise.points import LawPoints
+from thinlayer.solving.equations import BETWEEN, Equations
 
 SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, and of jumps in any unit, that laws are asked about
 LENGTHS = (1.0, 1e12, 1e30)  # of steps, in any unit
@@ -30,7 +30,9 @@ def remembers(model: Model) -> bool:
 
 
 def _has_memory(law: Any) -> bool:
-    return bool(law.internal or getattr(law, "memory", False))  # that of a `PointLaw` and of a contact law is their own
+    return bool(
+        law.internal or getattr(law, "memory", False)
+    )  # that of a `KernelLaw` and of a contact law is their own
 
 
 def require_ends(model: Model, theta: float) -> None:
@@ -42,7 +44,7 @@ def require_ends(model: Model, theta: float) -> None:
     for body, law in model.body_laws.items():
         if not law.linear:
             raise ModelError(f"theta is {theta}; {_swings(law)} (body {body!r})")
-    for law in (one for p in model.layer_points for one in parts(p.law)):
+    for law in (one for p in model.layer_terms for one in parts(p.law)):
         name = type(law).__name__
         if law.switches:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ENDS}")
@@ -68,7 +70,7 @@ def require_time_scale(equations: Equations, theta: float, times: Sequence[float
     if theta == 1:
         return
     for p in equations.laws.points:
-        laws = parts(p.points.law)
+        laws = parts(p.term.law)
         for law, changes in zip(laws, _change(p, times), strict=True):
             if law.rate or (law.linear and not changes):
                 continue
@@ -88,9 +90,9 @@ def _swings(law: Any, how: str = "not linearly") -> str:
     )
 
 
-def _change(points: LawPoints, times: Sequence[float]) -> list[bool]:
+def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
     """Of each sublayer, whether its parameters change in time. Seen at times and at a few between them. Collective."""
-    change = [False] * len(parts(points.points.law))
+    change = [False] * len(parts(points.term.law))
     if not points.material.varies:
         return change
     seen = [a + share * (b - a) for a, b in pairwise(times) for share in (*BETWEEN, 1.0)]
@@ -103,7 +105,7 @@ def _change(points: LawPoints, times: Sequence[float]) -> list[bool]:
     return [bool(found) for found in points.domain.comm.allreduce(np.array(change, int))]
 
 
-def _straight(points: LawPoints) -> bool:
+def _straight(points: CompiledTerm) -> bool:
     """Whether stresses are proportional to sudden strains, small and large. Collective."""
     stiffness = [points.respond(e, 0 * e, points.rest(), 0.0, 1.0).stress / size for size, e in _strains(points)]
     apart = np.abs(np.array(stiffness) - stiffness[0]).max(initial=0.0)
@@ -111,7 +113,7 @@ def _straight(points: LawPoints) -> bool:
     return not points.domain.comm.allreduce(int(not good))
 
 
-def takes_time(points: LawPoints) -> bool:
+def takes_time(points: CompiledTerm) -> bool:
     """Whether the answer to some strain depends on how long a step takes: the law creeps or relaxes. Collective."""
     differs = False
     for _, e in _strains(points):
@@ -122,7 +124,7 @@ def takes_time(points: LawPoints) -> bool:
     return bool(points.domain.comm.allreduce(int(differs)))
 
 
-def _strains(points: LawPoints) -> Iterator[tuple[float, Array]]:
+def _strains(points: CompiledTerm) -> Iterator[tuple[float, Array]]:
     """Strains of all sizes, and the sizes."""
     e = np.cos(np.arange(points.count * len(points.slots), dtype=float)).reshape(points.count, len(points.slots))
     return ((size, size * e) for size in SIZES)

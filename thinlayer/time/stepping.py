@@ -7,12 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from thinlayer.failure import LimitLoad, NoEquilibrium, SolveError, warn
-from thinlayer.loads import ModelError
-from thinlayer.progress import track
-from thinlayer.rigid import rigid_motions
-from thinlayer.solvers import Solver
-from thinlayer.state import State
+from thinlayer.discretisation.rigid import rigid_motions
+from thinlayer.discretisation.state import State
+from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
+from thinlayer.files.progress import track
+from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
 from thinlayer.time.journal import Journal
@@ -55,7 +54,7 @@ class TimeStepping:
     @property
     def _sudden(self) -> bool:
         """Whether the layer answers a sudden load at once."""
-        return not any(p.law.rate for p in self.solver.model.points)
+        return not any(p.law.rate for p in self.solver.model.terms)
 
     def run(self, resume: bool) -> History:
         """The march, or the rest of the one that is in its folder. Collective; errors as in `march`."""

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from scipy.optimize import brentq
 
-from thinlayer.failure import SolveError
+from thinlayer.discretisation.state import State
+from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import TIE
-from thinlayer.solvers import Solver
-from thinlayer.state import State
+from thinlayer.solving.solvers import Solver
 
 ROUNDING = 8 * 2.0**-52
 PROBES = 8  # times at which a step is looked at whose columns may be beaten for a while, and at its end are not

@@ -1,0 +1,1 @@
+"""Compiling C and the code of laws, once for all ranks and processes."""

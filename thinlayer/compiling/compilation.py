@@ -1,0 +1,180 @@
+"""The folder of compiled forms and C sources: compilations that are killed, or run at the same time, leave it whole.
+
+FFCx compiles in the folder itself and takes a form's C file as its lock, which nobody frees after a kill: from then on
+every process that needs the form waits for it in vain. Here each compilation has a folder of its own, from which its
+files are moved when all are complete and on the disk. Who needs the same form meanwhile waits for a lock that the kernel
+frees with its process. Beside a library stands its seal, its length and SHA-256: one that has another, as the crash of a
+machine may leave it, is compiled again, for to load a part of a library may end the process. The change of FFCx is one of
+the whole process: forms that a script compiles by itself are kept in the same way.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import functools
+import hashlib
+import inspect
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import Any
+
+import dolfinx.jit
+import ffcx
+from ffcx.codegeneration import jit as ffcx_jit
+
+import thinlayer.parallel.abort  # noqa: F401  # whoever starts DOLFINx starts PETSc
+
+_LOCKS: dict[Path, int] = {}  # descriptors of lock files by folder; never closed, which would free the process's locks
+SEAL = b"thinlayer: a library of "
+
+
+class CacheError(OSError):
+    """A folder of compiled forms that cannot be written."""
+
+
+def acquire(folder: Path, name: str) -> None:
+    """Make the folder, and wait until no other process compiles what has this name.
+
+    Raises:
+        CacheError: a folder that cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError("it is not writable")
+    except OSError as error:
+        raise CacheError(
+            f"compiled forms cannot be kept in {folder}: {error.strerror or error}; "
+            "set XDG_CACHE_HOME to a folder that you own"
+        ) from None
+    _lock(folder, name, fcntl.LOCK_EX)
+
+
+def release(folder: Path, name: str) -> None:
+    """Let other processes compile what has this name."""
+    if folder in _LOCKS:
+        _lock(folder, name, fcntl.LOCK_UN)
+
+
+def _lock(folder: Path, name: str, how: int) -> None:
+    """Lock or free the byte of the folder's lock file that stands for the name."""
+    byte = int(hashlib.sha256(name.encode()).hexdigest()[:15], 16)
+    try:
+        if folder not in _LOCKS:
+            _LOCKS[folder] = os.open(folder / ".thinlayer.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        fcntl.lockf(_LOCKS[folder], how, 1, byte)
+    except OSError:  # a file system without locks: the same may be compiled twice, and the last one is kept
+        pass
+
+
+@contextmanager
+def workshop(folder: Path, name: str) -> Iterator[Path]:
+    """A fresh folder to compile in, for the process that has acquired the name; those of killed ones are deleted."""
+    own = f".{name}.{os.getpid()}-"
+    for old in folder.glob(f".{name}.*"):
+        if not old.name.startswith(own):
+            shutil.rmtree(old, ignore_errors=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=own, ignore_cleanup_errors=True) as work:
+        yield Path(work)
+
+
+def seal(library: Path, beside: Path) -> None:
+    """Write what a library is known by at the end of the file beside it, in which FFCx keeps the compiler's messages."""
+    with beside.open("ab") as file:
+        file.write(_seal_of(library))
+
+
+def is_whole(library: Path, beside: Path, *, unsealed: bool = False) -> bool:
+    """Whether a library is there as it was sealed; `unsealed` says what holds of one without a seal."""
+    try:
+        known = beside.read_bytes()
+        return known.endswith(_seal_of(library)) if SEAL in known else unsealed
+    except OSError:
+        return False
+
+
+def _seal_of(library: Path) -> bytes:
+    content = library.read_bytes()
+    return b"\n%s%d bytes, %s\n" % (SEAL, len(content), hashlib.sha256(content).hexdigest().encode())
+
+
+def keep(made: Path, file: Path) -> None:
+    """Move a file to where it is kept, once the disk has its content.
+
+    Raises:
+        CacheError: there is a folder of that name.
+    """
+    descriptor = os.open(made, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    try:
+        made.replace(file)
+    except IsADirectoryError:
+        raise CacheError(f"{file} is a folder, where a compiled file belongs; remove it") from None
+
+
+def _mend_ffcx() -> None:
+    """Let FFCx look for a compiled form under the lock, and compile in a folder of its own."""
+    find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
+    parameters = inspect.signature(build)
+
+    def kept(module_name: str, object_names: list[str], folder: Path, timeout: int) -> tuple[Any, Any]:
+        """(objects, module), or (None, None) where files are missing or broken."""
+        source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
+        # FFCx itself, in a process without thinlayer, seals nothing
+        whole = (is_whole(folder / f"{module_name}{end}", ready, unsealed=True) for end in EXTENSION_SUFFIXES)
+        if not source.exists() or not any(whole):
+            return None, None
+        try:
+            return find(module_name, object_names, folder, timeout)
+        except ImportError:
+            return None, None
+
+    @functools.wraps(find)
+    def get_cached_module(module_name: str, object_names: list[str], cache_dir: Any, timeout: int) -> tuple[Any, Any]:
+        folder = Path(cache_dir)
+        found = kept(module_name, object_names, folder, timeout)
+        if found[0] is None:
+            acquire(folder, module_name)
+            found = kept(module_name, object_names, folder, timeout)  # compiled by the process waited for
+            if found[0] is not None:
+                release(folder, module_name)
+        return found
+
+    @functools.wraps(build)
+    def compile_objects(*arguments: Any, **options: Any) -> Any:
+        call = parameters.bind(*arguments, **options)
+        folder, name = Path(call.arguments["cache_dir"]), call.arguments["module_name"]
+        try:
+            with workshop(folder, name) as work:
+                call.arguments["cache_dir"] = work
+                code = build(*call.args, **call.kwargs)
+                made = {file.name: file for file in work.iterdir() if file.name.startswith(f"{name}.")}
+                ready = made.pop(f"{name}.c.cached")
+                made.pop(f"{name}.o", None)
+                (library,) = (made[f"{name}{end}"] for end in EXTENSION_SUFFIXES if f"{name}{end}" in made)
+                seal(library, ready)
+                for file in [*made.values(), ready]:  # the last one says that all are there
+                    keep(file, folder / file.name)
+        finally:
+            release(folder, name)
+        return code
+
+    ffcx_jit.get_cached_module, ffcx_jit._compile_objects = get_cached_module, compile_objects
+
+
+_mend_ffcx()
+
+
+def load_options() -> None:
+    """Read the options of FFCx and of DOLFINx's compilations now, but not from files of the working folder."""
+    with tempfile.TemporaryDirectory() as empty, chdir(empty):
+        ffcx.get_options()
+        dolfinx.jit.get_options()

@@ -1,0 +1,104 @@
+"""C sources of the package, compiled when they are first needed and kept."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import re
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+import cffi
+from dolfinx import jit
+from mpi4py import MPI
+
+from thinlayer.compiling.compilation import acquire, is_whole, keep, release, seal, workshop
+from thinlayer.identity.sources import content, contents
+
+_LOADED: dict[Any, Any] = {}  # modules of compiled sources, by path and state of the files they depend on
+_FILES: dict[Path, tuple[Path, ...]] = {}  # files that a source depended on when it was last loaded
+EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
+
+
+class SourceError(RuntimeError):
+    """A C source that cannot be read or compiled; the compiler's own messages go to standard error."""
+
+
+def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
+    """The module compiled from a C source, with `ffi` and `lib`: the functions that return int or double, not static ones.
+
+    Collective. With the default communicator every process that lacks the module compiles it.
+
+    Raises:
+        SourceError: a source that cannot be read or compiled; on all ranks.
+    """
+    key = source, _state(source)
+    if comm.allreduce(int(key not in _LOADED)):
+        problem = None
+        if comm.rank == 0:
+            try:
+                _build(source)
+            except Exception as error:
+                problem = f"{type(error).__name__}: {error}"
+        if problem := comm.bcast(problem):
+            raise SourceError(f"the C source {str(source)!r} cannot be compiled: {problem}")
+        _FILES[source] = tuple(contents(source))
+        key = source, _state(source)
+        _LOADED[key] = _load(_module_file(source))
+    return _LOADED[key]
+
+
+def _state(source: Path) -> tuple[tuple[Path, int], ...]:
+    """The files of a source and when each was changed last."""
+    return tuple((file, _changed(file)) for file in _FILES.get(source, (source,)))
+
+
+def _changed(file: Path) -> int:
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _module_file(source: Path) -> Path:
+    """Where the compiled source is kept: beside FFCx's, named by its content and that of the files it includes."""
+    folder = Path(jit.get_options()["cache_dir"]).expanduser()
+    name = hashlib.sha256(content(source) + cffi.__version__.encode()).hexdigest()[:16]
+    return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+
+
+def _build(source: Path) -> None:
+    """Compile, unless that has been done and the file is whole."""
+    file = _module_file(source)
+    if is_whole(file, _seal(file)):
+        return
+    name = file.name.split(".")[0]
+    acquire(file.parent, name)
+    try:
+        if is_whole(file, _seal(file)):  # made by the process waited for
+            return
+        text = source.read_text(encoding="utf-8")
+        builder = cffi.FFI()
+        builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
+        builder.set_source(name, text, extra_compile_args=["-O2"])
+        with workshop(file.parent, name) as work:
+            made = Path(builder.compile(tmpdir=work))
+            seal(made, _seal(made))
+            keep(made, file)
+            keep(_seal(made), _seal(file))
+    finally:
+        release(file.parent, name)
+
+
+def _seal(file: Path) -> Path:
+    return file.with_name(f"{file.name}.cached")
+
+
+def _load(file: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(file.name.split(".")[0], file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,101 @@
+"""The stiffness at the nodes of S, and Gauss-Seidel sweeps over them."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from petsc4py import PETSc
+
+from thinlayer.contact.gauss_seidel import BlockRows, sweep_nodes
+from thinlayer.contact.nodes import Array
+from thinlayer.contact.problem import ContactProblem
+
+SWEEPS = 4  # of Gauss-Seidel, before a Newton step that goes on from what the tangent has not foreseen
+DIAGONAL = 3.0  # of the stiffness at a node of S over its area times E/h, at most about
+STOP = 1e6  # stiffness that keeps held components in place during sweeps, over that of the node
+
+
+class SurfaceStiffness:
+    """The stiffness at this rank's nodes of S, upper side.
+
+    Attributes:
+        rows: its rows there, (n d, all).
+        blocks: between these nodes; held components are decoupled.
+        diagonal: (n,) which of the blocks are a node's own.
+        scale: (n,) E/h, about: Young's modulus over the size of the cells.
+        free: (n, d) components that are not held.
+    """
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.problem, self.nodes = problem, problem.nodes
+        A, d, n = problem.A, self.nodes.dim, len(self.nodes.upper)
+        first, end = A.getOwnershipRange()
+        dofs = self.nodes.dofs.ravel()
+        index = PETSc.IS().createGeneral((first + dofs).astype(PETSc.IntType), comm=problem.comm)
+        self.rows = A.createSubMatrix(index, None)
+        index.destroy()
+        self._product = self.rows.createVecLeft()
+        place = np.full(end - first, -1, np.int64)
+        place[dofs] = np.arange(n * d)
+        indptr, columns, values = self.rows.getValuesCSR()
+        local = (columns >= first) & (columns < end)
+        column = np.full(len(columns), -1, np.int64)
+        column[local] = place[columns[local] - first]
+        here = column >= 0
+        row = np.repeat(np.arange(n * d), np.diff(indptr))
+        self._stiffness = scipy.sparse.csr_matrix((values[here], (row[here], column[here])), shape=(n * d, n * d))
+        blocks = self._stiffness.tobsr((d, d))
+        blocks.sort_indices()
+        self.blocks = BlockRows(blocks.indptr.astype(np.int32), blocks.indices.astype(np.int32), blocks.data)
+        self.diagonal = np.flatnonzero(np.repeat(np.arange(n), np.diff(blocks.indptr)) == blocks.indices)
+        own = np.einsum("nii->n", blocks.data[self.diagonal]) / d
+        self.scale = own / (DIAGONAL * self.nodes.weights)
+        self.free = ~self.nodes.held_upper
+        # sweeps move whole nodes
+        self._stop = np.where(self.free, 0.0, STOP * (own + problem.law.K_N * self.nodes.weights)[:, None])
+        self._swept = self.with_diagonal(self._stop[:, :, None] * np.eye(d))
+
+    def with_diagonal(self, more: Array) -> BlockRows:
+        """The blocks with (n, d, d) added to the nodes' own."""
+        blocks = self.blocks.blocks.copy()
+        blocks[self.diagonal] += more
+        return BlockRows(self.blocks.indptr, self.blocks.indices, blocks)
+
+    def of(self, x: PETSc.Vec) -> Array:
+        """Displacements or forces there, (n, d)."""
+        return np.asarray(x.array_r.reshape(-1, self.nodes.dim)[self.nodes.upper])
+
+    def add(self, values: Array, x: PETSc.Vec) -> None:
+        """Add displacements or forces (n, d)."""
+        x.array.reshape(-1, self.nodes.dim)[self.nodes.upper] += values
+
+    def forces(self, x: PETSc.Vec) -> Array:
+        """Stiffness times displacements, (n, d)."""
+        self.rows.mult(x, self._product)
+        return np.asarray(self._product.array_r.reshape(-1, self.nodes.dim))
+
+    def sweep(self, u: PETSc.Vec, residual: PETSc.Vec, turned: Array) -> None:
+        """Gauss-Seidel sweeps, in place.
+
+        Args:
+            u: displacements.
+            residual: the true one at u.
+            turned: (n, d) changes of the jumps that make nodes stick; these nodes are not swept.
+        """
+        law, nodes, slip = self.problem.law, self.nodes, self.problem.slip
+        lower, old = nodes.lower_side(u), self.of(u)
+        assert law.numbers is not None
+        t = law.traction(np.einsum("nij,nj->ni", nodes.frames, old - lower), slip)
+        contact = np.einsum("nji,nj->ni", nodes.frames, t * nodes.weights[:, None])
+        near = (self._stiffness @ old.ravel()).reshape(old.shape)
+        new = old + np.einsum("nji,nj->ni", nodes.frames, turned)
+        sweep_nodes(
+            self._swept, near + self._stop * old + contact - self.of(residual), new, lower, nodes.frames, nodes.weights,
+            law.numbers, slip=slip, moves=np.asarray(~turned.any(axis=1)), sweeps=SWEEPS,
+        )  # fmt: skip
+        self.add(np.where(self.free, new - old, 0.0), u)
+
+    def close(self) -> None:
+        """Free the matrix."""
+        self.rows.destroy()
+        self._product.destroy()

@@ -1,0 +1,1 @@
+"""From joints, laws and loads to spaces, weak forms and states."""

@@ -1,0 +1,77 @@
+"""Differences between DOLFINx releases 0.9 to 0.11 met in spaces and forms; features are probed, not version strings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import cpp, fem
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+import thinlayer.compiling.compilation  # noqa: F401  # before any form is compiled
+
+
+def _first(*calls: Callable[[], Any]) -> Any:
+    """Result of the first call whose signature exists (a wrong signature raises TypeError before any work is done)."""
+    for call in calls[:-1]:
+        try:
+            return call()
+        except TypeError:
+            continue
+    return calls[-1]()
+
+
+def index_map(comm: MPI.Intracomm, n: int, ghosts: npt.NDArray[np.int64], owners: npt.NDArray[np.int32]) -> Any:
+    """Index map of n owned indices and ghosts given by global number and owner. Collective."""
+    arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
+    return _first(lambda: cpp.common.IndexMap(*arguments), lambda: cpp.common.IndexMap(*arguments, 1801))
+
+
+def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: Any) -> fem.FunctionSpace:
+    """A function space like V whose cells' (block) dofs are the rows of `dofs`, numbered by an index map."""
+    old, base = V._cpp_object, V.dofmap
+    layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
+    rows = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(dofs, np.int32))
+    dofmap = cpp.fem.DofMap(layout, imap, base.index_map_bs, rows, base.bs)
+    arguments = (old.mesh, old.element, dofmap)
+    space = _first(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
+    return fem.FunctionSpace(V.mesh, V.ufl_element(), space)
+
+
+def interior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """(cell, local facet, cell, local facet) of interior facets, (n, 4); facets with one local cell are left out."""
+    kind, topology = fem.IntegralType.interior_facet, mesh.topology
+    entities = _first(
+        lambda: fem.compute_integration_domains(kind, topology, facets),
+        lambda: cpp.fem.compute_integration_domains(kind, topology._cpp_object, facets, topology.dim - 1),
+    )
+    return np.array(entities, dtype=np.int32).reshape(-1, 4)
+
+
+def cell_nodes(mesh: Mesh) -> npt.NDArray[np.int32]:
+    """Nodes of the geometry of each cell of this rank, (cells, nodes)."""
+    maps = getattr(mesh.geometry, "dofmaps", None)
+    return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])
+
+
+def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """Interpolation points of a space's element on the reference cell."""
+    points = V.element.interpolation_points
+    return points() if callable(points) else points
+
+
+def create_submesh(mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]) -> tuple[Mesh, Any, npt.NDArray[np.int32]]:
+    """Mesh of entities, entity maps for fem.form, and the entity of each of its cells. Collective."""
+    sub, entity_map = dolfinx.mesh.create_submesh(mesh, dim, entities)[:2]
+    if hasattr(entity_map, "sub_topology_to_topology"):
+        imap = sub.topology.index_map(sub.topology.dim)
+        cells = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
+        return sub, [entity_map], entity_map.sub_topology_to_topology(cells, False)
+    parents, imap = np.asarray(entity_map, np.int32), mesh.topology.index_map(dim)
+    inverse = np.full(imap.size_local + imap.num_ghosts, -1, np.int32)
+    inverse[parents] = np.arange(len(parents), dtype=np.int32)
+    return sub, {sub: inverse}, parents

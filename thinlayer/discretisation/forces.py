@@ -1,0 +1,136 @@
+"""Tractions and body forces of a model as a linear form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from forms.kinematics import Expr
+from geometry.domain import Domain
+from geometry.joint import LAYER, S, unknown
+from geometry.sheet import Sheet
+from thinlayer.discretisation.loads import Coordinates, Load, vector
+from thinlayer.errors import ModelError, warn
+
+BodyForce = Load | Mapping[str, Load]
+
+
+class Forces:
+    """The loads on a domain.
+
+    Args:
+        domain: the domain.
+        tractions: facet name -> traction on the outer boundary.
+        body_force: force per volume in the bodies, or region name -> force.
+        at: coordinates for loads that are functions.
+
+    Attributes:
+        given: what and where -> the load as it was given.
+
+    Raises:
+        GeometryError, ModelError: unknown names, a traction on S or inside, loads that are no vectors.
+    """
+
+    def __init__(
+        self, domain: Domain, tractions: Mapping[str, Load] | None, body_force: BodyForce | None, at: Coordinates
+    ) -> None:
+        self.domain, self.at = domain, at
+        self.given: dict[str, Load] = {}
+        self._loads: list[tuple[str, Expr, ufl.Measure]] = []
+        ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
+        dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
+        if tractions is not None and not isinstance(tractions, Mapping):
+            raise ModelError(f"tractions is {tractions!r}; it must be {{facet name: traction}}")
+        tractions = tractions or {}
+        for name in sorted(tractions, key=str):  # in the same order on all ranks
+            load = tractions[name]
+            values = self._outer(name)
+            self._add(f"traction on {name!r}", load, ds(values) if values else None)
+            side = f"{name.split('/')[0]}/{LAYER}"
+            if side not in tractions and (share := self._share(name)):
+                what, loaded, _ = self._loads[-1]
+                self._loads.append((what, share * loaded, ds(domain.values(side))))
+        for name, load in self._by_region(body_force).items():
+            self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
+        self._everywhere = dx
+
+    def _add(self, what: str, load: Load, measure: ufl.Measure | None) -> None:
+        self.given[what] = load
+        checked = vector(load, self.at, self.domain.joint.dim, what)
+        if measure is not None:
+            self._loads.append((what, checked, measure))
+
+    def _outer(self, name: str) -> tuple[int, ...]:
+        """Facet values of a traction's place; none for the side of a layer that is not there."""
+        if not isinstance(name, str):
+            raise ModelError(
+                f"traction on {name!r}: tractions act on facet sets, given by their name; known: "
+                + ", ".join(sorted(self.domain.joint.facets.keys() - {S}))
+            )
+        if name.split("/")[0] == S:
+            raise ModelError("a traction on S is what the model computes; load another facet set")
+        values = self.domain.values(name)
+        if not self.domain.is_outer(name):
+            raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
+        if not values and not name.endswith(f"/{LAYER}"):
+            raise ModelError(f"traction on {name!r}: this facet set is empty")
+        return values
+
+    def _share(self, name: str) -> float:
+        """How much of a traction on bodies the layer's side takes over: that of its room which these bodies gave up.
+
+        With kept bodies nothing. Else the loads of the full and of the interface model add up to the same.
+        """
+        band = self.domain.joint.band
+        whole, _, region = name.partition("/")
+        if (
+            band is None
+            or band.bodies == "kept"
+            or region == LAYER
+            or f"{whole}/{LAYER}" not in self.domain.facet_values
+        ):
+            return 0.0
+        joint = band.base
+        facets = joint.facets[whole]
+        cells = joint.table.cells[joint.table.index(facets), 0]
+        loaded = joint.region[cells] == joint.regions.index(region) if region else np.ones(len(cells), bool)
+        rim = Sheet(joint).rim
+        ends = rim[rim.on(facets)]
+        sides = [np.ones(len(cells), bool)] if joint.rigid_base else [joint.side[cells] < 0, joint.side[cells] > 0]
+        covered = [ends.on(facets[loaded & side]) for side in sides]
+        if any(some.any() and not some.all() for some in covered):
+            warn(
+                f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, which carries nothing of "
+                f"it; the load is smaller than the interface model's. Load {whole!r}, or {whole + '/' + LAYER!r} as well",
+                self.domain.comm,
+            )
+        return sum(bool(some.all()) for some in covered) / len(sides)
+
+    def _by_region(self, body_force: BodyForce | None) -> dict[str, Load]:
+        regions = self.domain.joint.bodies
+        if body_force is None:
+            return {}
+        forces = dict(body_force) if isinstance(body_force, Mapping) else dict.fromkeys(regions, body_force)
+        for name in forces:
+            if name not in regions:
+                raise ModelError(unknown("body", name, regions))
+        return {name: forces[name] for name in regions if name in forces}
+
+    def work(self, v: Expr) -> Expr:
+        """Virtual work of the loads, a UFL form linear in v."""
+        form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
+        for _, load, measure in self._loads:
+            form += ufl.inner(load, v) * measure
+        return form
+
+    def not_finite(self) -> list[str]:
+        """The loads that are not finite at the present time. Collective."""
+        found = []
+        for what, load, measure in self._loads:
+            total = fem.assemble_scalar(fem.form(ufl.inner(load, load) * measure))
+            if self.domain.comm.allreduce(int(not np.isfinite(total))):
+                found.append(what)
+        return found

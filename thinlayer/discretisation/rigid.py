@@ -1,0 +1,64 @@
+"""Rigid motions: what supports must prevent, and what multigrid must know."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+
+from geometry.joint import Joint
+from thinlayer.discretisation.loads import AXES
+from thinlayer.errors import ModelError
+
+SMALLEST = 1e-10  # of the supports' Gram matrix of rigid motions, relative to its largest eigenvalue
+
+
+def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]:
+    """Rigid motions of the whole structure by name: translations, then rotations about its centre, scaled to its size."""
+    d = joint.dim
+    centre, size = joint.points.mean(axis=0), np.ptp(joint.points, axis=0).max()
+    rows: dict[str, Any] = {}
+    for i in range(d):
+        rows[f"translation {AXES[i]}"] = lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)])
+    for i in range(d):
+        for j in range(i + 1, d):
+            rows[f"rotation {AXES[i]}{AXES[j]}"] = lambda x, i=i, j=j: _rotation(x, i, j, centre, size)
+    motions, places = {}, _places(V)
+    for name, motion in rows.items():
+        motions[name] = f = fem.Function(V)
+        if places is not None:
+            f.x.array.reshape(-1, d).T[:] = motion(places)
+        else:
+            f.interpolate(motion)
+            f.x.scatter_forward()
+    return motions
+
+
+def _places(V: fem.FunctionSpace) -> npt.NDArray[np.float64] | None:
+    """Places (3, n) that unknowns are displacements of; None where they are other moments."""
+    try:
+        return np.asarray(V.tabulate_dof_coordinates().T)
+    except RuntimeError:
+        return None
+
+
+def _rotation(
+    x: npt.NDArray[np.float64], i: int, j: int, centre: npt.NDArray[np.float64], size: float
+) -> npt.NDArray[np.float64]:
+    out = np.zeros((len(centre), x.shape[1]))
+    out[i], out[j] = -(x[j] - centre[j]) / size, (x[i] - centre[i]) / size
+    return out
+
+
+def require_support(comm: MPI.Intracomm, V: fem.FunctionSpace, joint: Joint, held: npt.NDArray[np.int32]) -> None:
+    """Raise ModelError if a rigid motion moves none of the held degrees of freedom. Collective."""
+    motions = rigid_motions(V, joint)
+    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    rows = np.array([f.x.array[held[held < owned]] for f in motions.values()])
+    values, vectors = np.linalg.eigh(comm.allreduce(rows @ rows.T))
+    if values[0] <= SMALLEST * max(values[-1], 1.0):
+        free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]
+        raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")

@@ -1,0 +1,162 @@
+"""State: the displacements of a model at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from forms.work import Term, energy
+from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.discretisation.model import Model
+from thinlayer.errors import ModelError
+from thinlayer.parallel.exchange import carry
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a solve went.
+
+    Attributes:
+        method: "linear" or "newton"; of contact "condensed", "multigrid" or "relaxation" too.
+        iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; of all attempts.
+        residual: norm of the residual over the size of the forces.
+        seconds: wall time of assembling and solving.
+        eased: number of solves, with laws that are easier than the layer's and then with its own, that continuation took
+            where Newton's method had failed; 0 if it had not.
+    """
+
+    method: str
+    iterations: int
+    residual: float
+    seconds: float
+    eased: int = 0
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Energy balance of a step: supplied = stored + dissipated + remainder, to the solver's tolerance.
+
+    Energies (per unit thickness in 2D), all of them increments but `layer`.
+
+    Attributes:
+        supplied: work of the loads and of moving supports.
+        stored: in bodies and layer.
+        dissipated: in the layer.
+        remainder: what the time scheme adds (backward Euler: the energy of the increments; midpoint: zero, for laws with
+            a quadratic energy); where parameters vary in time, also what their change does at held strains.
+        layer: energy stored in the layer at the end of the step, where its law acts at points or at nodes.
+        total: energy stored in bodies and layer at the end of the step.
+
+    Of laws that declare no energy all but the first are NaN.
+    """
+
+    supplied: float = 0.0
+    stored: float = 0.0
+    dissipated: float = 0.0
+    remainder: float = 0.0
+    layer: float = 0.0
+    total: float = 0.0
+
+    @property
+    def imbalance(self) -> float:
+        """What the balance misses, over the largest of its terms and of the energy that is stored."""
+        terms = (self.supplied, self.stored, self.dissipated, self.remainder)
+        largest = max(abs(self.total), *map(abs, terms)) if all(map(math.isfinite, terms)) else math.nan
+        return (terms[0] - sum(terms[1:])) / largest if largest else 0.0
+
+
+@dataclass(frozen=True, repr=False)
+class State:
+    """Equilibrium of a model at a time.
+
+    Attributes:
+        model: the model.
+        u: displacement, in model.V.
+        t: time.
+        report: how it was found.
+        p: pressure in an incompressible layer, on the cells of the meshed layer or on S; else None.
+        memory: internal values of the layer's laws that act at points, (points, values) for each; last, under contact, the
+            slip at this rank's nodes of S, (nodes, d - 1).
+        audit: energy balance of the step that led here.
+    """
+
+    model: Model
+    u: fem.Function
+    t: float
+    report: Report
+    p: fem.Function | None = None
+    memory: tuple[npt.NDArray[np.float64], ...] = ()
+    audit: Audit = Audit()
+
+    def __repr__(self) -> str:
+        return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
+
+    def identity(self) -> dict[str, Any]:
+        """What it was made from."""
+        return {"state of": self.model.identity(), "t": self.t}
+
+    def integral(self, form: Any) -> float:
+        """Value of a UFL form without arguments, summed over the ranks. Collective.
+
+        Raises:
+            ModelError: a number in it is not finite.
+        """
+        if isinstance(form, ufl.Form) and not all(has_finite_numbers(part.integrand()) for part in form.integrals()):
+            raise ModelError(f"a form has a number that is not finite, or not real: {str(form)[:80]}")
+        return float(self.model.comm.allreduce(fem.assemble_scalar(fem.form(form))))
+
+    def energies(self) -> dict[str, float]:
+        """Stored energy of the bodies and of the layer, and the work of the loads (per unit thickness in 2D). Collective.
+
+        For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron). NaN where a law declares no
+        energy.
+        """
+        model = self.model
+        model.coordinates.t.value = self.t
+        at_points = model.contact is not None or any(p.law.pointwise for p in model.layer_terms)
+        in_forms = [p for p in model.layer_terms if not p.law.pointwise]
+        return {
+            "bodies": self._stored(model.bodies),
+            "layer": (self.audit.layer if at_points else 0.0) + self._stored(in_forms),
+            "loads": self.integral(model.external_work(self.u)),
+        }
+
+    def _stored(self, points: Sequence[Term]) -> float:
+        if not all(p.law.has_energy for p in points):
+            return math.nan
+        return self.integral(energy(points, self.u)) if points else 0.0
+
+
+def cell_values(f: fem.Function, cells: np.ndarray) -> np.ndarray:
+    """Degrees of freedom of local cells, (n, dofs per cell)."""
+    dofmap = f.function_space.dofmap
+    blocks = dofmap.list[cells]
+    return f.x.array.reshape(-1, dofmap.bs)[blocks].reshape(len(cells), blocks.shape[1] * dofmap.bs)
+
+
+def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
+    """A function of one model's bodies on the same cells of another model's mesh, value by value.
+
+    Both models come from the same joint: body cells have the same original numbers and the same local order of their
+    degrees of freedom, wherever they are and whichever rank has them. Collective.
+    """
+    n_body = len(source.joint.cells)
+    mesh = source.domain.mesh
+    owned = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local)
+    original = source.domain.original_cells[owned]
+    sent = owned[original < n_body]
+    there = target.domain.original_cells
+    wanted = np.flatnonzero(there < n_body)
+    values = carry(source.comm, source.domain.original_cells[sent], cell_values(f, sent), there[wanted])
+    out = fem.Function(V)
+    bs = V.dofmap.bs
+    out.x.array.reshape(-1, bs)[V.dofmap.list[wanted].ravel()] = values.reshape(-1, bs)
+    out.x.scatter_forward()
+    return out

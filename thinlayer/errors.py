@@ -1,0 +1,86 @@
+"""Errors of solves that did not converge, and warnings of results that may mislead."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+from forms.declarations import RangeWarning as RangeWarning
+from forms.declarations import show_warnings, warn_of_range
+
+
+def warn(message: str, comm: MPI.Intracomm) -> None:
+    """Issue a RangeWarning, to be called on all ranks: rank 0 shows it, and where it is made an error all have it."""
+    show_warnings()  # before it is looked at who shows them
+    shown = warnings.showwarning
+    try:
+        if comm.rank:
+            warnings.showwarning = lambda *_, **__: None
+        warn_of_range(message)
+    finally:
+        warnings.showwarning = shown
+
+
+class ModelError(ValueError):
+    """A model that cannot be built: says what, where and what is allowed."""
+
+
+class SolveError(RuntimeError):
+    """A solve that did not converge: the reason, the last residual, and what to try.
+
+    Attributes:
+        reason: the message without what to try.
+        history: of a march, its accepted steps.
+        residuals: of a contact solve, or of Newton's method, the residual at every step over the forces.
+    """
+
+    def __init__(
+        self, reason: str, history: Any = None, residuals: tuple[float, ...] = (), advice: str | None = None
+    ) -> None:
+        super().__init__(f"{reason}; {advice}" if advice else reason)
+        self.reason, self.history, self.residuals = reason, history, residuals
+
+
+class NoEquilibrium(SolveError):
+    """A step whose displacements run away, see `thinlayer.solving.restraint`.
+
+    Attributes:
+        growth: how far they have come, over those of an elastic layer under the same change of loads.
+    """
+
+    def __init__(self, growth: float) -> None:
+        super().__init__(
+            f"displacements grow {growth:.3g} times as fast as those of an elastic layer, and no end is found"
+        )
+        self.growth = growth
+
+
+class LimitLoad(SolveError):
+    """A march whose loads grow beyond what a layer that yields can carry: no step leads on, however short.
+
+    The sign of it is independent of why the step failed: with weak springs at all nodes in place of what fails,
+    displacements run away as the springs are softened. A step that fails without this sign is a SolveError.
+
+    Attributes:
+        t: time of the last equilibrium.
+        failed_at: earliest time at which none was found.
+        resultant: tractions and body forces on the bodies at t, their sum, one number for each component.
+        growth: displacements that weak springs allow from t to `failed_at`, over those of an elastic layer: how far away
+            an equilibrium is at least, if the layer's flow is associated.
+        history: the accepted steps.
+    """
+
+    def __init__(
+        self, reason: str, t: float, failed_at: float, resultant: Sequence[float], growth: float, history: Any
+    ) -> None:
+        loads = ", ".join(f"{force:.6g}" for force in resultant)
+        super().__init__(
+            f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
+            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}), and displacements run away: "
+            f"they grow {growth:.3g} times as fast as with an elastic layer. What was found before is kept",
+            history,
+        )
+        self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth

@@ -1,0 +1,1 @@
+"""Files that runs write: tables, folders, progress."""

@@ -1,0 +1,222 @@
+"""ContactReport: what every node of S does, in zones, with resultants and checks of the balance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from forms.contact import Status
+from forms.work import work
+from geometry.joint import Joint
+from geometry.order import edges_of_s, order_on_s
+from thinlayer.contact.nodes import Array, ContactNodes
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.files.table import Table
+from thinlayer.output.surface import nodal_forces
+
+PINNED = "pinned"
+NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
+ROUNDING = 1e-10  # of the largest pressure: what solvers leave where there is none
+AT_LIMIT = 1e-9  # of the threshold: a law with memory returns to it, up to rounding
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Neighbouring nodes of S with one status.
+
+    Attributes:
+        status: "separated", "sliding", "stick" or "pinned".
+        size: area of S around them (2D: length).
+        start, end: lowest and highest coordinates of the nodes.
+        nodes: their number.
+    """
+
+    status: str
+    size: float
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    nodes: int
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ContactReport:
+    """Contact on S in a state, the same on all ranks; nodes in order along S in 2D, else by their coordinates.
+
+    Attributes:
+        joint: the joint.
+        numbers: (n,) vertices of the joint.
+        x: (n, d) places.
+        status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
+        u_T: (n, d - 1) tangential jump in the frame of S (`Surface.frame`).
+        u_N: (n,) penetration, the upper side into the lower one; negative where S is open.
+        p: (n,) pressure >= 0 that the law gives; at pinned nodes it says nothing, their force is the support's.
+        t_T: (n, d - 1) tangential traction on the lower side; that on the upper side is opposite.
+        threshold: (n,) largest |t_T| at this pressure.
+        weights: (n,) area of S around each node.
+        frames: (n, d, d), rows are the tangential axes and the normal of S.
+        force: (d,) resultant that S exerts on the upper body, without what supports at pinned nodes exert.
+        equilibrium: what the forces on the free nodes sum up to, over the sum of the absolute values of all nodal forces.
+        clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
+            over the largest of the four: zero in equilibrium.
+    """
+
+    joint: Joint
+    numbers: npt.NDArray[np.int64]
+    x: Array
+    status: npt.NDArray[np.str_]
+    u_T: Array
+    u_N: Array
+    p: Array
+    t_T: Array
+    threshold: Array
+    weights: Array
+    frames: Array
+    force: Array
+    equilibrium: float
+    clapeyron: float
+
+    @classmethod
+    def of(cls, state: State) -> ContactReport:
+        """The report of a state of a model with a contact law. Collective.
+
+        Raises:
+            ModelError: no contact law in the state's model.
+        """
+        if not isinstance(state, State) or state.model.contact is None:
+            given = f"one of {state.model!r}" if isinstance(state, State) else repr(state)[:200]
+            raise ModelError(f"a contact report needs a state of a model with a contact law, not {given}")
+        model, law = state.model, state.model.contact
+        held = model.supports.held(model.V)
+        owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
+        nodes = ContactNodes(model, held[held < owned])
+        slip, d = state.memory[-1], nodes.dim
+        w = nodes.jump(state.u.x.petsc_vec)
+        t, p = law.traction(w, slip), law.pressure(w)
+        threshold = law.threshold(p)
+        kind = law.status(w, slip)
+        if law.memory:
+            at_limit = np.linalg.norm(t[:, :-1], axis=1) >= (1 - AT_LIMIT) * threshold
+            kind = np.where((kind == Status.STICK) & at_limit, Status.SLIDING, kind)
+        largest = model.comm.allreduce(float(p.max(initial=0.0)), max)
+        kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
+        pinned = nodes.held.all(axis=1)
+        axes = nodes.frames.reshape(len(w), d * d)
+        columns = [nodes.numbers, nodes.x, kind, pinned, w, p, t[:, :-1], threshold, nodes.weights, axes]
+        rows: Array = np.concatenate(model.comm.allgather(np.column_stack(columns)))
+        numbers = rows[:, 0].astype(np.int64)
+        order = order_on_s(model.joint, numbers, rows[:, 1 : 1 + d])
+        x, kinds, held_rows, jumps, pressure, friction, bound, weights, frames = np.split(
+            rows[order, 1:], np.cumsum([d, 1, 1, d, 1, d - 1, 1, 1]), axis=1
+        )
+        names = np.array([NAMES[Status(int(k))] for k in kinds.ravel()], dtype="<U9")
+        names[held_rows.ravel() > 0] = PINNED
+        force = -model.comm.allreduce(np.einsum("n,nki,nk->i", nodes.weights, nodes.frames, t))
+        checks = _balance(state, nodes, held[held < owned], t)
+        nodes.destroy()
+        return cls(
+            model.joint, numbers[order], x, names, jumps[:, :-1], -jumps[:, -1], pressure.ravel(), friction,
+            bound.ravel(), weights.ravel(), frames.reshape(-1, d, d), np.asarray(force), *checks,
+        )  # fmt: skip
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of separated, sliding, sticking and pinned nodes."""
+        return {name: int((self.status == name).sum()) for name in (*NAMES.values(), PINNED)}
+
+    @property
+    def normal_force(self) -> float:
+        """Integral of the pressure over S."""
+        return float(self.weights @ self.p)
+
+    @property
+    def friction_force(self) -> Array:
+        """Integral of the tangential traction on the lower side, (d - 1,): a force where S is planar."""
+        return np.asarray(self.weights @ self.t_T)
+
+    @cached_property
+    def zones(self) -> list[Zone]:
+        """Connected parts of S with one status, in the order of their first nodes."""
+        a, b = edges_of_s(self.joint, self.numbers)
+        same = self.status[a] == self.status[b]
+        n = len(self.numbers)
+        graph = coo_array((np.ones(same.sum()), (a[same], b[same])), shape=(n, n))
+        found = connected_components(graph, directed=False)[1]
+        zones = []
+        for label in dict.fromkeys(found.tolist()):
+            at = np.flatnonzero(found == label)
+            start, end = self.x[at].min(axis=0), self.x[at].max(axis=0)
+            size = float(self.weights[at].sum())
+            zones.append(Zone(str(self.status[at[0]]), size, tuple(start.tolist()), tuple(end.tolist()), len(at)))
+        return zones
+
+    @property
+    def along(self) -> Array:
+        """(n,) way along S from the first node, in 2D; from one piece of S to the next straight."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.x, axis=0), axis=1))])
+
+    @cached_property
+    def pieces(self) -> list[npt.NDArray[np.int64]]:
+        """In 2D, the nodes of each piece of S, in order along it."""
+        a, b = edges_of_s(self.joint, self.numbers)
+        near = np.abs(a - b) == 1
+        joined = np.isin(np.arange(len(self.numbers) - 1), np.minimum(a, b)[near])
+        return np.split(np.arange(len(self.numbers)), np.flatnonzero(~joined) + 1)
+
+    @property
+    def table(self) -> Table:
+        """A row for each node: place, u_T, u_N, p, t_T and status."""
+        d = self.x.shape[1]
+        suffixes: Sequence[str] = [""] if d == 2 else ["_1", "_2"]
+        columns = {"xyz"[k]: self.x[:, k] for k in range(d)}
+        columns |= {f"u_T{s}": self.u_T[:, k] for k, s in enumerate(suffixes)}
+        columns |= {"u_N": self.u_N, "p": self.p}
+        columns |= {f"t_T{s}": self.t_T[:, k] for k, s in enumerate(suffixes)}
+        return Table(
+            {name: float(values[row]) for name, values in columns.items()} | {"status": str(self.status[row])}
+            for row in range(len(self.x))
+        )
+
+    def __repr__(self) -> str:
+        return f"ContactReport({', '.join(f'{count} {name}' for name, count in self.counts.items() if count)})"
+
+    def __str__(self) -> str:
+        lines = [", ".join(f"{count} {name}" for name, count in self.counts.items() if count)]
+        lines += [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]
+        lines.append(f"normal force {self.normal_force:.6g}, equilibrium {self.equilibrium:.1e}")
+        return "\n".join(lines)
+
+
+def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: Array) -> tuple[float, float]:
+    """Sum of the forces on free nodes and the work balance, relative. Collective."""
+    model, comm, d = state.model, nodes.comm, nodes.dim
+    model.coordinates.t.value = state.t
+    v = ufl.TestFunction(model.V)
+    stresses, loads = (
+        nodal_forces(model.V, work(model.bodies, state.u, v)),
+        nodal_forces(model.V, model.external_work(v)),
+    )
+    inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec
+    on_s = inner.duplicate()
+    on_s.set(0.0)
+    nodes.add_forces(t, on_s)
+    u = state.u.x.petsc_vec
+    spent, tractions, supplied = float(u.dot(inner)), float(u.dot(on_s)), float(u.dot(outer))
+    total = inner.array_r + on_s.array_r - outer.array_r
+    at_supports = comm.allreduce(float(total[held] @ u.array_r[held]))
+    total[held] = 0.0
+    sums = comm.allreduce(total.reshape(-1, d).sum(axis=0))
+    sizes = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner, outer, on_s)))
+    largest = max(map(abs, (spent, tractions, supplied, at_supports)))
+    on_s.destroy()
+    return (
+        float(np.abs(sums).max() / sizes) if sizes else 0.0,
+        abs(spent + tractions - supplied - at_supports) / largest if largest else 0.0,
+    )

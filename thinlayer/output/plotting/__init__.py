@@ -1,0 +1,7 @@
+"""Pictures: rates and curves from tables, deformed structures, contact on S."""
+
+from thinlayer.output.plotting.contacts import contact
+from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, rates
+from thinlayer.output.plotting.structures import VIEWS, deformed
+
+__all__ = ["COLOURS", "ERRORS", "VIEWS", "contact", "curves", "deformed", "panels", "rates"]

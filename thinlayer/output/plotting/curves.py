@@ -1,0 +1,210 @@
+"""Rates and curves from tables, drawn by matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
+
+from forms.temperature import real
+from geometry.parallel import on_root
+from thinlayer.errors import ModelError
+from thinlayer.files.table import Table, replaced
+
+SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}
+COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
+MARKERS = ("o", "s", "^", "D", "v")
+ERRORS = {"traction": "error_traction", "jump": "error_jump"}
+
+
+def rates(
+    table: Table | str | Path | Mapping[str, Table | str | Path],
+    *,
+    save: str | Path | None = None,
+    title: str = "",
+    reference: float = 1.0,
+    errors: Mapping[str, str] = ERRORS,
+) -> Figure:
+    """Errors of a sweep against eps on logarithmic axes, with a reference slope.
+
+    Args:
+        table: a sweep, or the csv file it was committed to; or label -> sweep.
+        save: PNG file.
+        title: title of the picture.
+        reference: order of the reference line.
+        errors: label -> column of the sweeps.
+
+    Collective, if the picture is saved or a file is read: rank 0 does that.
+
+    Raises:
+        ModelError: a table without rows or without these columns. OSError: the picture could not be written.
+    """
+    tables = table if isinstance(table, Mapping) else {"": table}
+    if not tables:
+        raise ModelError("rates: there is no table to draw")
+    for case, one in tables.items():
+        if not isinstance(one, (Table, str, Path)):
+            raise ModelError(
+                f"rates: {case or 'table'} is {one!r}; give what sweep returns, or the name of its csv file"
+            )
+    data = {case: one if isinstance(one, Table) else Table.load(one) for case, one in tables.items()}
+    for case, one in data.items():
+        if lacking := [name for name in ("eps", *errors.values()) if name not in one.columns]:
+            which = f"the table {case!r}" if case else "the table"
+            raise ModelError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
+    figure, axes = _figure(6, 4.5)
+    lines = []
+    for k, (name, column) in enumerate(errors.items()):
+        for j, (case, one) in enumerate(data.items()):
+            lines.append((one["eps"], one[column]))
+            colour, marker = (j, k) if len(data) > 1 else (k, k)  # a colour for each case
+            style = {"marker": MARKERS[marker % len(MARKERS)], "color": COLOURS[colour % len(COLOURS)]}
+            style |= {"linestyle": "--", "markerfacecolor": "white"} if len(data) > 1 and k else {}
+            axes.loglog(*lines[-1], label=f"{case}: {name}" if case else name, **style)
+    eps, lowest = min(lines, key=lambda line: float(line[1][-1]))
+    line = 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
+    axes.loglog(eps, line, color="0.5", linestyle=":", label=f"slope {reference:g}")
+    axes.set(xlabel="layer thickness eps", ylabel="relative difference on S, L2", title=title)
+    axes.set_xticks(eps, [f"{e:.4g}" for e in eps])
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.minorticks_off()
+    axes.grid(color="0.9")
+    if len(lines) <= 4:
+        axes.legend(frameon=False)
+    else:
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    return finish(figure, save)
+
+
+def curves(
+    lines: Mapping[str, tuple[Any, Any]],
+    *,
+    xlabel: str,
+    ylabel: str,
+    title: str = "",
+    save: str | Path | None = None,
+    styles: Mapping[str, str] | None = None,
+    logarithmic: bool = False,
+    xscale: str = "linear",
+    ylim: tuple[float, float] | None = None,
+) -> Figure:
+    """Curves over a common axis.
+
+    Args:
+        lines: label -> (x, y).
+        xlabel, ylabel, title: texts, units included.
+        save: PNG file.
+        styles: label -> line style (default "-").
+        logarithmic: whether both axes are.
+        xscale: "linear" or "log", of the first axis alone.
+        ylim: range of the second axis.
+
+    Raises:
+        ModelError: a line that is no pair of as many numbers.
+    """
+    figure, axes = _figure(6.5, 4.5)
+    _plot(axes, lines, styles or {}, {})
+    axes.set(xscale="log" if logarithmic else xscale, yscale="log" if logarithmic else "linear")
+    axes.set(xlabel=xlabel, ylabel=ylabel, title=title)
+    if ylim:
+        axes.set_ylim(*ylim)
+    axes.legend(frameon=False)
+    return finish(figure, save)
+
+
+def panels(
+    parts: Mapping[str, Mapping[str, tuple[Any, Any]]],
+    *,
+    xlabel: str,
+    ylabels: Mapping[str, str],
+    styles: Mapping[str, str],
+    colours: Mapping[str, str],
+    save: str | Path | None = None,
+    columns: int = 3,
+    yscale: str = "linear",
+    ylims: Mapping[str, tuple[float, float]] | None = None,
+) -> Figure:
+    """Curves in several pictures with one legend.
+
+    Args:
+        parts: title -> label -> (x, y); the same labels in every part.
+        xlabel: text, units included.
+        ylabels: title -> text, units included.
+        styles, colours: label -> line style, colour.
+        save: PNG file.
+        columns: pictures in a row.
+        yscale: "linear" or "log".
+        ylims: title -> range of the second axis (default: all of the curves).
+    """
+    columns = min(columns, len(parts))
+    rows = -(-len(parts) // columns)
+    figure = Figure(figsize=(3.1 * columns, 2.6 * rows + 0.6), layout="constrained")
+    for k, (title, lines) in enumerate(parts.items()):
+        axes = figure.add_subplot(rows, columns, k + 1)
+        _plot(axes, lines, styles, colours)
+        axes.set(xlabel=xlabel, ylabel=ylabels[title], title=title, yscale=yscale)
+        axes.set_ylim((ylims or {}).get(title))
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False)
+    return finish(figure, save)
+
+
+def _plot(
+    axes: Axes, lines: Mapping[str, tuple[Any, Any]], styles: Mapping[str, str], colours: Mapping[str, str]
+) -> None:
+    if not isinstance(lines, Mapping):
+        raise ModelError(f"curves are {{label: (x, y)}}, not {lines!r}")
+    for k, (label, line) in enumerate(lines.items()):
+        x, y = _numbers(label, line)
+        axes.plot(x, y, styles.get(label, "-"), color=colours.get(label, COLOURS[k % len(COLOURS)]), label=label)
+    axes.grid(color="0.9")
+
+
+def _numbers(label: str, line: Any) -> list[npt.NDArray[np.float64]]:
+    """x and y of a line, (n,) each."""
+    try:
+        x, y = (real(one).astype(float) for one in line)
+        if x.ndim != 1 or x.shape != y.shape:
+            raise TypeError(f"x has the shape {x.shape}, y {y.shape}")
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"the curve {label!r} is no pair (x, y) of as many numbers: {error}") from error
+    return [x, y]
+
+
+def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    """A picture with one set of axes; outside pyplot, so that a notebook keeps its own backend."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots()
+
+
+def finish(figure: Figure, save: str | Path | None) -> Figure:
+    """Save a picture, if asked to. Collective: rank 0 writes."""
+    if save:
+        require_name(save)
+        on_root(None, lambda: put(figure, Path(save)))
+    return figure
+
+
+def require_name(save: Any) -> None:
+    """Raise ModelError for what is no name of a file."""
+    if not isinstance(save, (str, Path)):
+        raise ModelError(f"save is {save!r}; it must be the name of a picture")
+
+
+def put(figure: Figure, path: Path) -> None:
+    """Save a picture, on this rank; what is there is replaced by a whole picture, or not at all.
+
+    Raises:
+        ValueError: a folder, or an ending that matplotlib does not know. OSError: it could not be written.
+    """
+    if path.is_dir():
+        raise ValueError(f"{str(path)!r} is a folder; give the name of a picture")
+    kind = path.suffix.removeprefix(".") or "png"
+    with replaced(path if path.suffix else path.with_suffix(".png")) as file:
+        figure.savefig(file, format=kind, **SAVED)

@@ -1,0 +1,417 @@
+"""What happens on S: traction, jump and the displacements of both faces, for either model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, cast
+
+import dolfinx.fem.petsc
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.classes import Condition, Restricted
+from ufl.domain import extract_domains
+
+from forms.kinematics import Expr, layer_frame, lift
+from forms.work import Interface, work
+from geometry.order import order_on_s
+from thinlayer.contact.nodes import ContactNodes
+from thinlayer.discretisation.compat import cell_nodes
+from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State, transfer
+from thinlayer.errors import ModelError
+
+MASS_TOLERANCE = 1e-14
+SAME_PLACE = 1e-12  # of the largest displacement: jumps below are rounding
+SPREAD = 0.1  # of the way from the places where it is known: over less a traction tells no slope
+
+
+def reaction(state: State) -> fem.Function:
+    """Nodal forces that the bodies pass to S, tested with degree-1 functions broken at its faces. Collective.
+
+    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i): what the layer (or the other body) exerts.
+    """
+    model = state.model
+    model.coordinates.t.value = state.t
+    W = model.space(1, broken_at_faces=True)
+    v = ufl.TestFunction(W)
+    return nodal_forces(W, work(model.bodies, state.u, v) - model.external_work(v))
+
+
+def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
+    """Values of a linear form on the basis functions of a space, ghosts included. Collective."""
+    vector = fem.assemble_vector(fem.form(form))
+    vector.scatter_reverse(dolfinx.la.InsertMode.add)
+    vector.scatter_forward()
+    values = fem.Function(V)
+    values.x.array[:] = vector.array
+    return values
+
+
+def contact_forces(state: State) -> fem.Function:
+    """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
+    model, law = state.model, state.model.contact
+    assert law is not None
+    nodes = ContactNodes(model, np.empty(0, np.int32))
+    out = nodes.zero()
+    nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[-1]), out)
+    forces = fem.Function(model.V)
+    forces.x.array[: out.getLocalSize()] = out.array_r
+    forces.x.scatter_forward()
+    nodes.destroy()
+    out.destroy()
+    return forces
+
+
+@dataclass(frozen=True)
+class Surface:
+    """S as the interface model sees it; fields of a full model on the same joint can be brought here.
+
+    Attributes:
+        model: an interface model.
+
+    Raises:
+        ModelError: another kind of model.
+    """
+
+    model: Model
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.model, Model) or self.model.kind != "interface":
+            hint = ": give the state's model" if isinstance(self.model, State) else ""
+            raise ModelError(f"Surface needs an interface model, not {_short(self.model)}{hint}")
+
+    def _require_same_joint(self, state: State) -> None:
+        if not isinstance(state, State):
+            raise ModelError(f"Surface takes a state, as solve returns it or history.last is, not {_short(state)}")
+        if state.model.joint is not self.model.joint:
+            raise ModelError("this state's model has another joint than the surface; build both from the same one")
+
+    def _expression(self, f: Any, *shapes: tuple[int, ...]) -> Expr:
+        """A UFL expression on S of one of these shapes (none: of any); a condition is 1 or 0."""
+        try:
+            found = ufl.as_ufl(f)
+        except Exception as error:
+            raise ModelError(f"{_short(f)} is no UFL expression on S, as surface.jump(state) is one") from error
+        if not has_finite_numbers(found):
+            raise ModelError(f"an expression on S has a number that is not finite, or not real: {str(found)[:80]}")
+        if isinstance(found, Condition):
+            found = ufl.conditional(found, 1.0, 0.0)
+        if shapes and found.ufl_shape not in shapes:
+            known = " or ".join("of a scalar, ()" if shape == () else f"of a vector, {shape}" for shape in shapes)
+            raise ModelError(f"an expression on S has the shape {found.ufl_shape}; allowed: that {known}")
+        if any(domain is not self.model.domain.mesh.ufl_domain() for domain in extract_domains(found)):
+            raise ModelError(
+                "an expression on S is of another model's mesh; bring states here by surface.displacement(state)"
+            )
+        if not self.model.joint.rigid_base and _lacks_side(found, (self.model.V, self.trace_space)):
+            raise ModelError(
+                "an expression on S has a field that jumps there; say on which side, as surface.sides.upper(u) or "
+                "surface.sides.lower(u), or take surface.jump(state)"
+            )
+        return found
+
+    def _compiled(self, f: Expr, make: Callable[[Any], Any]) -> Any:
+        """What `make` makes of the integral over S of a scalar expression."""
+        try:
+            return make(f * self.sides.measure)
+        except ValueError as error:  # UFL's
+            raise ModelError(f"an expression cannot be integrated over S: {error}") from error
+
+    @property
+    def sides(self) -> Interface:
+        """The two sides of S."""
+        return cast(Interface, self.model.sides)
+
+    @cached_property
+    def trace_space(self) -> fem.FunctionSpace:
+        """Degree-1 vector functions, broken across S."""
+        return self.model.space(1)
+
+    def displacement(self, state: State) -> fem.Function:
+        """Displacement of a state (of either model) in the interface model's space. Collective.
+
+        Raises:
+            ModelError: not a state, of another joint, of another element.
+        """
+        self._require_same_joint(state)
+        if state.model is self.model:
+            return state.u
+        if state.model.element != self.model.element:
+            raise ModelError(
+                f"the state has elements {state.model.element}, the surface's model {self.model.element}: displacements "
+                "need the same"
+            )
+        return transfer(state.u, state.model, self.model.V, self.model)
+
+    def jump(self, state: State) -> Expr:
+        """[u] = u(upper face) - u(lower face), a UFL expression on S. Collective."""
+        return self.sides.jump(self.displacement(state))
+
+    def traction(self, state: State) -> Expr:
+        """Traction t = stress n on S, (d,), a UFL expression of degree 1 on S. Collective.
+
+        Mean over both faces of the bodies' reactions. Where a support holds a component of one body, its reaction there is
+        the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
+        (on a rigid base: of the body), no reaction tells it. Under contact it is the law's. Where they hold the bodies
+        together it is zero, if the interface law says so (`Model.silent`; a meshed layer about as hard as the bodies is
+        strained there: take a surface of order 1). Else it goes on linearly from what it is around, two nodes deep (zero
+        where supports hold all of these, too), which is right for a uniform and for a linear traction. It is zero at nodes
+        where S ends inside the bodies: nothing jumps there.
+        """
+        self._require_same_joint(state)
+        r = reaction(state)
+        held, u = fem.Function(r.function_space), fem.Function(r.function_space)
+        held.x.array[state.model.supports.held(r.function_space, state.model.supports.given)] = 1.0
+        held.x.scatter_forward()
+        u.interpolate(state.u)
+        r, held, u = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held, u))
+        untold = self._tell_by_other_side(r, held.x.array > 0)
+        if state.model.contact:
+            by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
+            r.x.array[untold] = by_law.x.array[untold]
+        zero = self._silent(untold & ~self._jumps(u))
+        if not state.model.contact and self.model.comm.allreduce(int((untold & ~zero).any())):
+            self._extrapolate(r, untold, untold & ~zero)
+        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, zero)
+        if self.model.joint.rigid_base:
+            return -self.sides.upper(t)
+        return (self.sides.lower(t) - self.sides.upper(t)) / 2
+
+    def nodal(self, f: Expr) -> fem.Function:
+        """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective."""
+        f = self._expression(f, (self.model.joint.dim,))
+        v = ufl.TestFunction(self.trace_space)
+        r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
+        return self._divide_by_mass(r, np.zeros(len(r.x.array), bool))
+
+    def frame(self, f: Expr) -> Expr:
+        """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
+
+        The tangents are those of `forms.kinematics.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
+        """
+        f, n = self._expression(f, (self.model.joint.dim,)), self.sides.n
+        axes = layer_frame(n)
+        tangential = [ufl.dot(lift(f), axes[:, column]) for column in (0, 2)[: len(n) - 1]]
+        return ufl.as_vector([*tangential, ufl.dot(f, n)])
+
+    def profile(self, f: Expr) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Places (n, d) and values of an expression, projected to degree 1, at the vertices of S. Collective.
+
+        In order along S in 2D, piece after piece, else by the coordinates; the same on every rank.
+
+        Args:
+            f: vector expression on S, values (n, d), or a scalar one, values (n,).
+        """
+        V, d = self.trace_space, self.model.joint.dim
+        f = self._expression(f, (d,), ())
+        at = np.flatnonzero(self._upper_nodes[: V.dofmap.index_map.size_local])
+        values = self.nodal(f if f.ufl_shape else ufl.as_vector([f] + [0.0] * (d - 1))).x.array.reshape(-1, d)
+        rows = np.column_stack([self._vertices[at], V.tabulate_dof_coordinates()[at, :d], values[at]])
+        rows = np.concatenate(self.model.comm.allgather(rows))
+        x = rows[:, 1 : 1 + d]
+        order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x)
+        return x[order], rows[order, 1 + d :] if f.ufl_shape else rows[order, 1 + d]
+
+    @cached_property
+    def _vertices(self) -> npt.NDArray[np.int64]:
+        """The vertex of the joint at each local node of the trace space."""
+        mesh, cells = self.model.domain.mesh, self.trace_space.dofmap.list
+        numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
+        numbers[cells] = np.asarray(mesh.geometry.input_global_indices)[cell_nodes(mesh)[:, : cells.shape[1]]]
+        return numbers
+
+    @cached_property
+    def _upper_nodes(self) -> npt.NDArray[np.bool_]:
+        """Which local nodes of the trace space lie on the upper side of S."""
+        return self._areas(self.sides.upper).reshape(-1, self.model.joint.dim)[:, 0] > 0
+
+    def _areas(self, *sides: Callable[[Expr], Expr]) -> npt.NDArray[np.float64]:
+        """Area of S around the nodes of sides, for every trace degree of freedom; zero elsewhere."""
+        v = ufl.TestFunction(self.trace_space)
+        ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
+        form = sum(ufl.inner(ones, side(v)) for side in sides) * self.sides.measure
+        return np.asarray(nodal_forces(self.trace_space, form).x.array)
+
+    def integral(self, f: Expr) -> float:
+        """Integral over S of a scalar expression. Collective."""
+        return float(self.model.comm.allreduce(fem.assemble_scalar(self._compiled(self._expression(f, ()), fem.form))))
+
+    def norm(self, f: Expr, where: Expr = 1) -> float:
+        """L2 norm over S of a vector expression, or of one of another shape, weighted with `where`. Collective."""
+        f = self._expression(f)
+        return float(np.sqrt(self.integral(self._expression(where, ()) * ufl.inner(f, f))))
+
+    def _tell_by_other_side(self, r: fem.Function, held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Replace nodal forces where they are held by minus those of the other side; where they are held there too.
+
+        Both sides of a node where S ends inside the bodies are one: there nothing is replaced.
+        """
+        if self.model.joint.rigid_base:
+            return held
+        there = fem.Function(self.trace_space)
+        there.x.array[:] = held
+        unknown = held & (self._of_other_side(there) > 0.5)
+        told = held & ~unknown & self._areas_at_corners.astype(bool)
+        r.x.array[told] = -self._of_other_side(r)[told]
+        return unknown
+
+    def _silent(self, together: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Which components have no traction, of those in which supports hold the bodies together."""
+        if not self.model.comm.allreduce(int(together.any())):
+            return together
+        along, whole = self.model.silent
+        nodes = together.reshape(-1, len(along))
+        return np.asarray((nodes & (along | (whole & nodes.all(axis=1, keepdims=True)))).ravel())
+
+    def _jumps(self, u: fem.Function) -> npt.NDArray[np.bool_]:
+        """Where a function of the trace space differs from side to side (on a rigid base: from zero)."""
+        largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
+        other = 0.0 if self.model.joint.rigid_base else self._of_other_side(u)
+        return np.asarray(np.abs(u.x.array - other) > SAME_PLACE * largest)
+
+    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_], wanted: npt.NDArray[np.bool_]) -> None:
+        """Set those nodal forces that are wanted, among those where supports hold both sides, from those around.
+
+        Over the areas of the nodes they are what a linear traction is at the centroids of the nodes' functions. The linear
+        function of the place that fits them goes on, two neighbours deep, with weights of the mass matrix's square. Along
+        directions in which the places hardly spread (across S; everywhere where there is one) it is constant.
+        """
+        _, on_s = self._mass
+        owned, d = len(on_s), self.model.joint.dim
+        at, told = np.flatnonzero(on_s & wanted[:owned]), on_s & ~untold[:owned]
+        area = np.where(on_s, self._around, 1.0)
+        x = self.trace_space.tabulate_dof_coordinates()[: owned // d, :d] - self.model.joint.points.mean(axis=0)
+        x = np.array([self._times_mass(row) / area for row in x.repeat(d, axis=0).T])
+        known = [np.ones(owned), *x, r.x.array[:owned] / area]
+        moments = np.zeros((len(at), d + 1, d + 2))
+        for i in range(d + 1):
+            for j in range(i, d + 2):
+                sums = self._times_mass(self._times_mass(np.where(told, known[i] * known[j], 0.0)))[at]
+                moments[:, i, j] = sums
+                if j <= d:
+                    moments[:, j, i] = sums
+        weight = moments[:, :1, :1]
+        moments /= np.where(weight > 0, weight, 1.0)
+        centre, mean = moments[:, 0, 1 : d + 1], moments[:, 0, d + 1]
+        spread, axes = np.linalg.eigh(moments[:, 1:, 1 : d + 1] - centre[:, :, None] * centre[:, None, :])
+        common = np.einsum("nki,nk->ni", axes, moments[:, 1:, d + 1] - centre * mean[:, None])
+        away = x[:, at].T - centre
+        wide = spread > SPREAD**2 * (away**2).sum(axis=1)[:, None]
+        change = np.einsum("nki,nk->ni", axes, away) * common / np.where(wide, spread, np.inf)
+        r.x.array[at] = (mean + change.sum(axis=1)) * area[at]
+        r.x.scatter_forward()
+
+    @cached_property
+    def _around(self) -> npt.NDArray[np.float64]:
+        """Area of S around the nodes of both sides, for this rank's degrees of freedom; zero off S."""
+        return self._times_mass(np.ones(len(self._mass[1])))
+
+    def _times_mass(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Mass matrix of S times the values at local degrees of freedom, those of this rank."""
+        mass, on_s = self._mass
+        x, y = mass.createVecs()
+        x.array[:] = values[: len(on_s)]
+        mass.mult(x, y)
+        found = y.array.copy()
+        x.destroy()
+        y.destroy()
+        return np.asarray(found)
+
+    def _of_other_side(self, f: fem.Function) -> npt.NDArray[np.float64]:
+        """Values of a function of the trace space at the same places on the other side of S; zero elsewhere."""
+        area = self._areas_at_corners
+        return np.divide(self._exchanged(f), area, out=np.zeros_like(area), where=area > 0)
+
+    @cached_property
+    def _areas_at_corners(self) -> npt.NDArray[np.float64]:
+        """What `_exchanged` weights values with."""
+        ones = fem.Function(self.trace_space)
+        ones.x.array[:] = 1.0
+        return self._exchanged(ones)
+
+    def _exchanged(self, f: fem.Function) -> npt.NDArray[np.float64]:
+        """Integral over S of the other side's values, by the rule that takes corners alone: each node sees one value."""
+        values, form = self._exchange
+        values.x.array[:] = f.x.array
+        return np.asarray(nodal_forces(self.trace_space, form).x.array)
+
+    @cached_property
+    def _exchange(self) -> tuple[fem.Function, fem.Form]:
+        """A function of the trace space, and the form that `_exchanged` assembles of it."""
+        f, v = fem.Function(self.trace_space), ufl.TestFunction(self.trace_space)
+        measure = self.sides.measure(metadata={"quadrature_rule": "vertex", "quadrature_degree": 1})
+        return f, fem.form((ufl.inner(f("+"), v("-")) + ufl.inner(f("-"), v("+"))) * measure)
+
+    @cached_property
+    def _mass(self) -> tuple[PETSc.Mat, np.ndarray]:
+        """Mass matrix of both sides of S, and the local degrees of freedom on S."""
+        V, sides = self.trace_space, self.sides
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        form = ufl.inner(sides.upper(u), sides.upper(v)) * sides.measure
+        if not self.model.joint.rigid_base:
+            form += ufl.inner(sides.lower(u), sides.lower(v)) * sides.measure
+        A = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
+        A.assemble()
+        diagonal = A.getDiagonal()
+        return A, diagonal.array > 0
+
+    def _divide_by_areas(self, r: fem.Function) -> fem.Function:
+        """Nodal forces over the areas of the nodes, as contact laws see them."""
+        _, on_s = self._mass
+        t = fem.Function(self.trace_space)
+        t.x.array[: len(on_s)][on_s] = r.x.array[: len(on_s)][on_s] / self._around[on_s]
+        t.x.scatter_forward()
+        return t
+
+    def _divide_by_mass(self, r: fem.Function, zero: npt.NDArray[np.bool_]) -> fem.Function:
+        """Solve M t = r on the nodes of S but for the components that are zero."""
+        V = self.trace_space
+        mass, on_s = self._mass
+        keep = on_s & ~zero[: len(on_s)]
+        first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
+        rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)
+        A = mass.createSubMatrix(rows, rows)
+        t = fem.Function(V)
+        ksp = PETSc.KSP().create(self.model.comm)
+        ksp.setOperators(A)
+        ksp.setType("cg")
+        ksp.getPC().setType("jacobi")
+        ksp.setTolerances(rtol=MASS_TOLERANCE, atol=0.0, max_it=1000)
+        b = A.createVecLeft()
+        x = A.createVecRight()
+        b.array[:] = r.x.array[: len(on_s)][keep]
+        size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
+        b.array[:] /= size  # the solver squares forces: very small and very large ones have no squares
+        ksp.solve(b, x)
+        t.x.array[: len(on_s)][keep] = x.array * size
+        t.x.scatter_forward()
+        for thing in (A, b, x, rows, ksp):
+            thing.destroy()
+        return t
+
+
+def _lacks_side(f: Expr, spaces: Sequence[fem.FunctionSpace]) -> bool:
+    """Whether a field of one of these spaces is in an expression without a side."""
+    left, seen = [f], set()
+    while left:
+        part = left.pop()
+        if part in seen or isinstance(part, Restricted):
+            continue
+        if isinstance(part, fem.Function) and part.function_space in spaces:
+            return True
+        seen.add(part)
+        left += part.ufl_operands
+    return False
+
+
+def _short(thing: object) -> str:
+    """A thing in a message."""
+    text = repr(thing)
+    return text if len(text) <= 80 else f"{text[:80]}..."

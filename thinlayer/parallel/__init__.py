@@ -1,0 +1,1 @@
+"""Agreement of the ranks, and data that travels between them."""

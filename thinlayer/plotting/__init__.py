@@ -1,7 +1,0 @@
-"""Pictures: rates and curves from tables, deformed structures, contact on S."""
-
-from thinlayer.plotting.contacts import contact
-from thinlayer.plotting.curves import COLOURS, ERRORS, curves, panels, rates
-from thinlayer.plotting.structures import VIEWS, deformed
-
-__all__ = ["COLOURS", "ERRORS", "VIEWS", "contact", "curves", "deformed", "panels", "rates"]

@@ -1,0 +1,196 @@
+"""One law at one point of S: its tractions for jumps, and the jumps for tractions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from mpi4py import MPI
+
+from forms.kinematics import MANDEL, ROOT2
+from forms.law import Law
+from thinlayer.errors import SolveError
+from thinlayer.pointwise.columns import Switching
+from thinlayer.pointwise.kernels import Array
+from thinlayer.pointwise.material import Material
+
+COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}
+ITERATIONS, SHORTENINGS = 60, 25  # of Newton's method, and of each of its steps
+SMALLEST = 2.0**-10  # part of a step
+FARTHEST = 2.0**25  # that tractions are looked for along a singular tangent, in elastic steps
+EXACT, ENOUGH = 1e-12, 1e-9  # of the tractions: what is asked for, what will do where it cannot be reached
+ROUNDING, STEEP = 1e-15, 1e3  # the least change of a jump; steps are next to nothing up to so many of them
+
+
+class MaterialPointState(NamedTuple):
+    """The law at the end of a step: jump, traction and its tangent in the frame of S, stress (6,), memory, energies."""
+
+    t: float
+    w: Array
+    traction: Array
+    tangent: Array
+    stress: Array
+    memory: Array
+    energies: Array
+
+
+class MaterialPoint:
+    """A compiled law at a point."""
+
+    def __init__(self, law: Law, n: Array, axes: Array, theta: float) -> None:
+        self.law, self.n, self.theta = law, n, theta
+        self.material = Material(MPI.COMM_SELF, law)
+        self.switching = Switching(law) if law.switches else None
+        self.n3 = np.append(n, np.zeros(3 - len(n)))
+        # strain of each component of the jump, (6, d): e = E w, and by virtue of power t = E^T stress
+        outer = np.einsum("ia,j->aij", axes, self.n3)
+        pairs = (outer + np.swapaxes(outer, 1, 2)) / 2
+        self.E = np.stack([pairs[:, i, j] * (1.0 if i == j else ROOT2) for i, j in MANDEL])
+        self.stiffness = 0.0  # largest entry of a tangent so far
+
+    def rest(self) -> MaterialPointState:
+        """The law before anything happened."""
+        d = len(self.n)
+        none = np.zeros(d)
+        return MaterialPointState(
+            0.0, none, none, np.zeros((d, d)), np.zeros(6), np.zeros(self.material.memory), np.zeros(3)
+        )
+
+    def _respond(self, old: MaterialPointState, w: Array, dt: float) -> MaterialPointState | None:
+        """The state after a step to the jump w; None where the law fails."""
+        e, e_old = (self.E @ w)[None], (self.E @ old.w)[None]
+        stress, C, memory, energies, failed = self.material.update(
+            range(6), e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0
+        )
+        if failed:
+            return None
+        tangent = self.E.T @ C[0] @ self.E
+        self.stiffness = max(self.stiffness, np.abs(tangent).max())
+        return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
+
+    def depends_on_time(self, old: MaterialPointState, now: MaterialPointState) -> bool:
+        """Whether a step from one state to the jump of another has other answers if it takes longer."""
+        short, long = (self._respond(old, now.w, dt) for dt in (1.0, 2.0))
+        if short is None or long is None:
+            return short is not long
+        return not (np.array_equal(short.stress, long.stress) and np.array_equal(short.memory, long.memory))
+
+    def advance(self, old: MaterialPointState, held: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
+        """The state after a step, and the number of parts it was taken in; energies are those of all parts."""
+        start = np.where(held, old.w, old.traction)
+        done, part, parts = 0.0, 1.0, 0
+        state, spent = old, np.zeros(3)
+        while done < 1:
+            aim = goal if done + part >= 1 else start + (done + part) * (goal - start)
+            found = self._settled(state, held, aim, part * dt)
+            if found is None:
+                part /= 2
+                if part < SMALLEST:
+                    raise SolveError(self._stuck(state, held, done))
+                continue
+            state, done, parts = found, done + part, parts + 1
+            spent += state.energies
+            part = min(2 * part, 1 - done)
+        spent[0] = state.energies[0]
+        return state._replace(energies=spent), parts
+
+    def _settled(self, old: MaterialPointState, held: Array, aim: Array, dt: float) -> MaterialPointState | None:
+        """The state after a part of a step, in phases that no other one beats; None if it is not found."""
+        while True:
+            found = self._solve(old, held, aim, dt)
+            if found is None or self.switching is None:
+                return found
+            memory = self.switching.switched(found.memory[None], old.memory[None])
+            if memory is None:
+                return found
+            old = old._replace(memory=memory[0])
+
+    def _stuck(self, state: MaterialPointState, held: Array, done: float) -> str:
+        reached = ", ".join(
+            f"{kind}_{c} = {value:.6g}"
+            for kind, values in (("w", state.w), ("t", state.traction))
+            for c, value in zip(COMPONENTS[len(self.n)], values, strict=True)
+        )
+        where = f"it stopped after {done:.4g} of the step, at {reached}"
+        if held.all():
+            return f"the law failed; {where}"
+        return (
+            f"no jump was found for the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
+        )
+
+    def _solve(self, old: MaterialPointState, held: Array, goal: Array, dt: float) -> MaterialPointState | None:
+        """Newton's method for the components whose traction is prescribed; None if it does not converge.
+
+        Where the tangent is singular (at a limit, or where an open layer is to close), it goes along what the tractions
+        lack, farther each time.
+        """
+        free, farther = np.logical_not(held), 1.0
+        self._respond(old, old.w, dt)  # for its stiffness
+        now = self._respond(old, np.where(held, goal, old.w), dt)
+        for _ in range(ITERATIONS):
+            if now is None or farther > FARTHEST:
+                return None
+            left = goal[free] - now.traction[free]
+            lack = np.abs(left).max(initial=0.0)
+            scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
+            if lack <= EXACT * scale:
+                return now
+            slope, found = now.tangent[np.ix_(free, free)], None
+            if np.linalg.cond(slope) < 1e13:
+                farther = 1.0
+                step = np.linalg.solve(slope, left)
+                found = self._along(old, now, free, goal, step, dt, lack * (1 - 1e-4))
+                if found is None:
+                    found = self._out_of_rounding(old, now, free, goal, step, dt)
+            if found is now:
+                return now
+            if found is None and lack <= ENOUGH * scale:
+                return now
+            if found is None:
+                found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, lack)
+                farther *= 2
+            now = found
+        return None
+
+    def _out_of_rounding(
+        self, old: MaterialPointState, now: MaterialPointState, free: Array, goal: Array, step: Array, dt: float
+    ) -> MaterialPointState | None:
+        """A closer state where the slope is next to infinite, as a dashpot's at rest: a step is nothing beside the jump.
+
+        Steps grow from the least that changes the jump. `now` if that one changes the tractions by more than they lack:
+        nothing but rounding is left. None if no step helps, or if the slope is not like that.
+        """
+        size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
+        lack = np.abs(goal[free] - now.traction[free]).max()
+        if not 0 < size <= STEEP * least:
+            return None
+        for k in range(SHORTENINGS):
+            w = now.w.copy()
+            w[free] += 4**k * least / size * step
+            found = self._respond(old, w, dt)
+            if found is None:
+                return None
+            if np.abs(goal[free] - found.traction[free]).max() <= lack * (1 - 1e-4):
+                return found
+            if np.abs(found.traction - now.traction)[free].max() > lack:
+                return now if k == 0 else None
+        return None
+
+    def _along(
+        self,
+        old: MaterialPointState,
+        now: MaterialPointState,
+        free: Array,
+        goal: Array,
+        direction: Array,
+        dt: float,
+        bound: float,
+    ) -> MaterialPointState | None:
+        """A state on the way from `now` whose tractions lack no more than the bound; None if there is none."""
+        for shortening in range(SHORTENINGS):
+            w = now.w.copy()
+            w[free] += 0.5**shortening * direction
+            found = self._respond(old, w, dt)
+            if found is not None and np.abs(goal[free] - found.traction[free]).max() <= bound:
+                return found
+        return None

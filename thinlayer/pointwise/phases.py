@@ -1,0 +1,137 @@
+"""Phases of a non-monotone layer: their shares, where they meet, and how they lie along S."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from forms.law import Law
+from forms.series import Stack
+from geometry.order import along, by_place
+from geometry.topology import IntArray
+from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.pointwise.kernels import memory_slots
+from thinlayer.pointwise.quadrature import Quadrature
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PhaseReport:
+    """Phases of the layer in a state of either model. Collective.
+
+    The phase is a number in [-1, 1]: pure phases -1, 0 and 1, in between the share of phase 1 (or -1) beside phase 0.
+
+    Attributes:
+        state: the state; the layer's law, or one of a Stack, has phases (`forms.NonMonotone`).
+
+    Raises:
+        ModelError: a layer without phases.
+    """
+
+    state: State
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.state, State):
+            raise ModelError(f"state is {self.state!r}; PhaseReport takes what solve or march returns")
+        layer = self.state.model.layer
+        if self.state.model.kind == "bonded" or layer is None or not layer.law.phases:
+            raise ModelError("PhaseReport needs a layer whose law has phases, such as NonMonotone")
+
+    @cached_property
+    def _parts(self) -> list[tuple[Quadrature, Array, Array]]:
+        """Of every place with a law that has phases: points, phases (n,), weights (n,)."""
+        parts = []
+        for quadrature, memory in zip(self.state.model.quadratures, self.state.memory, strict=False):
+            for a, k in phase_slots(quadrature.term.law):
+                parts.append((quadrature, memory[:, k], a * quadrature.weights))
+        return parts
+
+    @property
+    def plus(self) -> float:
+        """Share of the layer (of its sublayers with phases) in phase 1."""
+        return self._share(1.0)
+
+    @property
+    def minus(self) -> float:
+        """Share in phase -1."""
+        return self._share(-1.0)
+
+    def _share(self, sign: float) -> float:
+        sums = [(float(w @ np.maximum(sign * phase, 0.0)), float(w.sum())) for _, phase, w in self._parts]
+        part, whole = self.state.model.comm.allreduce(np.sum(sums, axis=0))
+        return float(part / whole)
+
+    @property
+    def boundary(self) -> float:
+        """Height above the layer's lower face where phase 0 ends if the other phases lie above it, a length.
+
+        Of a mixture; for the bar of section 6.2 the position of the phase boundary, eps S of Eq. (47). The mean over S.
+        """
+        layer = self.state.model.layer
+        assert isinstance(layer, ThinLayer)
+        return max(1 - self.plus - self.minus, 0.0) * float(layer.eps) * phase_thickness(layer.law)
+
+    def profile(self) -> tuple[Array, Array]:
+        """Centres (columns, d) of the facets of S and the mean phase (columns,) of the layer there.
+
+        In the joint before inflating, in order along S in 2D, else by their coordinates, the same on all ranks.
+        """
+        sums = []
+        for quadrature, phase, weights in self._parts:
+            columns = quadrature.columns
+            places = columns.centres
+            sums.append([columns.sum_of(weights * phase), columns.sum_of(weights)])
+        part, whole = np.sum(sums, axis=0)
+        order = self._order(places)
+        return places[order], (part / whole)[order]
+
+    def _order(self, places: Array) -> IntArray:
+        """Order of the facets of S with centres at these places: along S in 2D, else by their places."""
+        size = float(np.ptp(self.state.model.joint.points, axis=0).max())
+        return along(places, self._neighbours(places), size) if places.shape[1] == 2 else by_place(places, size)
+
+    def _neighbours(self, places: Array) -> IntArray:
+        """(n, 2) pairs of facets of S, with centres at these places, that share a vertex; in 2D."""
+        joint = self.state.model.joint
+        vertices = joint.table.vertices[joint.surface_rows]
+        _, facet = cKDTree(joint.points[vertices].mean(axis=1)).query(places)
+        ends = vertices[facet]
+        column = np.tile(np.arange(len(ends)), 2)
+        order = np.argsort(ends.T.ravel(), kind="stable")
+        vertex, column = ends.T.ravel()[order], column[order]
+        same = vertex[1:] == vertex[:-1]
+        return np.column_stack([column[:-1][same], column[1:][same]])
+
+    @property
+    def fronts(self) -> Array:
+        """Places (k, 2) on S, in 2D, between which more than half of the layer is in phase 1 or -1."""
+        x, phase = self.profile()
+        if x.shape[1] != 2:
+            raise ModelError("fronts are places on a line; in 3D look at profile()")
+        above = np.abs(phase) - 0.5
+        pairs = np.sort(self._neighbours(x), axis=1)
+        a, b = pairs[np.lexsort(pairs.T[::-1])].T
+        crossed = above[a] * above[b] < 0
+        a, b = a[crossed], b[crossed]
+        share = (above[a] / (above[a] - above[b]))[:, None]
+        return x[a] + share * (x[b] - x[a])
+
+    def __str__(self) -> str:
+        return f"phase 1: {self.plus:.4g}, phase -1: {self.minus:.4g} of the layer, boundary at {self.boundary:.6g}"
+
+
+def phase_slots(law: Law) -> list[tuple[float, int]]:
+    """Fraction of the thickness and place among the internal values of each phase of a law."""
+    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.phases]
+
+
+def phase_thickness(law: Law) -> float:
+    """Fraction of the thickness whose law has phases."""
+    return sum(a for a, one in law.sublayers if one.phases) if isinstance(law, Stack) else 1.0

@@ -1,0 +1,1 @@
+"""Command line, catalogue of studies, records of runs."""

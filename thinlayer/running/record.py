@@ -1,0 +1,363 @@
+"""Record: the folder a study leaves behind, with its tables, its pictures and what it was made from."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Self
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from geometry.parallel import on_root
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.files.folder import Lock, moved_away, moved_back
+from thinlayer.files.say import say
+from thinlayer.files.table import Table, hash_of, replaced
+from thinlayer.identity.identity import OURS
+from thinlayer.output.comparison import sweep
+from thinlayer.solving.options import PREFIX
+from thinlayer.time.history import History
+from thinlayer.time.marching import march
+from thinlayer.time.plan import Adaptive
+
+RUN = "run.json"
+MARCHES = "unfinished"  # folder for the states of marches, needed to resume
+PACKAGES = (
+    "fenics-dolfinx",
+    "fenics-basix",
+    "fenics-ufl",
+    "fenics-ffcx",
+    "petsc4py",
+    "mpi4py",
+    "numba",
+    "gmsh",
+    "meshio",
+    "pyvista",
+    "vtk",
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "rich",
+)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on; "not installed" where one lacks."""
+    import thinlayer
+
+    found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
+    found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def petsc_options() -> dict[str, Any]:
+    """The PETSc options in force, and where they may be from besides the command line."""
+    places = (Path.home() / ".petscrc", Path(".petscrc"), Path("petscrc"))
+    found = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
+    files = [str(path.absolute()) for path in places if path.is_file()]
+    return {"options": found, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", ""), "files": files}
+
+
+@cache
+def code() -> str:
+    """What stands for the source of the package and of its studies."""
+    folder, content = Path(__file__).parents[2], hashlib.sha256()
+    for package in (*OURS, "studies"):
+        for path in sorted((folder / package).rglob("*")):
+            if path.suffix in (".py", ".c"):
+                content.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
+    return content.hexdigest()[:12]
+
+
+@dataclass
+class Check:
+    """A number that a study promises to lie in a range.
+
+    Attributes:
+        name: what the number is.
+        value: the number found.
+        low, high: the range; None for an open end.
+        passed: whether it lies there.
+    """
+
+    name: str
+    value: float
+    low: float | None
+    high: float | None
+    passed: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        above = self.low is None or self.value >= self.low
+        below = self.high is None or self.value <= self.high
+        self.passed = above and below  # NaN passes neither
+
+    def __str__(self) -> str:
+        ends = [
+            f">= {self.low:.6g}" if self.low is not None else "",
+            f"<= {self.high:.6g}" if self.high is not None else "",
+        ]
+        return f"{self.name}: {self.value:.6g} ({' and '.join(e for e in ends if e)})"
+
+
+class Record:
+    """What a run of a study keeps: tables, pictures, checks; `run.json` says what they were made from.
+
+    Used in a `with` statement it owns its folder: another run is refused as long as it lasts, and the files of an earlier
+    run are in previous-1, previous-2, ... from the start; nothing is left if the study stops before it writes anything.
+    Only rank 0 writes.
+
+    Attributes:
+        study: name of the study.
+        out: the folder.
+        options: what the user chose.
+        resume: whether to continue an earlier run of the study with the same options.
+        checks: the checks so far.
+        parameters, results: what the study was made from, and numbers that it found besides its tables; for run.json.
+    """
+
+    def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
+        self.study, self.out, self.options, self.resume = study, Path(out), dict(options), resume
+        self.parameters: dict[str, Any] = {}
+        self.results: dict[str, Any] = {}
+        self.checks: list[Check] = []
+        self.solves: list[dict[str, Any]] = []
+        self._begun = self._noted = False
+        self._files: set[str] = set()
+        self._lock: Lock | None = None
+        self._moved: dict[Path, Path] = {}
+        self._start = time.perf_counter()
+        self.root = MPI.COMM_WORLD.rank == 0
+
+    def __enter__(self) -> Self:
+        """Take the folder. Collective.
+
+        Raises:
+            ModelError: no files can be written there, another run is at work, tables of unknown origin are there, or the
+                run to resume was another one.
+        """
+        on_root(MPI.COMM_WORLD, self._take)
+        return self
+
+    def _take(self) -> None:
+        self._lock = Lock(self.out)
+        self._lock.take()
+        try:
+            self._look()
+        except (OSError, ModelError):
+            self._lock.free()
+            raise
+
+    def _look(self) -> None:
+        """What is in the folder already; on one rank."""
+        if (self.out / RUN).exists():
+            if self.resume:
+                if problem := self._problem():
+                    raise ModelError(problem)
+                self._files |= {*self._earlier()} - {RUN, MARCHES}
+            else:
+                self._moved = moved_away(self.out, self._earlier())
+        elif tables := sorted(path.name for path in self.out.glob("*.csv")):
+            raise ModelError(
+                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove them"
+            )
+
+    def __exit__(self, *_: object) -> None:
+        """Give the folder back; on each rank by itself."""
+        if self._lock is None:
+            return
+        if self._moved and not self._written():
+            with suppress(OSError):
+                moved_back(self._moved)
+        self._lock.free()
+
+    def _written(self) -> bool:
+        """Whether anything of this run is in the folder."""
+        return any((self.out / name).exists() for name in (RUN, MARCHES, *self._files))
+
+    def withdraw(self) -> None:
+        """Leave nothing behind if no more than run.json has been written; not collective."""
+        if self.root and not any((self.out / name).exists() for name in (MARCHES, *self._files)):
+            with suppress(OSError):
+                (self.out / RUN).unlink(missing_ok=True)
+
+    def _earlier(self) -> list[str]:
+        """Files of the run whose run.json is in the folder."""
+        try:
+            names = [str(name) for name in json.loads((self.out / RUN).read_text(encoding="utf-8"))["files"]]
+            names = [name for name in names if Path(name).name == name]
+        except (OSError, ValueError, LookupError, TypeError):
+            names = [path.name for path in self.out.iterdir() if path.suffix in (".csv", ".png")]
+        return [*names, MARCHES, RUN]  # run.json last: who is killed amid moving them leaves it with the others
+
+    def identity(self) -> list[Any]:
+        """What tells the run from others, wherever its folder is."""
+        return [self.study, json.loads(json.dumps(self.options, default=str))]
+
+    def path(self, name: str) -> Path:
+        """Path of a file in the folder (whoever writes it makes the folder); from now on it is one of the run's files."""
+        if name not in self._files and name != RUN:
+            self._files.add(name)
+            if self._lock is not None and self.root:  # a run that is killed leaves the names of what it had begun
+                self.stop("not finished")
+        return self.out / name
+
+    def write(self, name: str, table: Table) -> None:
+        """Write a table as csv. Collective."""
+        table.write(self.path(name))
+
+    def has(self, name: str) -> bool:
+        """Whether the run has left a file. Collective."""
+        return on_root(MPI.COMM_WORLD, (self.out / name).exists)
+
+    def load(self, name: str) -> Table:
+        """A table of the folder. Collective."""
+        return Table.load(self.path(name))
+
+    def say(self, text: object) -> None:
+        """Print on rank 0."""
+        if self.root:
+            say(text)
+
+    def check_drawn(self) -> None:
+        """Raise ModelError if the tables in the folder are not those of a run of the study. Collective."""
+
+        def check() -> None:
+            run = self._earlier_run("")
+            if run["study"] != self.study:
+                raise ModelError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
+            for name, found in dict(run.get("tables", {})).items():
+                if hash_of(self.out / name) not in (None, found):
+                    raise ModelError(f"{self.out / name} is not the table that the run in {self.out} wrote")
+
+        on_root(MPI.COMM_WORLD, check)
+
+    def _earlier_run(self, what: str) -> dict[str, Any]:
+        """What run.json says, with a study and options at least; raises ModelError."""
+        path = self.out / RUN
+        try:
+            run = json.loads(path.read_text(encoding="utf-8"))
+            return run | {"study": str(run["study"]), "options": dict(run["options"])}
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise ModelError(f"{what}{path} cannot be read ({error})") from error
+
+    def _problem(self) -> str | None:
+        """What is wrong with resuming the run in the folder."""
+        run = self._earlier_run("--resume: ")
+        if run["study"] != self.study:
+            return f"--resume: the run in {self.out} is of the study {run['study']}, not {self.study}"
+        if run["options"] != self.identity()[1]:
+            return f"--resume: the run in {self.out} had the options {run['options']}, not {self.options}"
+        if run.get("code") != code():
+            return f"--resume: the run in {self.out} was made with other source code; run the study anew"
+        there = run["petsc"]["options"] if isinstance(run.get("petsc"), dict) else {}
+        here = petsc_options()["options"]
+        names = [
+            name for name in {**there, **here} if name.startswith(f"-{PREFIX}") and there.get(name) != here.get(name)
+        ]
+        if names:
+            return f"--resume: the run in {self.out} had other PETSc options: {', '.join(sorted(names))}"
+        return None
+
+    def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
+        """`thinlayer.sweep` into a table of the folder, resumed if the run is. Collective."""
+
+        def noted(e: float) -> Mapping[str, Any]:
+            row = run(e)
+            self._begin()
+            return row
+
+        self.path(f"{name}.json")
+        return sweep(noted, eps, self.path(name), resume=self.resume)
+
+    def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
+        """`thinlayer.march` with files to resume from until the run is done; notes its solves. Collective."""
+        if not (self._begun or self.resume):  # of a run that was killed
+            on_root(MPI.COMM_WORLD, lambda: shutil.rmtree(self.path(MARCHES), ignore_errors=True))
+        self._begun = True
+        try:
+            history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
+        except SolveError as error:
+            self._noted_states(error.history)
+            raise
+        self._begin()
+        self._noted_states(history)
+        return history
+
+    def _noted_states(self, history: History | None) -> None:
+        for state in history or ():
+            self.solved(state)
+
+    def _begin(self) -> None:
+        """Write down the options once there is something to resume."""
+        if not self._noted:
+            self._noted = True
+            self.close("not finished")
+
+    def solved(self, state: State) -> State:
+        """Note how a state was found; returns it."""
+        layer = state.model.layer
+        self.solves.append(
+            {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t, **asdict(state.report)}
+        )
+        return state
+
+    def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
+        """Check that a number lies in a range; a failed check makes the run exit with status 1."""
+        self.checks.append(Check(name, float(value), low, high))
+
+    @property
+    def failed(self) -> list[Check]:
+        """Checks that do not hold."""
+        return [check for check in self.checks if not check.passed]
+
+    def close(self, error: str | None = None) -> None:
+        """Write run.json. Collective; raises OSError on all ranks."""
+        on_root(MPI.COMM_WORLD, lambda: self._write(error))
+
+    def stop(self, error: str) -> None:
+        """Write run.json if that can be done; not collective."""
+        if self.root:
+            with suppress(OSError):
+                self._write(error)
+
+    def _write(self, error: str | None) -> None:
+        done = sorted(self._files) if error is None else []
+        content = {
+            "study": self.study,
+            "options": self.options,
+            "code": code(),
+            "petsc": petsc_options(),
+            "parameters": self.parameters,
+            "ranks": MPI.COMM_WORLD.size,
+            "versions": versions(),
+            "seconds": round(time.perf_counter() - self._start, 3),
+            "results": self.results,
+            "checks": [asdict(check) for check in self.checks],
+            "solves": self.solves,
+            "files": sorted(self._files),
+            "tables": {name: hash_of(self.out / name) for name in done if name.endswith(".csv")},
+            "error": error,
+        }
+        with replaced(self.out / RUN) as file:
+            file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
+        if error is None:
+            shutil.rmtree(self.out / MARCHES, ignore_errors=True)

@@ -1,0 +1,1 @@
+"""From the balance of forces to its equilibrium."""

@@ -1,0 +1,227 @@
+"""One step of a model to its equilibrium: a linear step from where it was, refined, or followed by Newton's method."""
+
+from __future__ import annotations
+
+import math
+
+from petsc4py import PETSc
+
+from thinlayer.errors import SolveError
+from thinlayer.solving.balance import LARGEST_RESIDUAL
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.linear_solvers import mark, tell_multigrid
+from thinlayer.solving.newton import newton, reason_name
+from thinlayer.solving.options import PREFIX
+
+REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov methods
+WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
+UNDETERMINED = 1e-3  # of the displacements, that rounding may change after a direct solve
+OVERSHOOT = 10.0  # residual of a first step over the forces
+FARTHEST = 1e4  # displacements of a first step over the old ones
+
+
+class Equilibrium:
+    """Finds the unknowns at the end of a step; keeps a factor as long as the matrix stays the same.
+
+    Attributes:
+        equations: of the model, which know the step.
+        curved: whether Newton's method follows the linear step.
+        x: the unknowns found last.
+        reused: whether the last step took the factor of an earlier one.
+    """
+
+    def __init__(self, equations: Equations, *, curved: bool, own_test: bool, yields: bool, advice: str) -> None:
+        self.equations, self.curved = equations, curved
+        self._own_test, self._yields, self._advice = own_test, yields, advice
+        self._ksp: PETSc.KSP | None = None
+        self._factored: tuple[float, float] | None = None
+        self.reused = False
+        self._vectors = [equations.vector() for _ in range(4)]
+        self.x = self._vectors[0]
+
+    def drop_factor(self) -> None:
+        """Forget the factor of the last matrix."""
+        if self._ksp is not None:
+            self._ksp.destroy()
+        self._ksp = self._factored = None
+        self.reused = False
+
+    def close(self) -> None:
+        """Free vectors and factor."""
+        self.drop_factor()
+        for vector in self._vectors:
+            vector.destroy()
+
+    def advance(self, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
+        """Unknowns at the end of the step, iterations, residual; with `begin`, Newton's method starts there.
+
+        Errors as in `solve`.
+        """
+        equations = self.equations
+        x, r, d, move = self._vectors
+        if begin is not None:
+            begin.copy(x)
+            equations.residual(x, r)
+            return self._newton(x, r)
+        held = equations.held
+        for vector in self._vectors:
+            vector.set(0.0)
+        self._put_old(x)
+        move.array[held] = equations.prescribed - x.array_r[held]
+        if not self.curved:
+            x.axpy(1.0, move)
+            equations.residual(x, r)
+        else:
+            equations.start(x, r)
+        if equations.laws.failed:
+            raise SolveError(f"at the start of the step {equations.laws.failure()}")
+        forces = equations.scale
+        if self.curved:
+            self._require_finite("stress", self._free_norm(r))
+        r.scale(-1.0)
+        if not self.curved:
+            r.array[held] = 0.0
+            self._prepare()
+        else:
+            self._prepare(move, r)
+        iterations = self._solve_linear(r, d)
+        if self._yields and x.norm() > 0 and not d.norm() <= FARTHEST * x.norm():  # where all yields nothing resists
+            self._elastic_step(x, r, d, move)
+        if self.curved and not math.isfinite(d.norm()):
+            raise SolveError(
+                "the tangent at the start of the step is singular",
+                advice="does something resist every motion of the bodies, and every strain at rest? "
+                "A stress without a linear part, as e^3, needs a small one",
+            )
+        if self.curved:
+            d.array[held] = move.array_r[held]
+        x.axpy(1.0, d)
+        equations.residual(x, r)
+        if self.curved:
+            self._retreat(x, r, d, move, forces)
+            return self._newton(x, r)
+        return x, iterations, self._refine(x, r, d)
+
+    def _put_old(self, x: PETSc.Vec) -> None:
+        """Unknowns at the start of the step."""
+        equations, old = self.equations, self.equations.interval.old
+        n = equations.n_displacements
+        x.array[:n] = old.u.x.array[:n]
+        if old.p is not None and equations.constraint:
+            x.array[n:] = old.p.x.array[: equations.n_pressures] / equations.constraint.unit
+
+    def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
+        """The first step with the stiffness of an elastic layer."""
+        equations, ease = self.equations, self.equations.laws.eased
+        equations.residual(x, r)
+        r.scale(-1.0)
+        equations.laws.ease(1.0)
+        try:
+            equations.residual(x, d)
+        finally:
+            equations.laws.ease(ease)
+        self._prepare(move, r)
+        self._solve_linear(r, d)
+
+    def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
+        """Shorten a first step that a law which stiffens with its rate has made far too long; supports stay moved."""
+        d.axpy(-1.0, move)
+        for _ in range(40):
+            if not forces or self._free_norm(r) <= OVERSHOOT * forces:
+                return
+            x.axpy(-0.75, d)
+            d.scale(0.25)
+            self.equations.residual(x, r)
+
+    def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
+        """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
+        equations = self.equations
+        dt = 0.0 if equations.laws.steady else equations.interval.dt
+        key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
+        self.reused = move is None and self._factored == key
+        if self.reused:
+            return
+        A = equations.tangent()
+        A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
+        if self.curved:
+            self._require_finite("tangent (the slope of the stress)", A.norm())
+        else:
+            equations.require_unique()
+        mark(A, equations.model, saddle=equations.constraint is not None)
+        self.drop_factor()
+        self._ksp = ksp = PETSc.KSP().create(equations.comm)
+        ksp.setOptionsPrefix(PREFIX)
+        ksp.setOperators(A)
+        ksp.setFromOptions()
+        tell_multigrid(ksp, A, equations.model)
+        self._factored = key
+
+    def _require_finite(self, what: str, size: float) -> None:
+        """Raise SolveError if the norm of what laws in forms give where the step starts is NaN or infinite."""
+        if not math.isfinite(size):
+            raise SolveError(
+                f"the {what} of {self.equations.curved_laws} is not finite at the start of the step",
+                advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
+                "of strains, or a ufl.conditional",
+            )
+
+    def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
+        assert self._ksp is not None
+        self._ksp.solve(b, x)
+        return int(self._ksp.getIterationNumber())
+
+    def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> float:
+        """Steps of iterative refinement after a linear solve; the relative residual, checked."""
+        equations, ksp = self.equations, self._ksp
+        assert ksp is not None
+        reason = ksp.getConvergedReason()
+        direct = ksp.getType() == "preonly"
+        residual, first = self._relative(r), True
+        while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
+            r.scale(-1.0)
+            ksp.solve(r, d)
+            size = max(x.norm(), equations.old.norm())  # loads that end at zero leave displacements that are rounding
+            if first and direct and d.norm() > UNDETERMINED * size:
+                raise SolveError(
+                    "no unique solution: rounding of the forces changes the displacements by "
+                    f"{d.norm() / max(size, 1e-300):.1e} of themselves",
+                    advice="does something resist every motion of the bodies, and every strain of the layer?",
+                )
+            first = False
+            x.axpy(1.0, d)
+            equations.residual(x, r)
+            refined = self._relative(r)
+            if refined >= residual / 2:
+                if refined > residual:
+                    x.axpy(-1.0, d)
+                break
+            residual = refined
+        if not residual < LARGEST_RESIDUAL:
+            self._put_old(d)
+            equations.start(d, r)
+            equations.residual(x, r)
+            residual = self._relative(r)
+        if not residual < LARGEST_RESIDUAL:
+            few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
+            raise SolveError(
+                f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
+                "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
+                f"says{few}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
+            )
+        return residual
+
+    def _relative(self, r: PETSc.Vec) -> float:
+        """Residual where nothing is held, over the forces."""
+        return self._free_norm(r) / max(self.equations.scale, 1e-300)
+
+    def _free_norm(self, r: PETSc.Vec) -> float:
+        r.array[self.equations.held] = 0.0
+        return float(r.norm())
+
+    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
+        steps, residual = newton(
+            self.equations, x, r, own_test=self._own_test, hopeless=self._yields, advice=self._advice
+        )
+        if not self.equations.contact:
+            self.equations.require_unique()
+        return x, steps + 1, residual

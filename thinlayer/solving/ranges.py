@@ -1,0 +1,459 @@
+"""Whether a model and its result lie in the range of its interface law; RangeWarnings where they do not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from forms.contact import ContactLaw
+from forms.law import Law
+from forms.tangent import across, average_lame, in_plane_modulus
+from forms.traction import TractionLaw
+from geometry.joint import LAYER, S
+from geometry.sheet import Rim
+from geometry.topology import FloatArray, IntArray
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
+from thinlayer.errors import warn
+from thinlayer.parallel.exchange import carry
+
+NEARLY = 0.5  # delta/eps, nu = 3/8: below it what free ends relax is no pressure along S
+LONG = (
+    1.0  # delta/eps, nu = 6/13: below it what jumps found at free ends relax is within a thickness of them, and local
+)
+SHARE = 0.1  # of a layer's stiffness: errors of this size are told
+OVERLAP = 2.0  # closing over thickness: from 1 on bodies overlap, here by another thickness
+VOLUME, HELD = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), 1e8  # trace of a strain; bulk modulus that holds it, over mu
+CORNER = 0.25  # rad between a facet and the mean of its neighbours: more is a corner of S, less a curve
+JUMPS = 1e-9  # modulus along S over mu, rounding: a law with less sees jumps alone
+SHEAR = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' over 1/(3 h), degree 2
+STRETCH = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v over h/30
+ALIKE = 1e-3  # relative change of lmbda/mu in time below which it is none
+ROUNDING = 1e-9  # of displacements: jumps that are smaller are nothing
+HALF = 0.5  # of the largest opening: as good a state to ask how the pressure evens out
+
+
+def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
+    """Warn of an interface model that lies outside the range of its law, before it is solved. Collective.
+
+    Args:
+        model: the model.
+        lasting: how long its loads last when it is looked at, times > 0; () if they are sudden.
+    """
+    law = _law_of_strains(model)
+    if law is None:
+        return
+    strata = _strata(model)
+    _warn_of_facets(model)
+    if not _of_jumps(strata):
+        _warn_of_thickness(model)
+        _warn_of_hard_layer(model, strata)
+    at_once = [] if lasting and law.rate else [strata]
+    _warn_of_free_ends(model, [*at_once, *(_strata(model, dt) for dt in lasting)])
+
+
+def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
+    """Warn of an interface model's results that lie outside the range of its law, once for all of them. Collective.
+
+    Args:
+        states: of one model.
+        start: time since which loads last; None if they are sudden at every state.
+    """
+    law = _law_of_strains(states[0].model) if states else None
+    if law is None:
+        return
+    strata = _strata(states[0].model)
+    found = [faces for faces in map(_Faces.of, states) if faces]
+    if not found:
+        return
+    if not (states[0].model.linear or _of_jumps(strata)):
+        _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
+    if law.linear and not law.phases:  # what a phase strains is not under pressure
+        _warn_of_pressure(found, start)
+
+
+def _law_of_strains(model: Model) -> Law | None:
+    """The law, its parameters real, of an interface model whose law is one of strains; else None."""
+    if model.kind != "interface" or model.layer is None or isinstance(model.layer.law, (TractionLaw, ContactLaw)):
+        return None
+    return model.layer.real_law(model.plane)
+
+
+def free_rim(model: Model) -> Rim:
+    """Where the layer's side is free: no support of its whole side holds it along S."""
+    rim, supports = model.sheet.rim, model.supports
+    held = np.zeros(rim.outward.shape)
+    for place, components in supports.entries:
+        name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
+        if name == S or name not in model.joint.facets:  # a vertex, or the side of one body
+            continue
+        axes = [supports.axes.index(axis) for axis in components]
+        held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
+    return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
+
+
+# ---------------------------------------------------------------- before a solve
+@dataclass(frozen=True)
+class Stratum:
+    """A sublayer, or the layer: its share of the thickness, moduli lmbda and mu, and the modulus of its sheet.
+
+    Moduli are those at rest, or those that loads meet that have lasted; then lmbda/mu is another one, and `when` says so.
+    """
+
+    fraction: float
+    lmbda: float
+    mu: float
+    along: float
+    when: str = ""
+
+    @property
+    def nearly(self) -> bool:
+        """Whether it is nearly incompressible."""
+        return self.length > NEARLY * self.fraction
+
+    @property
+    def length(self) -> float:
+        """Length of the pressure along S, over the thickness of the layer; infinite if the layer is incompressible."""
+        return self.fraction * math.sqrt(max(self.lmbda, 0.0) / (12 * self.mu))
+
+    @property
+    def compliance(self) -> float:
+        """Under a normal traction, sides held."""
+        return self.fraction / (self.lmbda + 2 * self.mu)
+
+    @classmethod
+    def of(cls, fraction: float, law: Law, C: FloatArray, n: FloatArray) -> Stratum | None:
+        """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
+        lmbda, mu = average_lame(C)
+        if law.constrained:
+            held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * HELD
+            return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
+        return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
+
+
+def _strata(model: Model, dt: float = 0.0) -> list[Stratum]:
+    """Those of a layer under loads that have lasted dt, 0: at rest; [] if their tangents are not known."""
+    n, at_rest = model.sheet.mean_normal, model.layer_at_rest
+    later = model.layer_over(dt) if dt > 0 else [None] * len(at_rest)
+    found: list[Stratum] = []
+    for (a, law, C), C_later in zip(at_rest, later, strict=True):
+        if C is None and C_later is None:
+            return []
+        rest, then = (None if one is None else Stratum.of(a, law, one, n) for one in (C, C_later))
+        if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=ALIKE)):
+            then = replace(then, when=f" under loads that last {dt:.4g}")
+        found += [one for one in (then or rest,) if one]
+    return found
+
+
+def _of_jumps(strata: list[Stratum]) -> bool:
+    """Whether strains along S leave the law without stress, as springs: its traction then does not know the thickness."""
+    return bool(strata) and all(stratum.along <= JUMPS * stratum.mu for stratum in strata)
+
+
+def _warn_of_facets(model: Model) -> None:
+    """Straight facets of a curved S have angles between them, into which a slip along S has to open the layer.
+
+    A slip w opens it by w . (N - n), with the facet's normal n and the mean one N of its neighbours at each vertex: normal
+    stiffness times the mean of |N - n|^2 comes to the tangential one. Larger angles are taken for corners of S.
+    """
+    sheet, joint = model.sheet, model.joint
+    if joint.degree > 1 or joint.planar:
+        return
+    used, number = np.unique(sheet.vertices, return_inverse=True)
+    number = number.reshape(sheet.vertices.shape)
+    sums = np.zeros((len(used), joint.dim))
+    np.add.at(sums, number, sheet.normals * sheet.areas[:, None, None])
+    tilt = sums[number] / np.linalg.norm(sums[number], axis=2, keepdims=True) - sheet.normals
+    tilt[np.linalg.norm(tilt, axis=2) > CORNER] = 0.0
+    k = joint.dim
+    squares = ((tilt.sum(axis=1) ** 2).sum(axis=1) + (tilt**2).sum(axis=(1, 2))) / (k * (k + 1))
+    angle = math.sqrt(float(sheet.areas @ squares / sheet.areas.sum()))
+    normal, tangential = stiffness_of_jumps(model)
+    if normal * angle**2 > SHARE * tangential:
+        what = (
+            f"is about {1 + normal * angle**2 / tangential:.3g} times too stiff against it,"
+            if tangential
+            else "resists"
+        )
+        warn(
+            f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average: a slip "
+            f"along S opens the layer there, which {what} by the mesh alone; use curved cells (degree 2), or a finer mesh",
+            model.comm,
+        )
+
+
+def stiffness_of_jumps(model: Model) -> tuple[float, float]:
+    """Normal and least tangential stiffness of the layer at rest, over an area; zeros if they are not known."""
+    n = model.sheet.mean_normal
+    assert model.layer is not None
+    compliances = np.zeros(2)
+    for fraction, _, C in model.layer_at_rest:
+        if C is None:
+            return 0.0, 0.0
+        A = across(C, n)
+        size, up = float(np.abs(A).max()), float(n @ A @ n)
+        along = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
+        if min(along, up) <= JUMPS * size:
+            return up, 0.0
+        compliances += [fraction / up, fraction / along]
+    normal, tangential = 1 / (compliances * model.layer.eps)
+    return float(normal), float(tangential)
+
+
+def _warn_of_thickness(model: Model) -> None:
+    """The law is the first terms of a series in the thickness over the length on which bodies' stresses vary."""
+    layer = model.layer
+    assert layer is not None
+    height = min(model.sheet.heights)
+    if layer.eps > height:
+        warn(
+            f"the layer is {layer.eps:.4g} thick, the thinner body {height:.4g} (its volume over the area of S): the "
+            "interface law is for thicknesses well below that of the bodies; mesh the layer (Model.full), or check eps",
+            model.comm,
+        )
+
+
+def _warn_of_hard_layer(model: Model, strata: list[Stratum]) -> None:
+    """Order 0 leaves eps grad_S <u> out of the jump, eps t/E_body beside eps t/E_layer: more than all of it then."""
+    layer, n = model.layer, model.sheet.mean_normal
+    assert layer is not None
+    bodies = model.bodies_at_rest
+    if layer.order == 1 or not strata or any(C is None for C in bodies):
+        return
+    softest = min(in_plane_modulus(C, n) for C in bodies if C is not None)
+    hardest = max(stratum.along for stratum in strata)
+    if hardest > softest > 0:
+        warn(
+            f"the layer is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S; the layer's "
+            f"are its law's times eps = {layer.eps:.4g}): its jump is less than what order 0 leaves out; use order=1, mesh "
+            "the layer (Model.full), or check whether the law's parameters are per thickness",
+            model.comm,
+        )
+
+
+def _warn_of_free_ends(model: Model, layers: Sequence[list[Stratum]]) -> None:
+    """At free ends the pressure of a nearly incompressible layer falls to zero over a length delta, which laws leave out.
+
+    Between rigid faces a strip of half-width l carries 1 - tanh(l/delta) delta/l of what the laws say. Told is the largest
+    factor of a layer whose strata are these at several times.
+    """
+    layer = model.layer
+    assert layer is not None
+    layers = [strata for strata in layers if any(stratum.nearly for stratum in strata)]
+    if not layers:
+        return
+    rim = free_rim(model)
+    if not len(rim.vertices):
+        return
+    if any(stratum.length == math.inf for strata in layers for stratum in strata):
+        warn(
+            "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as of a layer "
+            "that is held there; one that is free is squeezed out, and its jump is not zero; mesh the layer (Model.full), "
+            "or support its sides if they are held",
+            model.comm,
+        )
+        return
+    width = float(model.sheet.areas.sum() / rim.length.sum())
+    lengths = [pressure_length(strata, width / layer.eps) for strata in layers]
+    worst = max(layers[lengths.index(max(lengths))], key=lambda stratum: stratum.length)
+    delta = layer.eps * max(lengths)
+    y = delta / width
+    lost = 1 / (1 - math.tanh(1 / y) * y) - 1
+    if lost > 1 / (1 - SHARE) - 1:
+        warn(
+            f"the layer is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
+            f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; mesh the "
+            "layer (Model.full), or support its sides if they are held",
+            model.comm,
+        )
+
+
+def pressure_length(strata: list[Stratum], width: float) -> float:
+    """delta of the pressure along S, over the thickness of a layer; the width that it flows along is likewise.
+
+    Strata have one normal traction t: the layer opens by w = c t - B t'', with their compliances c and the flow along S
+    that a slope of t drives, in strata that are nearly incompressible. Their neighbours are sheared and, as
+    strains along S grow in proportion to the place, stretched; delta^2 = B/c. Of one stratum it is its `length`.
+
+    B is the least of a quadratic form of displacements along S, of degree 2 through each stratum.
+    """
+    count = 2 * len(strata) + 1
+    A, b = np.zeros((count, count)), np.zeros(count)
+    for k, one in enumerate(strata):
+        at = slice(2 * k, 2 * k + 3)
+        A[at, at] += one.mu / (3 * one.fraction) * SHEAR
+        if one.nearly:
+            b[at] += math.sqrt(one.lmbda / (one.lmbda + 2 * one.mu)) * one.fraction / 6 * np.array([1.0, 4.0, 1.0])
+        else:
+            A[at, at] += 3 / width**2 * max(one.along, 0.0) * one.fraction / 30 * STRETCH
+    inside = slice(1, -1)  # the bodies do not move
+    flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
+    return math.sqrt(flow / sum(one.compliance for one in strata))
+
+
+# ---------------------------------------------------------------- after a solve
+@dataclass(frozen=True)
+class _Faces:
+    """Displacements (n, d, d) of the lower and the upper face at the vertices of the simplices of S."""
+
+    state: State
+    lower: FloatArray
+    upper: FloatArray
+
+    @classmethod
+    def of(cls, state: State) -> _Faces | None:
+        """Those of a state on rank 0, None on others. Collective."""
+        model, joint = state.model, state.model.joint
+        cells = joint.table.cells[joint.surface_rows]
+        needed = np.unique(cells[cells >= 0])
+        place = np.full(len(joint.cells), -1)
+        place[needed] = np.arange(len(needed))
+        domain = model.domain
+        owned = domain.original_cells[: domain.mesh.topology.index_map(joint.dim).size_local]
+        local = np.flatnonzero(place[owned] >= 0)
+        dofs = np.asarray(model.V.dofmap.list)[local][:, : joint.corners.shape[1]]
+        values = state.u.x.array.reshape(-1, joint.dim)[dofs].reshape(len(local), dofs.shape[1] * joint.dim)
+        wanted = needed if model.comm.rank == 0 else needed[:0]
+        values = carry(model.comm, owned[local], values, wanted)
+        if model.comm.rank:
+            return None
+        at_corners, sheet = values.reshape(len(needed), -1, joint.dim), model.sheet
+        above = (joint.side[cells[:, 0]] > 0) | joint.rigid_base
+        upper, lower = (np.where(above == first, cells[:, 0], cells[:, 1]) for first in (True, False))
+
+        def at_vertices(cell: IntArray) -> FloatArray:
+            cell = cell[sheet.parts[0]]
+            corner = (joint.corners[cell][:, None, :] == sheet.vertices[:, :, None]).argmax(axis=2)
+            return np.asarray(at_corners[place[cell][:, None], corner])
+
+        u = at_vertices(upper)
+        return cls(state, 0 * u if joint.rigid_base else at_vertices(lower), u)
+
+    @cached_property
+    def opening(self) -> FloatArray:
+        """(n, d) [u_N]."""
+        return np.asarray(((self.upper - self.lower) * self.state.model.sheet.normals).sum(axis=2))
+
+    @property
+    def slip_squared(self) -> FloatArray:
+        """(n, d) |w_T|^2, at least the square of what is rounding next to the displacements."""
+        jump = self.upper - self.lower
+        slip = jump - self.opening[..., None] * self.state.model.sheet.normals
+        rounding = ROUNDING * max(np.abs(self.lower).max(), np.abs(self.upper).max())
+        return np.asarray((slip**2).sum(axis=2) + rounding**2)
+
+    @cached_property
+    def thickness(self) -> FloatArray:
+        """(n, d)."""
+        model, layer = self.state.model, self.state.model.layer
+        assert layer is not None
+        return np.asarray(layer.eps * model.joint.relative_thickness(layer.profile)[model.sheet.vertices])
+
+    @property
+    def closing(self) -> FloatArray:
+        """(n, d) how far the faces have approached each other, over the thickness."""
+        return -self.opening / self.thickness
+
+    @property
+    def mean_closing(self) -> float:
+        """Its mean over S; where the layer opens it counts as none."""
+        areas = self.state.model.sheet.areas
+        return float(areas @ np.maximum(self.closing, 0).mean(axis=1) / areas.sum())
+
+
+def _warn_of_overlap(faces: _Faces) -> None:
+    """A layer that closes by its thickness is gone; laws of small strains do not know it, and the bodies overlap.
+
+    Told is an overlap as large as the thickness, on average: at single places, such as ends, jumps are large in any case,
+    and where the thickness tends to zero under the same load, jumps stay, and pass it in the end. Results of linear models
+    are proportional to their loads: there a unit load is as good as any, and nothing is told.
+    """
+    closing, state = faces.closing, faces.state
+    if faces.mean_closing > OVERLAP:
+        worst = np.unravel_index(closing.argmax(), closing.shape)
+        x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[state.model.sheet.vertices[worst]])
+        warn(
+            f"at t = {state.t:.4g} the layer closes by {faces.mean_closing:.3g} times its thickness, on average over S "
+            f"(most near ({x}), by {closing[worst]:.3g} times): the bodies overlap, and the law is for small strains; "
+            "check loads, thickness and the law's parameters (per thickness?)",
+            state.model.comm,
+        )
+
+
+def _warn_of_pressure(found: Sequence[_Faces], start: float | None) -> None:
+    """How much stiffer the law is than a layer whose pressure evens out along S, with the opening that was found.
+
+    Asked is the state that opens most and, of those that open at least half as much, the last: laws that creep or relax
+    are nearer to it then.
+    """
+    openings = [float(np.abs(faces.opening).max()) for faces in found]
+    most = openings.index(max(openings))
+    last = max(k for k, opening in enumerate(openings) if opening >= HALF * max(openings))
+    worst, told = SHARE, None
+    for faces in (found[k] for k in sorted({most, last})):
+        state = faces.state
+        strata = _strata(state.model, 0.0 if start is None else state.t - start)
+        if len(strata) != 1 or not LONG < strata[0].length < math.inf:
+            continue
+        excess = pressure_excess(faces, strata[0])
+        if excess > worst:
+            worst, told = excess, strata[0]
+    if told:
+        warn(
+            f"the layer is nearly incompressible{told.when} (lmbda/mu = {told.lmbda / told.mu:.4g}): with the jumps found, "
+            f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
+            "structure is off by less where the bodies are soft; mesh the layer (Model.full) to see by how much",
+            found[0].state.model.comm,
+        )
+
+
+def pressure_excess(faces: _Faces, layer: Stratum) -> float:
+    """int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2): work that the law asks for in excess, over the work that is needed.
+
+    1 + excess says how many times the law is too stiff for the jumps found: by the pressure where they open the layer, not
+    at all where they shear it alone. With wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, that of
+    the layer
+
+        (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through the others,
+
+    continuous and of degree 1. Where cells at a free end are larger than the length of the pressure, p is left free there:
+    it could not fall within them. On straight facets of a curved S slip opens the layer at one end of a facet and closes
+    it at the other, which the law resists, too. Jumps that are rounding next to the displacements count as shear.
+    """
+    sheet, eps = faces.state.model.sheet, faces.thickness.mean(axis=1)
+    d = sheet.joint.dim
+    stretch = ((faces.lower + faces.upper) / 2 * sheet.gradients).sum(axis=(1, 2))
+    wb = faces.opening + (eps * stretch)[:, None]
+    used, number = np.unique(sheet.vertices, return_inverse=True)
+    number = number.reshape(sheet.vertices.shape)
+    mass = sheet.areas[:, None, None] / (d * (d + 1)) * (1 + np.eye(d))
+    stiff = sheet.areas[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
+    volume = _assemble(mass * (eps / layer.lmbda)[:, None, None], number)
+    flow = _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
+    moments = (mass @ wb[..., None])[..., 0]
+    b = np.bincount(number.ravel(), moments.ravel(), len(used))
+    rim = free_rim(faces.state.model)
+    fine = rim[rim.depth <= layer.length * eps[rim.simplex]]
+    inside = np.setdiff1d(np.arange(len(used)), np.searchsorted(used, fine.vertices))
+    if not b[inside].any():
+        return 0.0
+    p = scipy.sparse.linalg.spsolve((volume + flow)[inside][:, inside], b[inside])
+    work_0 = float(layer.lmbda / eps @ (wb * moments).sum(axis=1))
+    work = float(b[inside] @ p)
+    shear = layer.mu * float((sheet.areas / eps) @ faces.slip_squared.mean(axis=1))
+    return (work_0 - work) / (work + shear)
+
+
+def _assemble(blocks: FloatArray, number: IntArray) -> scipy.sparse.csc_matrix:
+    """The matrix of blocks (n, d, d) of simplices whose vertices have these numbers (n, d)."""
+    rows = np.broadcast_to(number[:, :, None], blocks.shape).ravel()
+    columns = np.broadcast_to(number[:, None, :], blocks.shape).ravel()
+    return scipy.sparse.coo_matrix((blocks.ravel(), (rows, columns))).tocsc()

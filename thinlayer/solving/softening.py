@@ -1,0 +1,100 @@
+"""Where the stress of a law that is a part of forms falls as jumps grow, though the law says nothing of softening."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms.kinematics import jump_strain
+from forms.law import Law, Step
+from forms.work import Term
+from thinlayer.discretisation.model import Model
+
+FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
+TINY = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
+
+
+def may_soften(law: Law) -> bool:
+    """Whether a law is asked if its stress falls.
+
+    Not those that say so, are linear or not symmetric, have a rate, bound stresses or switch phases: theirs fall for other
+    reasons, or never.
+    """
+    return not (law.softens or law.linear or not law.symmetric or law.rate or law.yields or law.switches)
+
+
+class Softening:
+    """The layer's laws in forms that may soften. Collective, as all methods are."""
+
+    def __init__(self, model: Model) -> None:
+        self.comm: MPI.Intracomm = model.comm
+        asked = [p for p in model.layer_terms if not p.law.pointwise and may_soften(p.law)]
+        self._u, self._old = fem.Function(model.V), fem.Function(model.V)
+        self._places = [_Place.of(p, model, self._u, self._old) for p in asked]
+
+    def found(self, u: fem.Function, old: fem.Function) -> tuple[str, float]:
+        """Name of a law whose stress falls at displacements u, or since old ones, and its share of the layer; or ""."""
+        for place in self._places:
+            self._u.x.array[:], self._old.x.array[:] = u.x.array, old.x.array
+            if share := place.share(self.comm):
+                return place.name, share
+        return "", 0.0
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A law's points.
+
+    Attributes:
+        name: class of the law.
+        falls: form whose value is the measure of where stresses fall; of all of the layer, where `everywhere` is 1.
+    """
+
+    name: str
+    falls: fem.Form
+    everywhere: fem.Constant
+
+    @classmethod
+    def of(cls, p: Term, model: Model, u: Any, old: Any) -> _Place:
+        degree = dict(p.measure.metadata()).get("quadrature_degree", model.degree_at(p))
+        everywhere = fem.Constant(model.domain.mesh, 0.0)
+        one = ufl.conditional(falling(p, u, old), 1.0, everywhere)
+        measure = p.measure.reconstruct(metadata={"quadrature_degree": degree})
+        return cls(type(p.law).__name__, fem.form(one * measure), everywhere)
+
+    def share(self, comm: MPI.Intracomm) -> float:
+        size = self._measured(comm, 0.0)
+        return size / self._measured(comm, 1.0) if size else 0.0
+
+    def _measured(self, comm: MPI.Intracomm, everywhere: float) -> float:
+        self.everywhere.value = everywhere
+        return float(comm.allreduce(fem.assemble_scalar(self.falls)))
+
+
+def falling(p: Term, u: Any, old: Any) -> Any:
+    """UFL condition: a jump v has a negative form v.A.v of the tangent on sym(v (x) n), or stresses fell since old ones.
+
+    A + FALLING |A| I is not positive definite where one of its leading minors is negative; NaNs fulfil no condition.
+    """
+    assert p.n is not None
+    e = ufl.variable(p.strain(u))
+    stress = p.law.stress(Step(e, p.n))
+    d = p.n.ufl_shape[0]
+    directions = [jump_strain(ufl.as_vector([float(i == k) for i in range(d)]), p.n) for k in range(d)]
+    slopes = [ufl.diff(ufl.inner(stress, a), e) for a in directions]
+    A = [[ufl.inner(slope, a) for a in directions] for slope in slopes]
+    size = sum(abs(A[i][j]) for i in range(d) for j in range(d))
+    over = ufl.conditional(ufl.gt(size, TINY), size, 1.0)
+    B = ufl.as_matrix([[A[i][j] / over + (FALLING if i == j else 0.0) for j in range(d)] for i in range(d)])
+    minors = [ufl.det(ufl.as_matrix([[B[i, j] for j in range(k)] for i in range(k)])) for k in range(2, d + 1)]
+    change, of_stress = p.strain(u) - p.strain(old), stress - p.law.stress(Step(p.strain(old), p.n))
+    sizes = ufl.sqrt(ufl.inner(change, change) * ufl.inner(of_stress, of_stress))
+    found = ufl.Or(ufl.lt(B[0, 0], 0.0), ufl.lt(ufl.inner(change, of_stress), -FALLING * sizes))
+    for minor in minors:
+        found = ufl.Or(found, ufl.lt(minor, 0.0))
+    return found

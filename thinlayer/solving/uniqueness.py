@@ -1,0 +1,124 @@
+"""Bodies that nothing holds: rigid motions that neither supports nor the layer resist leave a solution undetermined."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+from petsc4py import PETSc
+from scipy.sparse.csgraph import connected_components
+
+from geometry.topology import IntArray
+from thinlayer.discretisation.loads import AXES
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.rigid import rigid_motions
+from thinlayer.errors import SolveError
+
+HELD = 1e-10  # of a Gram matrix of supported displacements, over its largest eigenvalue: a motion that supports allow
+# Rounding of forces moves a body by eps (stiffness of the bodies) / (stiffness of what holds it) of the displacements:
+# at this ratio a thousandth of them is left to chance.
+RESISTED = 1e3 * np.finfo(float).eps
+
+Array = npt.NDArray[np.float64]
+
+
+def pieces(model: Model) -> tuple[IntArray, int]:
+    """Number of the connected piece that each cell of the joint is in, and how many there are.
+
+    Cells are connected by nodes that they share, unless they are on different sides of S there.
+    """
+    joint = model.domain.joint
+    nodes = joint.cells * 3 + (joint.side + 1)[:, None] if model.kind == "interface" else joint.cells * 3
+    links: list[tuple[Any, Any]] = [(nodes[:, :1].repeat(nodes.shape[1] - 1, axis=1).ravel(), nodes[:, 1:].ravel())]
+    if model.kind == "interface" and len(joint.bonded):
+        at = np.unique(joint.table.vertices[joint.bonded]) * 3
+        links += [(at, at + 1), (at, at + 2)]
+    first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
+    size = 3 * len(joint.points)
+    graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(size, size))
+    found = connected_components(graph, directed=False)[1][nodes[:, 0]]
+    names, number = np.unique(found, return_inverse=True)
+    return number, len(names)
+
+
+class RigidMotions:
+    """The rigid motions of a model's connected pieces that its supports allow. Collective, as all methods are.
+
+    Args:
+        model: the model.
+        held: displacements of this rank that supports prescribe (local, unrolled).
+        stiffness: norm of the diagonal of the stiffness matrix.
+    """
+
+    def __init__(self, model: Model, held: npt.NDArray[np.int32], stiffness: float) -> None:
+        self.model, self.held, self._stiffness = model, held, stiffness
+
+    @cached_property
+    def _free(self) -> tuple[Array, Array]:
+        """Motions that supports allow, (displacements of this rank, m), and their parts, (m, motions of pieces)."""
+        motions = self._motions()
+        at_supports = motions[self.held]
+        gram = self.model.comm.allreduce(at_supports.T @ at_supports)
+        values, vectors = np.linalg.eigh(gram)
+        allowed = vectors[:, values <= HELD * max(values[-1], 1.0)]
+        free = motions @ allowed
+        free[self.held] = 0.0
+        return free, allowed.T
+
+    def _motions(self) -> Array:
+        """Translations and rotations of each piece, of size 1 for the structure, at the displacements of this rank."""
+        model, joint = self.model, self.model.domain.joint
+        V = model.V
+        number, count = pieces(model)
+        self._names = [joint.regions[joint.region[int((number == k).argmax())]] for k in range(count)]
+        owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
+        of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
+        dofs = np.asarray(V.dofmap.list)
+        of[dofs] = number[model.domain.original_cells[: len(dofs)]][:, None]
+        of = of[:owned]
+        rigid = [f.x.array[: owned * bs].reshape(owned, bs) for f in rigid_motions(V, joint).values()]
+        motions = np.zeros((count, len(rigid), owned, bs))
+        for k in range(count):
+            here = of == k
+            for out, motion in zip(motions[k], rigid, strict=True):
+                np.copyto(out, motion, where=here[:, None])
+        return motions.reshape(count * len(rigid), owned * bs).T
+
+    def require_resisted(self, A: PETSc.Mat) -> None:
+        """Raise SolveError if a tangent, its supports taken in or not, lets a piece move that nothing else holds."""
+        free, parts = self._free
+        if not len(parts):
+            return
+        v, f = A.createVecs()
+        v.set(0.0)
+        forces = np.empty_like(free)
+        for k, motion in enumerate(free.T):
+            v.array[: len(motion)] = motion
+            A.mult(v, f)
+            forces[:, k] = f.array_r[: len(motion)]
+        v.destroy()
+        f.destroy()
+        _, sizes, rows = np.linalg.svd(self.model.comm.allreduce(free.T @ forces))
+        if sizes[-1] > RESISTED * self._stiffness or not np.isfinite(sizes[-1]):
+            return
+        raise SolveError(
+            f"no unique solution: {self._described(rows[-1] @ parts)}, and neither supports nor the layer resist it "
+            "(to what rounding tells)",
+            advice="add supports, or give the layer's law a stiffness in this direction",
+        )
+
+    def _described(self, motion: Array) -> str:
+        """The motion of the piece that moves farthest, in words."""
+        d = self.model.joint.dim
+        of_pieces = motion.reshape(len(self._names), -1)
+        k = int(np.abs(of_pieces).max(axis=1).argmax())
+        shift, turn = of_pieces[k, :d], of_pieces[k, d:]
+        if np.abs(turn).max() > np.abs(shift).max():
+            pairs = [AXES[i] + AXES[j] for i in range(d) for j in range(i + 1, d)]
+            return f"body {self._names[k]!r} can turn in the plane {pairs[int(np.abs(turn).argmax())]}"
+        shift /= shift[np.abs(shift).argmax()]  # one of both directions
+        direction = ", ".join(f"{c:.3g}" for c in np.round(shift, 6) + 0.0)
+        return f"body {self._names[k]!r} can move along ({direction})"

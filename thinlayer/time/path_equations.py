@@ -1,0 +1,142 @@
+"""The balance of forces of a model as a function of displacements and load parameter, R(u, t), and its derivatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+
+from petsc4py import PETSc
+
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.balance import aim
+from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.linear_solvers import direct_solver, mark, solve_linear
+from thinlayer.solving.newton import reason_name
+from thinlayer.solving.options import PREFIX, OptionValue, defaults, require_all_read, require_known_values
+
+SHORT = 1e-3  # of a difference quotient in t, in units of t
+
+
+class PathEquations:
+    """R(u, t), with loads, supports and laws at t, and linear solves with its derivatives. Collective, as all methods are.
+
+    Laws with memory answer from a state `last`, however t changes.
+
+    Args:
+        equations: of the model.
+        unit: a change of t that loads and supports show, > 0.
+        middle: of the times that they are known at: difference quotients look towards it.
+        options: PETSc options of the linear solver, over ours; those of SNES are not for it.
+
+    Attributes:
+        x: unknowns, to be set before `residual`, which moves the supported ones.
+        r: their residual R, zero where supports hold.
+        step: after `linearise` -K^-1 R, a Newton step at fixed t.
+        change: likewise the change of the unknowns with t in equilibrium, -K^-1 dR/dt, with the supports' own.
+    """
+
+    def __init__(
+        self, equations: Equations, unit: float, middle: float, options: Mapping[str, OptionValue] | None
+    ) -> None:
+        self.equations, self._middle, self._short = equations, middle, SHORT * unit
+        self._ours = direct_solver(equations.model)
+        self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
+        self._ksp: PETSc.KSP | None = None
+        self._vectors = [equations.vector() for _ in range(5)]
+        self.x, self.r, self.step, self.change, self._dR = self._vectors
+
+    def close(self) -> None:
+        """Free vectors and factor."""
+        for thing in (self._ksp, *self._vectors):
+            if thing is not None:
+                thing.destroy()
+
+    def put(self, state: State, x: PETSc.Vec) -> None:
+        """Displacements of a state as unknowns."""
+        n = self.equations.n_displacements
+        x.array[:n] = state.u.x.array[:n]
+
+    def residual(self, last: State, t: float) -> float | None:
+        """Residual at a time; over the forces if it is as small as equilibrium asks for, else None.
+
+        Raises:
+            SolveError: a law that fails, or loads or supports that are not finite at t.
+        """
+        self._begin(last, t)
+        equations, held = self.equations, self.equations.held
+        self.x.array[held] = equations.prescribed
+        equations.residual(self.x, self.r)
+        self._require_law()
+        self.r.array[held] = 0.0
+        size = float(self.r.norm())
+        return size / max(equations.scale, 1e-300) if size <= aim(equations, self.x) else None
+
+    def _begin(self, last: State, t: float) -> None:
+        try:
+            self.equations.begin(Interval(last, t, t - last.t, 1.0))
+        except ModelError as error:
+            raise SolveError(str(error)) from error
+
+    def _require_law(self) -> None:
+        if self.equations.laws.failed:
+            raise SolveError(self.equations.laws.failure())
+
+    def linearise(self, last: State, t: float) -> None:
+        """Step and change at the unknowns of the last residual. Derivatives by t are difference quotients.
+
+        Raises:
+            SolveError: as `residual`, or a matrix that cannot be factorised.
+        """
+        equations, held = self.equations, self.equations.held
+        prescribed, short = equations.prescribed, math.copysign(self._short, self._middle - t)
+        self._begin(last, t + short)
+        equations.residual(self.x, self._dR)
+        self._require_law()
+        self._dR.axpy(-1.0, self.r)
+        self._dR.scale(-1 / short)
+        self.change.set(0.0)
+        self.change.array[held] = (equations.prescribed - prescribed) / short
+        self._matrix = equations.tangent()
+        self._matrix.zeroRowsColumns(equations.held_rows, 1.0, self.change, self._dR)
+        mark(self._matrix, equations.model, saddle=True)
+        self._solve(self._dR, self.change)
+        self.r.scale(-1.0)
+        self._solve(self.r, self.step)
+        self.r.scale(-1.0)
+
+    def derivative(self, x: PETSc.Vec, slope: float, out: PETSc.Vec) -> None:
+        """Derivative of R along (x, slope), where it was linearised last; supported x move with t."""
+        x.copy(self._dR)
+        self._dR.axpy(-slope, self.change)  # K change + dR/dt = 0
+        self._dR.array[self.equations.held] = 0.0
+        self._matrix.mult(self._dR, out)
+
+    def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        ours = self._ours.keys() - self._given.keys()
+        with defaults({**self._ours, **self._given}):
+            ksp = self._ksp or self._solver(ours)
+            ksp.setOperators(self._matrix)
+            try:
+                solve_linear(ksp, b, x, ours)
+            except Exception:
+                ksp.destroy()
+                self._ksp = None
+                raise
+            if self._ksp is None:
+                self._ksp = ksp
+                newton = {name.removeprefix(PREFIX) for name in PETSc.Options().getAll() if "snes_" in name}
+                require_all_read("arc-length", {*ours, *newton})
+        reason = ksp.getConvergedReason()
+        if reason < 0 or not math.isfinite(x.norm()):
+            raise SolveError(f"linear solver: {reason_name(PETSc.KSP.ConvergedReason, reason)}")
+
+    def _solver(self, ours: Collection[str]) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(self.equations.comm)
+        ksp.setOptionsPrefix(PREFIX)
+        try:
+            ksp.setFromOptions()
+        except PETSc.Error as error:
+            require_known_values(error, ours)
+            raise
+        return ksp
