@@ -14,6 +14,7 @@ from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import Model, PhaseReport, SolveError, ThinLayer, march, piecewise
 from thinlayer.pointwise.columns import TIE
+from thinlayer.pointwise.places import quadratures
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 LAW = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, CHI)
@@ -46,8 +47,8 @@ def excesses(history):
     """Of every state the largest excess of a column."""
     law = history.model.layer.law
     for state in history:
-        columns = state.model.quadratures[0].columns
-        phase, drive, bound = (columns.mean(state.memory[0][:, k]) for k in (0, 2, 3))
+        columns = quadratures(state.model)["layer"].columns
+        phase, drive, bound = (columns.mean(state.memory["layer"][:, k]) for k in (0, 2, 3))
         yield law.excess(np.rint(phase), drive, bound).max()
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import basix.ufl
@@ -37,6 +37,7 @@ from geometry.joint import BASE, BONDED, Joint, S, unknown
 from geometry.motion import require_no_branches
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
+from thinlayer.discretisation.addition import Addition, check_additions
 from thinlayer.discretisation.broken import broken_space, interface_measure
 from thinlayer.discretisation.forces import BodyForce, Forces
 from thinlayer.discretisation.joint_fields import director, relative_thickness
@@ -46,7 +47,6 @@ from thinlayer.discretisation.rigid import require_support
 from thinlayer.errors import ModelError
 from thinlayer.identity.identity import described
 from thinlayer.parallel.agreement import on_all, require_same
-from thinlayer.pointwise.quadrature import Quadrature
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 PLANES = ("strain", "stress")
@@ -71,6 +71,7 @@ class Model:
         supports: prescribed displacements.
         conditions: their Dirichlet conditions in V.
         forces: tractions and body forces.
+        parts: what is added to the balance of forces beside bodies, layer and loads.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
         mark: stands for the data on several ranks, which all have the same.
         made_from: the data that it was built with, described as JSON; what changes later does not count.
@@ -90,6 +91,7 @@ class Model:
         element: str | None = None,
         bodies: str = "kept",
         sublayers: int = 4,
+        parts: Sequence[Addition] = (),
         comm: MPI.Intracomm | None = None,
     ) -> None:
         if isinstance(layer, (TractionLaw, ContactLaw)):
@@ -108,7 +110,7 @@ class Model:
             inflated = self._inflated(bodies, sublayers)
         self.mark = require_same(
             comm, joint=joint, kind=kind, layer=layer, body=body, supports=_ordered(supports), tractions=tractions,
-            body_force=body_force, plane=plane, element=self.element, bodies=bodies, sublayers=sublayers,
+            body_force=body_force, plane=plane, element=self.element, bodies=bodies, sublayers=sublayers, parts=parts,
         )  # fmt: skip
         self.domain = Domain.of(inflated, comm)
         self.comm = self.domain.comm
@@ -127,8 +129,12 @@ class Model:
         ]
         self.sides = self._sides() if kind == "interface" else None
         self.layer_terms = self._layer_terms()
+        self.parts = tuple(parts)
+        with on_all(self.comm):
+            check_additions(self.parts, self)
         if not joint.rigid_base:
-            require_support(self.comm, self.V, joint, self.supports.held(self.V))
+            resistances = [partial(part.resistance, self) for part in self.parts]
+            require_support(self.comm, self.V, joint, self.supports.held(self.V), resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -149,6 +155,7 @@ class Model:
             element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
             bodies: "kept" or "extended", see `geometry.inflate`; the interface model ignores it.
             sublayers: number of cells through the layer's thickness; the interface model ignores it.
+            parts: what is added to the balance of forces: `Springs`, `UflPart`, or an `Addition` of one's own.
             comm: MPI communicator (default: the world).
 
         Raises:
@@ -410,11 +417,6 @@ class Model:
         """All points where a law acts."""
         return self.bodies + self.layer_terms
 
-    @cached_property
-    def quadratures(self) -> list[Quadrature]:
-        """The points of compiled laws, in the order of `State.memory`. Collective."""
-        return [Quadrature(self.domain, p, self.degree_at(p)) for p in self.terms if p.law.pointwise]
-
     @property
     def contact(self) -> ContactLaw | None:
         """The contact law on S, if there is one."""
@@ -423,13 +425,15 @@ class Model:
 
     @property
     def linear(self) -> bool:
-        """Whether every law is linear."""
-        return self.contact is None and all(p.law.linear for p in self.terms)
+        """Whether every law is linear, and all that is added."""
+        of_laws = self.contact is None and all(p.law.linear for p in self.terms)
+        return of_laws and all(part.is_linear(self) for part in self.parts)
 
     @property
     def symmetric(self) -> bool:
-        """Whether every law has a symmetric tangent."""
-        return all(p.law.symmetric for p in self.terms) and (self.contact is None or self.contact.symmetric)
+        """Whether every law has a symmetric tangent, and all that is added."""
+        of_laws = all(p.law.symmetric for p in self.terms) and (self.contact is None or self.contact.symmetric)
+        return of_laws and all(part.is_symmetric(self) for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:
@@ -456,6 +460,7 @@ class Model:
             "profile": described(self.joint.relative_thickness(layer.profile)) if layer and layer.profile else None,
             "supports": [[str(place), described(given)] for place, given in self.supports.entries],
             "loads": described(self.forces.given),
+            "parts": described(list(self.parts)),
         }
 
     def _laws(self) -> dict[str, Any]:
