@@ -15,8 +15,9 @@ import numpy.typing as npt
 import ufl
 
 from forms.declarations import LawError as LawError
-from forms.declarations import is_number, require_dataclass, require_declarations, take_back
+from forms.declarations import require_dataclass, require_declarations, take_back
 from forms.kinematics import Expr
+from thinlayer_base import is_number
 
 
 class Step(NamedTuple):

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from forms.declarations import is_number, require_declarations
+from forms.declarations import require_declarations
 from forms.law import Law, LawError, require
+from thinlayer_base import is_number
 
 
 def _fraction(a: Any) -> float:
