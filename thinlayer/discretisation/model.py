@@ -318,8 +318,7 @@ class Model:
     @cached_property
     def sides_of_cells(self) -> npt.NDArray[np.int32]:
         """0 below S, 1 in the layer, 2 above: colours of a space that is broken at both faces."""
-        joint = self.domain.joint
-        return (joint.side[self.domain.original_cells] + 1).astype(np.int32)
+        return self.domain.on_cells((self.domain.joint.side + 1).astype(np.int32))
 
     @cached_property
     def _colours(self) -> npt.NDArray[np.int32]:
