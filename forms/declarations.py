@@ -8,17 +8,11 @@ import math
 import sys
 import warnings
 from collections.abc import Mapping
-from numbers import Real
 from typing import Any
 
-OURS = ("forms", "geometry", "thinlayer")  # packages
-DEFAULTS = (
-    "forms.law",
-    "forms.traction",
-    "forms.kernel",
-    "forms.contact",
-    "forms.series",
-)  # modules of the base classes
+from thinlayer_base import PACKAGES, ThinlayerError, is_number
+
+DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))  # of the base classes
 ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
 CHANGES = ("advance", "evolve")  # of its memory
 OF_ANSWERS = ("stiffness", "gradient", "plane_stress", "otherwise", "energetic")  # what is written for one stress alone
@@ -27,7 +21,7 @@ SHAPES = ((), (3,), (3, 3))  # of internal variables
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
-class LawError(ValueError):
+class LawError(ThinlayerError, ValueError):
     """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
 
 
@@ -39,7 +33,7 @@ def warn_of_range(message: str) -> None:
     """Issue a RangeWarning, at the line that called this package."""
     show_warnings()
     level, frame = 1, sys._getframe()
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OURS:
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, RangeWarning, stacklevel=level)
 
@@ -49,11 +43,6 @@ def show_warnings() -> None:
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value is a real number; True and False are none."""
-    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def require_dataclass(kind: type) -> None:

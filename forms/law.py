@@ -16,9 +16,10 @@ import numpy.typing as npt
 import ufl
 
 from forms.declarations import LawError as LawError
-from forms.declarations import is_number, require_dataclass, require_declarations, take_back
+from forms.declarations import require_dataclass, require_declarations, take_back
 from forms.kinematics import Expr
 from forms.traits import Traits
+from thinlayer_base import is_number
 
 
 class Step(NamedTuple):

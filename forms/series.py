@@ -10,9 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from forms.declarations import is_number, require_declarations
+from forms.declarations import require_declarations
 from forms.law import Law, LawError, require
 from forms.traits import Traits
+from thinlayer_base import is_number
 
 
 def _fraction(a: Any) -> float:

@@ -10,11 +10,12 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from forms.contact import ContactLaw
-from forms.declarations import is_number, require_declarations
+from forms.declarations import require_declarations
 from forms.law import Law, LawError
 from forms.series import Stack
 from forms.traction import TractionLaw
 from geometry.joint import Profile
+from thinlayer_base import is_number
 
 
 @dataclass(frozen=True)

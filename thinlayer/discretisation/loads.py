@@ -16,7 +16,6 @@ from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 
-from forms.declarations import is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
@@ -25,6 +24,7 @@ from thinlayer.discretisation.compat import interpolation_points
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Time, symbols
 from thinlayer.errors import ModelError
+from thinlayer_base import is_number
 
 AXES = "xyz"
 Place = str | tuple[float, ...]

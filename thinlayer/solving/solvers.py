@@ -12,7 +12,6 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.declarations import is_number
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
@@ -35,6 +34,7 @@ from thinlayer.solving.options import (
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
 from thinlayer.solving.softening import Softening
+from thinlayer_base import is_number
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
 

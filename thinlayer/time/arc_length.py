@@ -8,12 +8,12 @@ from numbers import Integral
 
 import numpy as np
 
-from forms.declarations import is_number
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.solving.equations import Equations
 from thinlayer.time.plan import distinct
 from thinlayer.time.scheme import takes_time
+from thinlayer_base import is_number
 
 
 @dataclass(frozen=True)
