@@ -20,7 +20,7 @@ from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
-from thinlayer.discretisation.compat import interpolation_points
+from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Time, symbols
 from thinlayer.errors import ModelError

@@ -42,6 +42,7 @@ from thinlayer.discretisation.forces import BodyForce, Forces
 from thinlayer.discretisation.joint_fields import director, relative_thickness
 from thinlayer.discretisation.layer import ThinLayer, constants, in_plane
 from thinlayer.discretisation.loads import Coordinates, Load, Place, Support, Supports
+from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import require_support
 from thinlayer.errors import ModelError
 from thinlayer.identity.identity import described
@@ -71,6 +72,7 @@ class Model:
         supports: prescribed displacements.
         conditions: their Dirichlet conditions in V.
         forces: tractions and body forces.
+        origin: numbers, places and columns in the joint, for laws that act at points.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
         mark: stands for the data on several ranks, which all have the same.
         made_from: the data that it was built with, described as JSON; what changes later does not count.
@@ -115,6 +117,7 @@ class Model:
         mesh = self.domain.mesh
         self.V = self.space(int(self.element[1]), family="S" if self.element[0] == "S" else None)
         self.coordinates = Coordinates.of(self.domain)
+        self.origin = origin_of(self.domain)
         with on_all(self.comm):
             self.supports = Supports(self.domain, supports, self.coordinates, clamped=self._clamped())
             self.forces = Forces(self.domain, tractions, body_force, self.coordinates)
@@ -417,7 +420,9 @@ class Model:
     @cached_property
     def quadratures(self) -> list[Quadrature]:
         """The points of compiled laws, in the order of `State.memory`. Collective."""
-        return [Quadrature(self.domain, p, self.degree_at(p)) for p in self.terms if p.law.traits.compiled]
+        return [
+            Quadrature(self.domain.mesh, p, self.degree_at(p), self.origin) for p in self.terms if p.law.traits.compiled
+        ]
 
     @property
     def contact(self) -> ContactLaw | None:

@@ -14,11 +14,10 @@ from petsc4py import PETSc
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import LawError
 from forms.work import Term
-from geometry.domain import Domain
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
-from thinlayer.pointwise.quadrature import Quadrature
+from thinlayer.pointwise.quadrature import Origin, Quadrature
 
 ROUNDED = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
 FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
@@ -61,12 +60,12 @@ class CompiledTerm(Quadrature):
         switching: of a law whose phases are held in a solve and switched after it; else None.
     """
 
-    def __init__(self, domain: Domain, V: fem.FunctionSpace, term: Term, degree: int) -> None:
-        super().__init__(domain, term, degree)
-        self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < domain.joint.dim]
+    def __init__(self, V: fem.FunctionSpace, term: Term, degree: int, origin: Origin | None = None) -> None:
+        super().__init__(V.mesh, term, degree, origin)
+        self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < self.dim]
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
-        self.material = Material(domain.comm, term.law)
+        self.material = Material(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
         self._at_rest = self._tangent_at_rest() if term.law.traits.singular else None
 
@@ -119,7 +118,7 @@ class CompiledTerm(Quadrature):
         law that remembers nothing, where the work of the change of stress on the change of strain is.
         """
         law, m = self.term.law, len(self.slots)
-        v = np.eye(3)[: self.domain.joint.dim]
+        v = np.eye(3)[: self.dim]
         jumps = v[None, :, :, None] * self.n[:, None, None, :]
         jumps = (jumps + jumps.swapaxes(2, 3)) / 2
         rows = [jumps[..., i, j] * (1.0 if i == j else ROOT2) for i, j in (MANDEL[k] for k in self.slots)]
@@ -153,7 +152,7 @@ class CompiledTerm(Quadrature):
             self.material.take_at(places, t)
         except LawError as error:
             problem = str(error)
-        if problem := next(filter(None, self.domain.comm.allgather(problem)), None):
+        if problem := next(filter(None, self.comm.allgather(problem)), None):
             raise LawError(problem)
 
     def _tangent_at_rest(self) -> Array:
@@ -195,7 +194,7 @@ class CompiledTerm(Quadrature):
         indices = (first + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
         values = (self._regular(tangent, lack) * self.weights[:, None, None]).ravel()
         size = (self.B.getSizes()[0], self.B.getSizes()[0])
-        D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.domain.comm)
+        D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.comm)
         A = D.ptap(self.B)
         D.destroy()
         return A

@@ -109,7 +109,7 @@ class Equations:
         self.loads = self.K.getDiagonal()
         self._stiffness = float(self.loads.norm())
         constrained = [p for p in model.terms if p.law.traits.constrained]
-        self.constraint = Constraint(model.domain, V, constrained[0]) if constrained else None
+        self.constraint = Constraint(V, constrained[0]) if constrained else None
         if self.constraint:
             self.constraint.weigh(float(self.loads.max()[1]))
         self.pressure = fem.Function(self.constraint.space) if self.constraint else None

@@ -98,7 +98,7 @@ def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
         points.at_time(t)
         for k, (a, b) in enumerate(zip(first, points.material.of_sublayers, strict=True)):
             change[k] = change[k] or not np.allclose(a, b, rtol=SAME, atol=0.0)
-    return [bool(found) for found in points.domain.comm.allreduce(np.array(change, int))]
+    return [bool(found) for found in points.comm.allreduce(np.array(change, int))]
 
 
 def _straight(points: CompiledTerm) -> bool:
@@ -106,7 +106,7 @@ def _straight(points: CompiledTerm) -> bool:
     stiffness = [points.respond(e, 0 * e, points.rest(), 0.0, 1.0).stress / size for size, e in _strains(points)]
     apart = np.abs(np.array(stiffness) - stiffness[0]).max(initial=0.0)
     good = bool(apart <= STRAIGHT * np.abs(stiffness[0]).max(initial=0.0))  # False for NaN
-    return not points.domain.comm.allreduce(int(not good))
+    return not points.comm.allreduce(int(not good))
 
 
 def takes_time(points: CompiledTerm) -> bool:
@@ -117,7 +117,7 @@ def takes_time(points: CompiledTerm) -> bool:
         for answer in slow:
             pairs = ((sudden.stress, answer.stress), (sudden.memory, answer.memory))
             differs = differs or not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-    return bool(points.domain.comm.allreduce(int(differs)))
+    return bool(points.comm.allreduce(int(differs)))
 
 
 def _strains(points: CompiledTerm) -> Iterator[tuple[float, Array]]:
