@@ -69,7 +69,7 @@ def solve(
     """
     with on_all(comm_of(model)):
         _require_model(model)
-        slow = [type(p.law).__name__ for p in model.terms if p.law.rate]
+        slow = [type(p.law).__name__ for p in model.terms if p.law.traits.rate]
         if slow:
             raise ModelError(
                 f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)"
@@ -93,7 +93,7 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if model.kind == "interface" and model.layer is not None and model.layer.law.softens:
+    if model.kind == "interface" and model.layer is not None and model.layer.law.traits.softens:
         raise ModelError(
             f"{what}: the stress of {model.layer.law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
@@ -347,7 +347,7 @@ class Solver:
     @property
     def yields(self) -> bool:
         """Whether the layer's law bounds stresses, so that loads may have a limit."""
-        return any(p.law.yields for p in self.model.layer_terms)
+        return any(p.law.traits.bounded for p in self.model.layer_terms)
 
     @property
     def _searches(self) -> tuple[str | None, ...]:
