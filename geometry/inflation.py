@@ -20,7 +20,6 @@ from geometry.joint import (
     Joint,
     Profile,
     S,
-    is_number,
     place,
     unknown,
 )
@@ -34,6 +33,7 @@ from geometry.topology import (
     lagrange,
     node_jacobians,
 )
+from thinlayer_base import is_finite
 
 WAYS = ("kept", "extended")
 NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
@@ -142,7 +142,7 @@ def check_layering(layers: int, bodies: str, name: str = "layers") -> None:
     """
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
-    if not is_number(layers) or int(layers) != layers or layers < 1:
+    if not is_finite(layers) or int(layers) != layers or layers < 1:
         raise GeometryError(f"{name} is {layers!r}; the layer needs a whole number >= 1 of cells through its thickness")
 
 
@@ -152,9 +152,9 @@ def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodie
         raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    if not is_number(eps) or eps <= 0:
+    if not is_finite(eps) or eps <= 0:
         raise GeometryError(f"the layer's thickness eps is {eps!r}; it must be > 0")
-    if len(strata) and not (all(map(is_number, strata)) and min(strata) > 0 and abs(sum(strata) - 1) <= 1e-12):
+    if len(strata) and not (all(map(is_finite, strata)) and min(strata) > 0 and abs(sum(strata) - 1) <= 1e-12):
         raise GeometryError(f"the strata's fractions {tuple(strata)} must be numbers > 0 and add up to 1")
     if len(joint.bonded):
         raise GeometryError(_why_not_whole(joint))

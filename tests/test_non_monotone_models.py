@@ -24,7 +24,7 @@ from tests.test_columns_in_time import column as tall_column
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from tests.test_parallel import mpirun
 from thinlayer import Model, ModelError, PhaseReport, Surface, ThinLayer, march, piecewise, solve
-from thinlayer.pointwise.places import quadratures
+from thinlayer.parts.places import quadratures
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")

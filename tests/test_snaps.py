@@ -13,8 +13,8 @@ from forms import Law, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import Model, PhaseReport, SolveError, ThinLayer, march, piecewise
+from thinlayer.parts.places import quadratures
 from thinlayer.pointwise.columns import TIE
-from thinlayer.pointwise.places import quadratures
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 LAW = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, CHI)

@@ -43,6 +43,7 @@ from thinlayer.discretisation.forces import BodyForce, Forces
 from thinlayer.discretisation.joint_fields import director, relative_thickness
 from thinlayer.discretisation.layer import ThinLayer, constants, in_plane
 from thinlayer.discretisation.loads import Coordinates, Load, Place, Support, Supports
+from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import require_support
 from thinlayer.errors import ModelError
 from thinlayer.identity.identity import described
@@ -72,6 +73,7 @@ class Model:
         conditions: their Dirichlet conditions in V.
         forces: tractions and body forces.
         parts: what is added to the balance of forces beside bodies, layer and loads.
+        origin: numbers, places and columns in the joint, for laws that act at points.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
         mark: stands for the data on several ranks, which all have the same.
         made_from: the data that it was built with, described as JSON; what changes later does not count.
@@ -117,6 +119,7 @@ class Model:
         mesh = self.domain.mesh
         self.V = self.space(int(self.element[1]), family="S" if self.element[0] == "S" else None)
         self.coordinates = Coordinates.of(self.domain)
+        self.origin = origin_of(self.domain)
         with on_all(self.comm):
             self.supports = Supports(self.domain, supports, self.coordinates, clamped=self._clamped())
             self.forces = Forces(self.domain, tractions, body_force, self.coordinates)
@@ -209,12 +212,12 @@ class Model:
             self._check_order_1(bodies)
         if self.kind == "full" and isinstance(layer.law, (TractionLaw, ContactLaw)):
             raise ModelError(f"{type(layer.law).__name__} is a law of jump and traction: it has no meshed layer")
-        if self.kind == "full" and layer.law.softens:
+        if self.kind == "full" and layer.law.traits.softens:
             raise ModelError(
                 f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
                 "of cells; take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
             )
-        if layer.law.constrained and element not in ("P2", "Q2"):
+        if layer.law.traits.constrained and element not in ("P2", "Q2"):
             raise ModelError(f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}")
 
     def _check_contact(self) -> None:
@@ -261,7 +264,7 @@ class Model:
         if dt not in self._layer_over:
             n = self.sheet.mean_normal
             self._layer_over[dt] = [
-                tangent_over(law, n, dt) if law.pointwise else None for _, law, _ in self.layer_at_rest
+                tangent_over(law, n, dt) if law.traits.compiled else None for _, law, _ in self.layer_at_rest
             ]
         return self._layer_over[dt]
 
@@ -281,7 +284,7 @@ class Model:
             return none, False
         laws = [law for _, law, _ in self.layer_at_rest]
         moving = any(callable(value) for _, given in self.supports.entries for value in given.values())
-        if moving and any(law.rate or law.internal for law in laws):
+        if moving and any(law.traits.rate or law.internal for law in laws):
             return none, False
         along = ~none & self.joint.planar
         for law in laws:
@@ -289,7 +292,7 @@ class Model:
             if found is None:
                 return none, False
             along &= found
-        return along, not any(law.constrained for law in laws)
+        return along, not any(law.traits.constrained for law in laws)
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:
@@ -311,7 +314,7 @@ class Model:
         """Refuse laws whose displacements stay linear through the layer where its volume is held: they would lock."""
         assert self.layer is not None
         _, law, C = self.layer_at_rest[0]
-        if law.relaxes or C is None:
+        if law.traits.relaxes or C is None:
             return
         lmbda, mu = average_lame(C)
         if lmbda > LOCKING * mu:
@@ -325,8 +328,7 @@ class Model:
     @cached_property
     def sides_of_cells(self) -> npt.NDArray[np.int32]:
         """0 below S, 1 in the layer, 2 above: colours of a space that is broken at both faces."""
-        joint = self.domain.joint
-        return (joint.side[self.domain.original_cells] + 1).astype(np.int32)
+        return self.domain.on_cells((self.domain.joint.side + 1).astype(np.int32))
 
     @cached_property
     def _colours(self) -> npt.NDArray[np.int32]:
@@ -361,9 +363,13 @@ class Model:
         for name in regions:
             if not isinstance(laws.get(name), Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
-            if laws[name].pointwise or laws[name].constrained or isinstance(laws[name], (TractionLaw, ContactLaw)):
+            if (
+                laws[name].traits.compiled
+                or laws[name].traits.constrained
+                or isinstance(laws[name], (TractionLaw, ContactLaw))
+            ):
                 raise ModelError(f"body {name!r}: {type(laws[name]).__name__} is for layers; bodies take elastic laws")
-            if laws[name].softens:
+            if laws[name].traits.softens:
                 raise ModelError(
                     f"body {name!r}: the stress of {type(laws[name]).__name__} falls as strains grow: all strain would "
                     "gather in one row of cells; let a layer soften, on S"
@@ -396,14 +402,14 @@ class Model:
             eps: Expr = fem.Constant(mesh, float(self.layer.eps))
             if self.layer.profile is not None:
                 eps = eps * self.sides.upper(relative_thickness(self.domain, self.layer.profile))
-            law = law if law.pointwise else constants(law, mesh)
+            law = law if law.traits.compiled else constants(law, mesh)
             return forms.surface(
                 law, replace(self.sides, measure=self.sides.measure.reconstruct(**self._rule)), eps, self.layer.order
             )
         laws = law.laws if isinstance(law, Stack) else (law,)
         n = director(self.domain)
         values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
-        laws = tuple(one if one.pointwise else constants(one, mesh) for one in laws)
+        laws = tuple(one if one.traits.compiled else constants(one, mesh) for one in laws)
         return [forms.band(one, self._dx(tags, **self._rule), n) for one, tags in zip(laws, values, strict=True)]
 
     def degree_at(self, points: forms.Term) -> int:
@@ -426,13 +432,15 @@ class Model:
     @property
     def linear(self) -> bool:
         """Whether every law is linear, and all that is added."""
-        of_laws = self.contact is None and all(p.law.linear for p in self.terms)
+        of_laws = self.contact is None and all(p.law.traits.linear for p in self.terms)
         return of_laws and all(part.is_linear(self) for part in self.parts)
 
     @property
     def symmetric(self) -> bool:
         """Whether every law has a symmetric tangent, and all that is added."""
-        of_laws = all(p.law.symmetric for p in self.terms) and (self.contact is None or self.contact.symmetric)
+        of_laws = all(p.law.traits.symmetric for p in self.terms) and (
+            self.contact is None or self.contact.traits.symmetric
+        )
         return of_laws and all(part.is_symmetric(self) for part in self.parts)
 
     @property

@@ -130,7 +130,7 @@ class State:
         model.coordinates.t.value = self.t
         added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts}
         remembered = sum(energy for key, energy in self.stored.items() if key not in added)
-        in_forms = [p for p in model.layer_terms if not p.law.pointwise]
+        in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
         return {
             "bodies": self._stored(model.bodies),
             "layer": remembered + self._stored(in_forms),
@@ -139,7 +139,7 @@ class State:
         }
 
     def _stored(self, points: Sequence[Term]) -> float:
-        if not all(p.law.has_energy for p in points):
+        if not all(p.law.traits.has_energy for p in points):
             return math.nan
         return self.integral(energy(points, self.u)) if points else 0.0
 

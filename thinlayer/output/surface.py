@@ -20,8 +20,8 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
+from thinlayer.compiling.compat import cell_nodes
 from thinlayer.contact.nodes import CONTACT, ContactNodes
-from thinlayer.discretisation.compat import cell_nodes
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
@@ -224,7 +224,7 @@ class Surface:
         """The vertex of the joint at each local node of the trace space."""
         mesh, cells = self.model.domain.mesh, self.trace_space.dofmap.list
         numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
-        numbers[cells] = np.asarray(mesh.geometry.input_global_indices)[cell_nodes(mesh)[:, : cells.shape[1]]]
+        numbers[cells] = self.model.domain.original_points[cell_nodes(mesh)[:, : cells.shape[1]]]
         return numbers
 
     @cached_property

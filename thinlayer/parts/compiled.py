@@ -13,10 +13,10 @@ from forms.law import LawError
 from forms.symmetry import NOT_SYMMETRIC
 from forms.work import Term
 from thinlayer.discretisation.model import Model
-from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
+from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits, may_weaken
 from thinlayer.parts.softening import may_soften
+from thinlayer.parts.time_response import not_linear_at_once, takes_time
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.pointwise.time_response import not_linear_at_once, takes_time
 
 ASYMMETRY = 1e-8  # of a tangent, over its size
 
@@ -31,15 +31,15 @@ class CompiledPart(Part):
 
     def __init__(self, key: str, model: Model, term: Term) -> None:
         self.key, self.comm, self._symmetric = key, model.comm, model.symmetric
-        self.points = CompiledTerm(model.domain, model.V, term, model.degree_at(term))
+        self.points = CompiledTerm(model.V, term, model.degree_at(term), model.origin)
         self.law = law = term.law
         self._t = 0.0
         self.traits = PartTraits(
-            uses_dt=not law.switches,
-            weakens=law.rate or law.yields or law.flat or law.softens,
-            singular=law.flat,
-            eases=law.can_ease,
-            switches=law.switches,
+            uses_dt=not law.traits.switches,
+            weakens=may_weaken(law),
+            singular=law.traits.singular,
+            eases=law.traits.eases,
+            switches=law.traits.switches,
         )
 
     def destroy(self) -> None:
@@ -151,8 +151,8 @@ class CompiledPart(Part):
     @property
     def file_order(self) -> FileOrder:
         """By cell, or facet; on facets, which may be seen from either side, points are put in the order of their places."""
-        points, region = self.points, self.points.region
-        numbers = region.original[: len(points.cells)]
-        if region.dim < region.domain.joint.dim:
+        points = self.points
+        numbers = points.original[: len(points.cells)]
+        if points.region.dim < points.dim:
             return FileOrder.by_place(numbers, points.cells, points.x)
         return FileOrder(numbers, points.cells)

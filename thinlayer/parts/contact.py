@@ -57,7 +57,7 @@ class ContactPart(Part):
         stored, dissipated = law.energies(w, self._slip)
         worked = (law.traction(w, self._slip) * (w - nodes.jump(old.u.x.petsc_vec))).sum(axis=1)
         sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked)]))
-        after, lost, work = map(float, sums if law.has_energy else np.full(3, np.nan))
+        after, lost, work = map(float, sums if law.traits.has_energy else np.full(3, np.nan))
         before = old.stored.get(self.key, 0.0)
         return Outcome(before, after, lost, work - (after - before) - lost, law.slip_after(w, self._slip))
 

@@ -19,7 +19,7 @@ from forms.symmetry import require_declared_stress, require_symmetric_tangent
 from forms.trace import named, stress_key
 from forms.work import Term, energy, work
 from thinlayer.discretisation.model import Model
-from thinlayer.parts.part import Array, Block, Outcome, Part, PartTraits
+from thinlayer.parts.part import Array, Block, Outcome, Part, PartTraits, may_weaken
 from thinlayer.parts.softening import Softening
 
 
@@ -152,7 +152,7 @@ class LawForms(FormPart):
     """
 
     def __init__(self, model: Model) -> None:
-        terms = [p for p in model.terms if not p.law.pointwise]
+        terms = [p for p in model.terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
             require_declared_stress(p.law, computed)
@@ -160,7 +160,7 @@ class LawForms(FormPart):
         proportional = [p.proportional for p in terms]
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
-        has_energy = all(p.law.has_energy for p in others)
+        has_energy = all(p.law.traits.has_energy for p in others)
         super().__init__(
             "forms",
             model.V,
@@ -169,8 +169,8 @@ class LawForms(FormPart):
             (lambda u: energy(others, u)) if has_energy else None,
         )
         self._model, self._in_layer = model, any(p.n is not None for p in terms)
-        laws = [p.law for p in model.layer_terms if not p.law.pointwise]
-        self.traits = PartTraits(weakens=any(law.yields or law.flat or law.softens for law in laws))
+        laws = [p.law for p in model.layer_terms if not p.law.traits.compiled]
+        self.traits = PartTraits(weakens=any(may_weaken(law) for law in laws))
 
     @property
     def largest(self) -> float:

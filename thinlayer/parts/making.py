@@ -10,8 +10,8 @@ from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.forms import LawForms
 from thinlayer.parts.part import Part
+from thinlayer.parts.places import compiled_terms
 from thinlayer.parts.pressure import PressurePart
-from thinlayer.pointwise.places import compiled_terms
 
 
 def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
@@ -25,7 +25,8 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
     parts: list[Part] = [forms]
     parts += [CompiledPart(key, model, term) for key, term in compiled_terms(model).items()]
     parts += [
-        PressurePart(model.domain, model.V, p, forms.largest) for p in [p for p in model.terms if p.law.constrained][:1]
+        PressurePart(model.V, p, forms.largest, model.origin)
+        for p in [p for p in model.terms if p.law.traits.constrained][:1]
     ]
     if model.contact:
         parts.append(ContactPart(model, model.contact, held))

@@ -12,6 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.law import Law
 from thinlayer.discretisation.state import State
 
 Array = npt.NDArray[np.float64]
@@ -57,6 +58,12 @@ class PartTraits:
 
     def __or__(self, other: PartTraits) -> PartTraits:
         return PartTraits(*(a or b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+
+def may_weaken(law: Law) -> bool:
+    """Whether a law may resist less than its tangent does."""
+    traits = law.traits
+    return traits.rate or traits.bounded or traits.singular or traits.softens
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.work import Term
-from geometry.domain import Domain
 from thinlayer.discretisation.state import PRESSURE, State
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Outcome, Part, PartTraits
-from thinlayer.pointwise.quadrature import Region
+from thinlayer.pointwise.quadrature import Origin, Region
 
 
 class PressurePart(Part):
@@ -21,10 +20,11 @@ class PressurePart(Part):
     In the meshed layer this is the pair of Taylor and Hood. On S a multiplier of degree 1 meets jumps of degree 2.
 
     Args:
-        domain, V: the domain, and the displacements on it.
+        V: displacements.
         term: where the incompressible law acts.
         stiffness: force over displacement that the bodies answer a node with, > 0. The rows of G are made forces with it,
             like those of the balance: residuals of both are of one unit then.
+        origin: what files know the cells of the mesh by.
 
     Attributes:
         region: the cells of the meshed layer, or S.
@@ -36,8 +36,9 @@ class PressurePart(Part):
     traits = PartTraits(saddle=True, weakens=True)
     hint = "S has too few cells for the pressures of its layer"
 
-    def __init__(self, domain: Domain, V: fem.FunctionSpace, term: Term, stiffness: float) -> None:
-        self.region = region = Region(domain, term.measure)
+    def __init__(self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None) -> None:
+        self._origin = origin
+        self.region = region = Region(V.mesh, term.measure)
         space = fem.functionspace(region.mesh, ("Lagrange", 1))
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
@@ -85,10 +86,11 @@ class PressurePart(Part):
 
     @property
     def own_file_order(self) -> FileOrder:
+        assert self._origin is not None, "a mesh without a joint"
         space, region = self._p.function_space, self.region
         cells = np.asarray(space.dofmap.list)
-        x = space.tabulate_dof_coordinates()[:, : region.domain.joint.dim]
-        return FileOrder.by_place(region.original[: len(cells)], cells, x)
+        x = space.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
+        return FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
 
     def destroy(self) -> None:
         for thing in (self.G, self._turned, self._volume, self._forces):

@@ -54,7 +54,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     if not _of_jumps(strata):
         _warn_of_thickness(model)
         _warn_of_hard_layer(model, strata)
-    at_once = [] if lasting and law.rate else [strata]
+    at_once = [] if lasting and law.traits.rate else [strata]
     _warn_of_free_ends(model, [*at_once, *(_strata(model, dt) for dt in lasting)])
 
 
@@ -74,7 +74,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     if not (states[0].model.linear or _of_jumps(strata)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if law.linear and not law.phases:  # what a phase strains is not under pressure
+    if law.traits.linear and not law.traits.phases:  # what a phase strains is not under pressure
         _warn_of_pressure(found, start)
 
 
@@ -131,7 +131,7 @@ class Stratum:
     def of(cls, fraction: float, law: Law, C: FloatArray, n: FloatArray) -> Stratum | None:
         """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
         lmbda, mu = average_lame(C)
-        if law.constrained:
+        if law.traits.constrained:
             held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * HELD
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))

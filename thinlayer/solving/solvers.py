@@ -10,7 +10,6 @@ from typing import Any
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.declarations import is_number
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
@@ -34,6 +33,7 @@ from thinlayer.solving.options import (
 )
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
+from thinlayer_base import is_number
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
 
@@ -68,7 +68,7 @@ def solve(
     """
     with on_all(comm_of(model)):
         _require_model(model)
-        slow = [type(p.law).__name__ for p in model.terms if p.law.rate]
+        slow = [type(p.law).__name__ for p in model.terms if p.law.traits.rate]
         if slow:
             raise ModelError(
                 f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)"
@@ -92,7 +92,7 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if model.kind == "interface" and model.layer is not None and model.layer.law.softens:
+    if model.kind == "interface" and model.layer is not None and model.layer.law.traits.softens:
         raise ModelError(
             f"{what}: the stress of {model.layer.law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
@@ -335,7 +335,7 @@ class Solver:
     @property
     def yields(self) -> bool:
         """Whether the layer's law bounds stresses, so that loads may have a limit."""
-        return any(p.law.yields for p in self.model.layer_terms)
+        return any(p.law.traits.bounded for p in self.model.layer_terms)
 
     @property
     def _searches(self) -> tuple[str | None, ...]:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from forms.series import parts
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
-from thinlayer.pointwise.time_response import has_memory
 from thinlayer.solving.equations import Equations
 
 ENDS = "theta = 1"
@@ -17,7 +16,7 @@ def remembers(model: Model) -> bool:
     """Whether the layer's law depends on what was before, so that a peak of the loads between two times matters."""
     if model.layer is None or model.kind == "bonded":
         return False
-    return any(law.rate or has_memory(law) for law in parts(model.layer.law))
+    return model.layer.law.traits.rate or model.layer.law.traits.remembers
 
 
 def require_ends(model: Model, theta: float) -> None:
@@ -27,21 +26,21 @@ def require_ends(model: Model, theta: float) -> None:
     if model.contact:
         raise ModelError(f"theta is {theta}; contact laws hold at the ends of steps: {ENDS}")
     for body, law in model.body_laws.items():
-        if not law.linear:
+        if not law.traits.linear:
             raise ModelError(f"theta is {theta}; {_swings(type(law).__name__)} (body {body!r})")
     for part in model.parts:
         if not part.is_linear(model):
             raise ModelError(f"theta is {theta}; {_swings(f'the part {part.key!r}')}")
     for law in (one for p in model.layer_terms for one in parts(p.law)):
         name = type(law).__name__
-        if law.switches:
+        if law.traits.switches:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ENDS}")
-        if law.yields:
+        if law.traits.bounded:
             raise ModelError(
                 f"theta is {theta}; {name} bounds stresses, and a stress that keeps its bound within a step may have "
                 f"left it at the end, beyond what the layer bears: {ENDS}"
             )
-        if not (law.linear or law.rate or law.pointwise):
+        if not (law.traits.linear or law.traits.rate or law.traits.compiled):
             raise ModelError(f"theta is {theta}; {_swings(name)}")
 
 

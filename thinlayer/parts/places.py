@@ -14,7 +14,7 @@ _FOUND: WeakKeyDictionary[Model, dict[str, Quadrature]] = WeakKeyDictionary()
 
 def compiled_terms(model: Model) -> dict[str, Term]:
     """The terms whose laws are compiled, by key."""
-    terms = [p for p in model.terms if p.law.pointwise]
+    terms = [p for p in model.terms if p.law.traits.compiled]
     return {LAYER if len(terms) == 1 else f"{LAYER} {k + 1}": p for k, p in enumerate(terms)}
 
 
@@ -22,6 +22,7 @@ def quadratures(model: Model) -> dict[str, Quadrature]:
     """The points of compiled laws, by key; made once for a model. Collective."""
     if model not in _FOUND:
         _FOUND[model] = {
-            key: Quadrature(model.domain, p, model.degree_at(p)) for key, p in compiled_terms(model).items()
+            key: Quadrature(model.domain.mesh, p, model.degree_at(p), model.origin)
+            for key, p in compiled_terms(model).items()
         }
     return _FOUND[model]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -19,11 +18,6 @@ STRAIGHT = 1e-6  # relative difference of stiffness between strains of several s
 SAME = 1e-12  # relative difference of parameters at several times that still counts as rounding
 
 
-def has_memory(law: Any) -> bool:
-    """Whether a law has internal values; `KernelLaw` and contact laws declare them in `memory`."""
-    return bool(law.internal or getattr(law, "memory", False))
-
-
 def not_linear_at_once(points: CompiledTerm, times: Sequence[float]) -> tuple[str, bool] | None:
     """Name of a law that answers at once and not linearly, and whether because its parameters change; None: no such law.
 
@@ -36,9 +30,9 @@ def not_linear_at_once(points: CompiledTerm, times: Sequence[float]) -> tuple[st
     """
     laws = parts(points.term.law)
     for law, changes in zip(laws, _change(points, times), strict=True):
-        if law.rate or (law.linear and not changes):
+        if law.traits.rate or (law.traits.linear and not changes):
             continue
-        declared = law.linear and has_memory(law)
+        declared = law.traits.linear and law.traits.remembers
         if not (declared if len(laws) > 1 else takes_time(points) or (not changes and _straight(points))):
             return type(law).__name__, changes
     return None
@@ -52,7 +46,7 @@ def takes_time(points: CompiledTerm) -> bool:
         for answer in slow:
             pairs = ((sudden.stress, answer.stress), (sudden.memory, answer.memory))
             differs = differs or not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-    return bool(points.domain.comm.allreduce(int(differs)))
+    return bool(points.comm.allreduce(int(differs)))
 
 
 def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
@@ -67,7 +61,7 @@ def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
         points.at_time(t)
         for k, (a, b) in enumerate(zip(first, points.material.of_sublayers, strict=True)):
             change[k] = change[k] or not np.allclose(a, b, rtol=SAME, atol=0.0)
-    return [bool(found) for found in points.domain.comm.allreduce(np.array(change, int))]
+    return [bool(found) for found in points.comm.allreduce(np.array(change, int))]
 
 
 def _straight(points: CompiledTerm) -> bool:
@@ -75,7 +69,7 @@ def _straight(points: CompiledTerm) -> bool:
     stiffness = [points.respond(e, 0 * e, points.rest(), 0.0, 1.0).stress / size for size, e in _strains(points)]
     apart = np.abs(np.array(stiffness) - stiffness[0]).max(initial=0.0)
     good = bool(apart <= STRAIGHT * np.abs(stiffness[0]).max(initial=0.0))  # False for NaN
-    return not points.domain.comm.allreduce(int(not good))
+    return not points.comm.allreduce(int(not good))
 
 
 def _strains(points: CompiledTerm) -> Iterator[tuple[float, Array]]:

@@ -16,8 +16,8 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.parts.places import quadratures
 from thinlayer.pointwise.kernels import memory_slots
-from thinlayer.pointwise.places import quadratures
 from thinlayer.pointwise.quadrature import Quadrature
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class PhaseReport:
         if not isinstance(self.state, State):
             raise ModelError(f"state is {self.state!r}; PhaseReport takes what solve or march returns")
         layer = self.state.model.layer
-        if self.state.model.kind == "bonded" or layer is None or not layer.law.phases:
+        if self.state.model.kind == "bonded" or layer is None or not layer.law.traits.phases:
             raise ModelError("PhaseReport needs a layer whose law has phases, such as NonMonotone")
 
     @cached_property
@@ -131,9 +131,9 @@ class PhaseReport:
 
 def phase_slots(law: Law) -> list[tuple[float, int]]:
     """Fraction of the thickness and place among the internal values of each phase of a law."""
-    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.phases]
+    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.traits.phases]
 
 
 def phase_thickness(law: Law) -> float:
     """Fraction of the thickness whose law has phases."""
-    return sum(a for a, one in law.sublayers if one.phases) if isinstance(law, Stack) else 1.0
+    return sum(a for a, one in law.sublayers if one.traits.phases) if isinstance(law, Stack) else 1.0
