@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from thinlayer.discretisation.loads import piecewise
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.state import State
+    from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare, observed_orders, sweep
@@ -43,6 +44,7 @@ __all__ = [
     "RangeWarning",
     "SolveError",
     "State",
+    "Structure",
     "Surface",
     "Table",
     "ThinLayer",
@@ -77,6 +79,7 @@ _HOME = {
     "SolveError": "errors",
     "solve": "solving.solvers",
     "State": "discretisation.state",
+    "Structure": "discretisation.structure",
     "Surface": "output.surface",
     "Table": "files.table",
 }

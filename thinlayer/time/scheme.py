@@ -24,9 +24,7 @@ ENDS = "theta = 1"
 
 def remembers(model: Model) -> bool:
     """Whether the layer's law depends on what was before, so that a peak of the loads between two times matters."""
-    if model.layer is None or model.kind == "bonded":
-        return False
-    return any(law.rate or _has_memory(law) for law in parts(model.layer.law))
+    return model.layer_law is not None and any(law.rate or _has_memory(law) for law in parts(model.layer_law))
 
 
 def _has_memory(law: Any) -> bool:
