@@ -9,12 +9,13 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.declarations import is_number, warn_of_range
+from forms.declarations import warn_of_range
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
 from forms.law import Law, LawError, Step, require
 from forms.viscous import isotropic_energy
+from thinlayer_base import is_number
 
 RADIANS = 1.6  # degrees: smaller friction angles look like radians, which end at pi/2
 LEAST_FRACTION = 1e-6  # that continuation takes before none at all
@@ -47,7 +48,7 @@ class Plastic(Law):
     symmetric: ClassVar = False
     internal: ClassVar = {"plastic": (3, 3)}
     quadratic: ClassVar = True
-    yields: ClassVar = True
+    bounded: ClassVar = True
     stiffness = isotropic_stiffness
 
     def check(self) -> None:

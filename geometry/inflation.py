@@ -20,7 +20,6 @@ from geometry.joint import (
     Joint,
     Profile,
     S,
-    is_number,
     place,
     unknown,
 )
@@ -34,6 +33,7 @@ from geometry.topology import (
     lagrange,
     node_jacobians,
 )
+from thinlayer_base import is_finite
 
 WAYS = ("kept", "extended")
 NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
@@ -141,7 +141,7 @@ def check_layering(cells_through: int, bodies: str) -> None:
     """
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
-    if not is_number(cells_through) or int(cells_through) != cells_through or cells_through < 1:
+    if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
         raise GeometryError(
             f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells through its thickness"
         )
@@ -153,10 +153,10 @@ def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[flo
         raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    if not is_number(eps) or eps <= 0:
+    if not is_finite(eps) or eps <= 0:
         raise GeometryError(f"the layer's thickness eps is {eps!r}; it must be > 0")
     if len(fractions) and not (
-        all(map(is_number, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
+        all(map(is_finite, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
     ):
         raise GeometryError(f"the sublayers' fractions {tuple(fractions)} must be numbers > 0 and add up to 1")
     if len(joint.bonded):

@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.joint import GeometryError, Joint, S, is_number, place, unknown
+from geometry.joint import GeometryError, Joint, S, place, unknown
 from geometry.meshfile import Cells, load
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
+from thinlayer_base import is_finite
 
 Groups = dict[str, npt.NDArray[np.bool_]]  # name -> which cells of one dimension, block after block of the file
 Names = tuple[str, ...]
@@ -64,10 +65,10 @@ def read(
             "all facets between the regions lower and upper"
         )
     above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
-    if direction is not None and not (np.ndim(direction) == 1 and all(map(is_number, direction))):
+    if direction is not None and not (np.ndim(direction) == 1 and all(map(is_finite, direction))):
         raise GeometryError(f"direction is {direction!r}; it needs 2 components, in 3D 3, not all zero")
     way = None if direction is None else tuple(float(c) for c in direction)
-    if not is_number(scale) or scale <= 0:
+    if not is_finite(scale) or scale <= 0:
         raise GeometryError(f"scale is {scale!r}; it must be a number > 0")
     return on_root(comm, partial(_read, Path(path), S, above, below, way, scale))
 

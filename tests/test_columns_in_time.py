@@ -185,7 +185,7 @@ def held_traction(law: Law, t: np.ndarray, n: np.ndarray, times: list[float]) ->
     contract = np.array([[n[0], 0], [0, n[1]], [n[1] / root, n[0] / root]])  # w -> strain, and its transpose
     w, e, q = np.zeros(2), np.zeros((1, 3)), np.zeros((1, material.memory))
     jumps, stresses = [w], [np.zeros((2, 2))]
-    for dt in np.diff(times) if law.rate else [0.0, *np.diff(times)]:
+    for dt in np.diff(times) if law.traits.rate else [0.0, *np.diff(times)]:
         old = e
         for _ in range(50):
             e = (contract @ w)[None]
@@ -195,7 +195,7 @@ def held_traction(law: Law, t: np.ndarray, n: np.ndarray, times: list[float]) ->
         q = new
         jumps.append(w)
         stresses.append(np.array([[s[0, 0], s[0, 2] / root], [s[0, 2] / root, s[0, 1]]]))
-    return (jumps, stresses) if law.rate else (jumps[1:], stresses[1:])
+    return (jumps, stresses) if law.traits.rate else (jumps[1:], stresses[1:])
 
 
 @pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5"])
@@ -373,7 +373,7 @@ def test_first_state(name):
     first = next(iter(history))
     assert first.t == 0.0
     assert len(history) == 2
-    if law.rate:
+    if law.traits.rate:
         assert not first.u.x.array.any()
         assert history.table["supplied"][0] == 0.0
         return
@@ -409,13 +409,13 @@ def test_energy_balance(name, mode, theta):
     check_balance(history)
     assert (history.table["dissipated"][1:] > 0).all()
     jumps = [jump_of(history, mode, state) for state in history]
-    first = 1 if law.rate else 0
+    first = 1 if law.traits.rate else 0
     for k in range(1, len(history)):
         # the first interval of a march from rest is made of two backward Euler steps unless theta = 1
-        share = 1.0 if law.rate and k <= 2 and theta < 1 else theta
+        share = 1.0 if law.traits.rate and k <= 2 and theta < 1 else theta
         row = {key: history.table[key][k] for key in ("dissipated", "remainder", "dt", "t", "supplied")}
         before = row["t"] - row["dt"]
-        at_rest = law.rate and k == first  # the traction was still zero
+        at_rest = law.traits.rate and k == first  # the traction was still zero
         t, t_old = load(row["t"]), 0.0 if at_rest else load(before)
         mid = share * load(row["t"]) + (1 - share) * load(before)
         change, rate = jumps[k] - jumps[k - 1], (jumps[k] - jumps[k - 1]) / row["dt"]
@@ -426,7 +426,7 @@ def test_energy_balance(name, mode, theta):
             assert row["remainder"] == pytest.approx(expected, rel=1e-8, abs=1e-12 * row["supplied"])
         assert row["dissipated"] == pytest.approx(dissipated(name, mode, row["dt"], rate, mid), rel=1e-8)
     if theta < 1:
-        assert len(history) == len(TIMES) + 1 + law.rate
+        assert len(history) == len(TIMES) + 1 + law.traits.rate
     if theta > 0.5:
         assert (history.table["remainder"][first:] > 0).all()
 

@@ -327,7 +327,7 @@ def schur(model: Model, degree: int) -> np.ndarray:
     """G K^-1 G^T with displacements of a degree: the square of a pressure's norm sup_v (int q tr e(v))^2/a(v, v)."""
     V = model.V if degree == 2 else model.space(degree)
     fine = lambda p: replace(p, measure=p.measure.reconstruct(metadata={"quadrature_degree": 2 * degree + 1}))
-    constraint = Constraint(model.domain, V, fine(model.layer_terms[0]))
+    constraint = Constraint(V, fine(model.layer_terms[0]))
     stiffness = work([fine(p) for p in model.terms], ufl.TrialFunction(V), ufl.TestFunction(V))
     K = dolfinx.fem.petsc.assemble_matrix(fem.form(stiffness))
     K.assemble()

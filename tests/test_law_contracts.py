@@ -306,8 +306,8 @@ def test_a_stiffness_is_of_the_stress_beside_it():
         column(Cubic(L, M, -8.0))
     with pytest.warns(RangeWarning, match="times as hard as the softer body"):
         solve(column(Cubic(L, M, 1e7)))
-    assert LinearElastic(L, M).relaxes
-    assert not Cubic(L, M, 1.5).relaxes
+    assert LinearElastic(L, M).traits.relaxes
+    assert not Cubic(L, M, 1.5).traits.relaxes
 
 
 def test_what_was_written_for_the_stress_of_a_law_stays():
@@ -363,8 +363,8 @@ def test_energies_that_nobody_checks_are_of_the_stress_beside_them():
         jumps = np.diff(np.vstack([np.zeros(2), history.jumps]), axis=0)
         remainder = (2 * theta - 1) / 2 * (M * jumps[:, 0] ** 2 + (L + 2 * M) * jumps[:, 1] ** 2)
         assert history.energies[:, 2] == pytest.approx(remainder, rel=1e-9, abs=1e-12)
-    assert not Fragile(L, M, 1.0).has_energy  # its kernel fills none
-    assert Mises(L, M, 1.0).has_energy
+    assert not Fragile(L, M, 1.0).traits.has_energy  # its kernel fills none
+    assert Mises(L, M, 1.0).traits.has_energy
 
 
 def test_a_law_otherwise_is_of_the_stress_beside_it():

@@ -125,7 +125,7 @@ def test_energy_balance(law, theta):
     history = march(interface(law, {"TOP": lambda x, t: (0.0, ufl.cos(3 * t))}, moved), [0.05, 0.1, 0.3], theta=theta)
     table = history.table
     assert np.abs(table["imbalance"]).max() < 1e-10
-    later = slice(3, None) if theta == 0.5 and law.rate else slice(1, None)
+    later = slice(3, None) if theta == 0.5 and law.traits.rate else slice(1, None)
     assert (table["dissipated"][1:] > 0).all()
     remainder = table["remainder"][later] / np.abs(table["supplied"]).max()
     assert (np.abs(remainder) < 1e-13).all() if theta == 0.5 else (remainder > 0).all()

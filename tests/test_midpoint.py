@@ -135,7 +135,7 @@ def test_elastic_layers_have_no_error(law, kind):
     one = model(law, kind)
     midpoint, euler = (march(one, [0.2, 0.5, 0.9, 1.0], theta=theta).last for theta in (0.5, 1.0))
     assert midpoint.u.x.array == pytest.approx(euler.u.x.array, rel=1e-8, abs=1e-12)
-    if law.constrained:
+    if law.traits.constrained:
         assert midpoint.p.x.array == pytest.approx(euler.p.x.array, rel=1e-7, abs=1e-9)
 
 

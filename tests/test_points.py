@@ -178,12 +178,12 @@ def test_tangent_is_the_derivative_of_the_stress(name, theta):
         moved = start.respond(law, theta, start.e + h * direction)
         left.append(np.abs(moved.stress - now.stress - h * np.einsum("kij,kj->ki", now.tangent, direction)).max())
     size = np.abs(now.stress).max()
-    if law.linear:
+    if law.traits.linear:
         assert max(left) < EXACT * size
     else:
         assert left[1] > 100 * ROUNDING * size  # it is the law's curvature that is seen
         assert np.log10(left[0] / left[1]) > 1.95
-    if law.symmetric:
+    if law.traits.symmetric:
         assert now.tangent == pytest.approx(np.swapaxes(now.tangent, 1, 2), abs=EXACT * np.abs(now.tangent).max())
 
 
@@ -448,7 +448,7 @@ def follow(law, direction, load, *, end, steps, theta, compliance=None):
     n, a = E2[None], np.asarray(direction, float)
     q, x = np.zeros((1, material(law).memory)), 0.0
     lengths = [(end / steps, theta)] * steps
-    if not law.rate:
+    if not law.traits.rate:
         lengths = [(0.0, 1.0), *lengths]
     elif theta < 1:
         lengths = [(end / steps / 2, 1.0)] * 2 + lengths[1:]

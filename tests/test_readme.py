@@ -108,7 +108,7 @@ def test_laws_of_the_documentation_work():
         model = Structure(joint, body=body, supports=supports, tractions=pull).interface(ThinLayer(law, 0.05))
         surface = Surface(model)
         slip = {"slip": lambda state, s=surface: s.integral(s.jump(state)[0])}
-        times = ArcLength(end=0.4, first=0.2) if law.softens else [0.2, 0.4]
+        times = ArcLength(end=0.4, first=0.2) if law.traits.softens else [0.2, 0.4]
         slips[name] = march(model, times, observe=slip).table["slip"]
     w = slips["Hardening"][-1]
     assert 20.0 * w + 5.0 * w**3 / 4 == pytest.approx(0.4, rel=1e-8)

@@ -191,7 +191,7 @@ def test_a_condition_is_not_forgotten_without_memory():
         def stress(self, step):
             return self.k * step.mid
 
-    assert Static(5.0).pointwise
+    assert Static(5.0).traits.compiled
     with pytest.raises(LawError, match=r"Static\.otherwise has the parameters"):
         drive(Static(5.0), STEP)
 

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from geometry.joint import S
 from geometry.topology import corner_count
-from thinlayer.discretisation.compat import interior_facet_entities
+from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import ask

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from thinlayer.compiling.compiled import library
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
+from thinlayer_base import ThinlayerError
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -28,7 +29,7 @@ OPTIONS: dict[str, OptionValue] = {
 }
 
 
-class FactorError(RuntimeError):
+class FactorError(ThinlayerError, RuntimeError):
     """A matrix that is not positive definite, or that MUMPS could not factorise for another reason."""
 
 

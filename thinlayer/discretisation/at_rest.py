@@ -44,7 +44,9 @@ class AtRest:
     def over(self, dt: float) -> list[Array | None]:
         """Tangents of the same under loads that have lasted dt > 0; None: not known, or as at rest."""
         if dt not in self._over:
-            self._over[dt] = [tangent_over(law, self.n, dt) if law.pointwise else None for _, law, _ in self.strata]
+            self._over[dt] = [
+                tangent_over(law, self.n, dt) if law.traits.compiled else None for _, law, _ in self.strata
+            ]
         return self._over[dt]
 
     @cached_property
@@ -60,7 +62,7 @@ class AtRest:
     def require_no_locking(self) -> None:
         """Raise ModelError for laws of order 1 that would lock: their displacements stay linear through the layer."""
         _, law, C = self.strata[0]
-        if law.relaxes or C is None:
+        if law.traits.relaxes or C is None:
             return
         lmbda, mu = average_lame(C)
         if lmbda > LOCKING * mu:
@@ -84,7 +86,7 @@ class AtRest:
             (d,), and whether there is none where supports hold all components.
         """
         none, laws = np.zeros(len(self.n), bool), [law for _, law, _ in self.strata]
-        if moving and any(law.rate or law.internal for law in laws):
+        if moving and any(law.traits.rate or law.internal for law in laws):
             return none, False
         along = np.full(len(self.n), planar)
         for law in laws:
@@ -92,4 +94,4 @@ class AtRest:
             if found is None:
                 return none, False
             along &= found
-        return along, not any(law.constrained for law in laws)
+        return along, not any(law.traits.constrained for law in laws)

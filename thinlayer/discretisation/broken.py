@@ -16,7 +16,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from thinlayer.discretisation.compat import index_map, interior_facet_entities, space_with_dofmap
+from thinlayer.compiling.compat import index_map, interior_facet_entities, space_with_dofmap
 from thinlayer.parallel.exchange import ask
 
 Colours = npt.NDArray[np.int32]

@@ -52,7 +52,7 @@ class FullModel(Model):
         self.thin_layer, self.layer_law = layer, layer.law
         if layer.order == 1 and self._bodies != "kept":
             raise ModelError("order=1 needs bodies='kept': on extended bodies its energy has no lower bound")
-        if layer.law.softens:
+        if layer.law.traits.softens:
             raise ModelError(
                 f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
                 "of cells; take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
@@ -77,7 +77,7 @@ class FullModel(Model):
         laws = law.laws if isinstance(law, Stack) else (law,)
         n = director(self.domain)
         values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
-        laws = tuple(one if one.pointwise else constants(one, mesh) for one in laws)
+        laws = tuple(one if one.traits.compiled else constants(one, mesh) for one in laws)
         return [forms.band(one, self.dx(tags, **self._rule), n) for one, tags in zip(laws, values, strict=True)]
 
 
@@ -134,7 +134,7 @@ class InterfaceModel(Model):
         eps: Expr = fem.Constant(mesh, float(layer.eps) if layer else 1.0)
         if layer and layer.profile is not None:
             eps = eps * self.sides.upper(relative_thickness(self.domain, layer.profile))
-        law = law if law.pointwise else constants(law, mesh)
+        law = law if law.traits.compiled else constants(law, mesh)
         sides = replace(self.sides, measure=self.sides.measure.reconstruct(**self._rule))
         return forms.surface(law, sides, eps, layer.order if layer else 0)
 
@@ -188,7 +188,7 @@ def _require_suited(layer: ThinLayer, structure: Setup) -> None:
             raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
         if len(joint.bonded):
             raise ModelError("order=1 needs an S that does not end inside the bodies: its law has gradients at the tip")
-    if layer.law.constrained and element not in ("P2", "Q2"):
+    if layer.law.traits.constrained and element not in ("P2", "Q2"):
         raise ModelError(f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}")
 
 

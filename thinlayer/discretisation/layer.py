@@ -13,11 +13,12 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from forms.contact import ContactLaw
-from forms.declarations import is_number, require_declarations
+from forms.declarations import require_declarations
 from forms.law import Law, LawError
 from forms.series import Stack
 from forms.traction import TractionLaw
 from geometry.joint import Profile
+from thinlayer_base import is_number
 
 LawOnS = TractionLaw | ContactLaw  # of jumps, or of nodes: there is no thickness in it
 
@@ -62,11 +63,11 @@ class ThinLayer:
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and isinstance(self.law, Stack):
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
-        if self.order == 1 and self.law.constrained:
+        if self.order == 1 and self.law.traits.constrained:
             raise LawError(f"order=1 of {type(self.law).__name__}: there is no next-order law of it; use order=0")
-        if self.order == 1 and self.law.switches:
+        if self.order == 1 and self.law.traits.switches:
             raise LawError(f"order=1 of {type(self.law).__name__}: its phases are those of jumps alone; use order=0")
-        if self.order == 1 and self.law.plateau:
+        if self.order == 1 and self.law.traits.plateau:
             raise LawError(
                 f"order=1 of {self.law!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
                 "layer, and the next term depends on where the sheets lie; use order=0"

@@ -16,15 +16,15 @@ from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 
-from forms.declarations import is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
-from thinlayer.discretisation.compat import interpolation_points
+from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Time, symbols
 from thinlayer.errors import ModelError
+from thinlayer_base import is_number
 
 AXES = "xyz"
 Place = str | tuple[float, ...]

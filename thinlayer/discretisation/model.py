@@ -24,6 +24,7 @@ from thinlayer.discretisation.broken import Colours, broken_space
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.layer import ThinLayer, constants, in_plane
 from thinlayer.discretisation.loads import Coordinates, Supports
+from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import require_support
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
@@ -50,6 +51,7 @@ class Model(ABC):
         supports: prescribed displacements.
         conditions: their Dirichlet conditions in V.
         forces: tractions and body forces.
+        origin: numbers, places and columns in the joint, for laws that act at points.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
         mark: stands for the data on several ranks, which all have the same.
         made_from: the data that it was built with, described as JSON; what changes later does not count.
@@ -71,6 +73,7 @@ class Model(ABC):
         self.comm = self.domain.comm
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         self.coordinates = Coordinates.of(self.domain)
+        self.origin = origin_of(self.domain)
         with on_all(self.comm):
             clamped = self._clamped if self.joint.rigid_base else ()
             self.supports = Supports(self.domain, structure.supports, self.coordinates, clamped)
@@ -149,17 +152,20 @@ class Model(ABC):
     @cached_property
     def quadratures(self) -> list[Quadrature]:
         """The points of compiled laws, in the order of `State.memory`. Collective."""
-        return [Quadrature(self.domain, p, self.degree_at(p)) for p in self.terms if p.law.pointwise]
+        return [
+            Quadrature(self.domain.mesh, p, self.degree_at(p), self.origin) for p in self.terms if p.law.traits.compiled
+        ]
 
     @property
     def linear(self) -> bool:
         """Whether every law is linear."""
-        return self.contact is None and all(p.law.linear for p in self.terms)
+        return self.contact is None and all(p.law.traits.linear for p in self.terms)
 
     @property
     def symmetric(self) -> bool:
         """Whether every law has a symmetric tangent."""
-        return all(p.law.symmetric for p in self.terms) and (self.contact is None or self.contact.symmetric)
+        laws = [p.law for p in self.terms] + ([self.contact] if self.contact else [])
+        return all(law.traits.symmetric for law in laws)
 
     @property
     def break_times(self) -> set[float]:

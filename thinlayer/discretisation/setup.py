@@ -107,9 +107,9 @@ class Setup:
             law = laws.get(name)
             if not isinstance(law, Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
-            if law.pointwise or law.constrained or isinstance(law, (TractionLaw, ContactLaw)):
+            if law.traits.compiled or law.traits.constrained or isinstance(law, (TractionLaw, ContactLaw)):
                 raise ModelError(f"body {name!r}: {type(law).__name__} is for layers; bodies take elastic laws")
-            if law.softens:
+            if law.traits.softens:
                 raise ModelError(
                     f"body {name!r}: the stress of {type(law).__name__} falls as strains grow: all strain would "
                     "gather in one row of cells; let a layer soften, on S"

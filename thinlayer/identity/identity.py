@@ -35,8 +35,8 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from thinlayer.errors import ModelError
 from thinlayer.identity.sources import content
+from thinlayer_base import PACKAGES
 
-OURS = ("forms", "geometry", "thinlayer")
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # objects of theirs differ from one process to the next
 IMPORT = dis.opmap["IMPORT_NAME"]
 FROM_DICT = ("LOAD_FROM_DICT_OR_GLOBALS", "LOAD_FROM_DICT_OR_DEREF")  # in the body of a class
@@ -609,7 +609,7 @@ def _attributes(value: Any) -> dict[str, Any]:
 
 
 def _ours(module: str | None) -> bool:
-    return (module or "").partition(".")[0] in OURS
+    return (module or "").partition(".")[0] in PACKAGES
 
 
 def _readable(value: Any, home: str) -> bool:
@@ -626,7 +626,7 @@ def _readable(value: Any, home: str) -> bool:
 def _own(module: types.ModuleType) -> bool:
     """Whether a module is the user's own: from no library's folder, or from no file at all."""
     top = module.__name__.partition(".")[0]
-    if top in OURS:
+    if top in PACKAGES:
         return False
     place = getattr(module, "__file__", None) or next(iter(getattr(module, "__path__", ())), None)
     if place is not None:

@@ -16,7 +16,6 @@ import ufl
 from mpi4py import MPI
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 
-from forms.declarations import is_number
 from forms.kinematics import Expr
 from forms.law import LawError
 from geometry.parallel import on_root
@@ -30,6 +29,7 @@ from thinlayer.identity.identity import CODE, MISSING, SAME, differences, referr
 from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
+from thinlayer_base import is_number
 
 Where = Callable[[Expr], Expr]
 ERRORS = ("eps", "error_traction", "error_jump")

@@ -20,8 +20,8 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
+from thinlayer.compiling.compat import cell_nodes
 from thinlayer.contact.nodes import ContactNodes
-from thinlayer.discretisation.compat import cell_nodes
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model

@@ -8,7 +8,6 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.work import Term
-from geometry.domain import Domain
 from thinlayer.pointwise.quadrature import Region
 
 
@@ -25,8 +24,8 @@ class Constraint:
         volume: a vector of its rows.
     """
 
-    def __init__(self, domain: Domain, V: fem.FunctionSpace, term: Term) -> None:
-        self.region = region = Region(domain, term.measure)
+    def __init__(self, V: fem.FunctionSpace, term: Term) -> None:
+        self.region = region = Region(V.mesh, term.measure)
         self.space = fem.functionspace(region.mesh, ("Lagrange", 1))
         q, v = region.side(ufl.TestFunction(self.space)), ufl.TrialFunction(V)
         form = q * ufl.tr(term.strain(v)) * term.weight * term.measure

@@ -41,7 +41,7 @@ class PhaseReport:
     def __post_init__(self) -> None:
         if not isinstance(self.state, State):
             raise ModelError(f"state is {self.state!r}; PhaseReport takes what solve or march returns")
-        if not self._layer.law.phases:
+        if not self._layer.law.traits.phases:
             raise ModelError(NO_PHASES)
 
     @cached_property
@@ -134,9 +134,9 @@ class PhaseReport:
 
 def phase_slots(law: Law) -> list[tuple[float, int]]:
     """Fraction of the thickness and place among the internal values of each phase of a law."""
-    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.phases]
+    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.traits.phases]
 
 
 def phase_thickness(law: Law) -> float:
     """Fraction of the thickness whose law has phases."""
-    return sum(a for a, one in law.sublayers if one.phases) if isinstance(law, Stack) else 1.0
+    return sum(a for a, one in law.sublayers if one.traits.phases) if isinstance(law, Stack) else 1.0

@@ -26,16 +26,16 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import Lock, moved_away, moved_back
 from thinlayer.files.say import say
 from thinlayer.files.table import Table, hash_of, replaced
-from thinlayer.identity.identity import OURS
 from thinlayer.output.comparison import sweep
 from thinlayer.solving.options import PREFIX
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
+from thinlayer_base import PACKAGES
 
 RUN = "run.json"
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
-PACKAGES = (
+INSTALLED = (
     "fenics-dolfinx",
     "fenics-basix",
     "fenics-ufl",
@@ -61,7 +61,7 @@ def versions() -> dict[str, str]:
 
     found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
     found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
-    for name in PACKAGES:
+    for name in INSTALLED:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
@@ -81,7 +81,7 @@ def petsc_options() -> dict[str, Any]:
 def code() -> str:
     """What stands for the source of the package and of its studies."""
     folder, content = Path(__file__).parents[2], hashlib.sha256()
-    for package in (*OURS, "studies"):
+    for package in (*PACKAGES, "studies"):
         for path in sorted((folder / package).rglob("*")):
             if path.suffix in (".py", ".c"):
                 content.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())

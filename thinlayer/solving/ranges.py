@@ -55,7 +55,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     if not _of_jumps(strata):
         _warn_of_thickness(limit, layer)
         _warn_of_hard_layer(limit, layer, strata)
-    at_once = [] if lasting and layer.law.rate else [strata]
+    at_once = [] if lasting and layer.law.traits.rate else [strata]
     _warn_of_free_ends(limit, layer, [*at_once, *(_strata(limit, dt) for dt in lasting)])
 
 
@@ -76,7 +76,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     if not (model.linear or _of_jumps(strata)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if layer.law.linear and not layer.law.phases:  # what a phase strains is not under pressure
+    if layer.law.traits.linear and not layer.law.traits.phases:  # what a phase strains is not under pressure
         _warn_of_pressure(model, found, start)
 
 
@@ -133,7 +133,7 @@ class Stratum:
     def of(cls, fraction: float, law: Law, C: FloatArray, n: FloatArray) -> Stratum | None:
         """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
         lmbda, mu = average_lame(C)
-        if law.constrained:
+        if law.traits.constrained:
             held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * HELD
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))

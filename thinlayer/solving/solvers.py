@@ -12,7 +12,6 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.declarations import is_number
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.model import Model
@@ -36,6 +35,7 @@ from thinlayer.solving.options import (
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
 from thinlayer.solving.softening import Softening
+from thinlayer_base import is_number
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
 
@@ -70,7 +70,7 @@ def solve(
     """
     with on_all(comm_of(model)):
         _require_model(model)
-        slow = [type(p.law).__name__ for p in model.terms if p.law.rate]
+        slow = [type(p.law).__name__ for p in model.terms if p.law.traits.rate]
         if slow:
             raise ModelError(
                 f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)"
@@ -94,7 +94,7 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if isinstance(model, InterfaceModel) and model.layer_law and model.layer_law.softens:
+    if isinstance(model, InterfaceModel) and model.layer_law and model.layer_law.traits.softens:
         raise ModelError(
             f"{what}: the stress of {model.layer_law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
@@ -348,7 +348,7 @@ class Solver:
     @property
     def yields(self) -> bool:
         """Whether the layer's law bounds stresses, so that loads may have a limit."""
-        return any(p.law.yields for p in self.model.layer_terms)
+        return any(p.law.traits.bounded for p in self.model.layer_terms)
 
     @property
     def _searches(self) -> tuple[str | None, ...]:

@@ -20,7 +20,7 @@ from thinlayer.files.table import Table, replaced
 from thinlayer.identity.identity import digest
 from thinlayer.parallel.exchange import carry
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.pointwise.quadrature import Region
+from thinlayer.pointwise.quadrature import Origin, Region
 from thinlayer.solving.equations import Equations
 from thinlayer.time.history import History
 
@@ -125,7 +125,7 @@ class Checkpoint:
     def _write_state(self, row: int, state: State) -> None:
         arrays = {"u": self._gather(self._cells[self._owned], cell_values(state.u, self._owned))}
         if state.p is not None and self._pressures is not None:
-            places = _Places.of_dofs(state.p.function_space, self._pressures.region)
+            places = _Places.of_dofs(state.p.function_space, self._pressures.region, self.model.origin)
             arrays["p"] = self._gather(places.numbers, places.ordered(state.p.x.array[:, None]))
         for k, (places, values) in enumerate(zip(self._points, state.memory, strict=True)):
             arrays[f"memory{k}"] = self._gather(places.numbers, places.ordered(values))
@@ -204,7 +204,7 @@ class Checkpoint:
         u.x.scatter_forward()
         if self._pressures is not None and self.comm.bcast("p" in arrays):
             p = fem.Function(self._pressures.space)
-            places = _Places.of_dofs(p.function_space, self._pressures.region)
+            places = _Places.of_dofs(p.function_space, self._pressures.region, self.model.origin)
             places.put(p.x.array[:, None], self._wanted(row, arrays.get("p"), places.numbers, places.order.shape[1]))
             p.x.scatter_forward()
         memory = []
@@ -285,16 +285,15 @@ class _Places:
     @classmethod
     def of_points(cls, points: CompiledTerm) -> _Places:
         """Places of quadrature points; in a cell their order is the cell's own."""
-        region = points.region
-        on_facets = region.dim < region.domain.joint.dim
-        return cls(region.original[: len(points.cells)], points.cells, points.x if on_facets else None)
+        on_facets = points.region.dim < points.dim
+        return cls(points.original[: len(points.cells)], points.cells, points.x if on_facets else None)
 
     @classmethod
-    def of_dofs(cls, space: fem.FunctionSpace, region: Region) -> _Places:
+    def of_dofs(cls, space: fem.FunctionSpace, region: Region, origin: Origin) -> _Places:
         """Places of the degrees of freedom of a scalar space on a region, ghosts included."""
         cells = np.asarray(space.dofmap.list)
-        x = space.tabulate_dof_coordinates()[:, : region.domain.joint.dim]
-        return cls(region.original[: len(cells)], cells, x)
+        x = space.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
+        return cls(origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
 
     def ordered(self, values: Array) -> Array:
         """Values (places, v) as rows (cells, k v)."""
