@@ -27,7 +27,7 @@ SETUP = {"body": BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.4, -
 
 
 def structure(**change):
-    return structure(**change)
+    return Structure(JOINT, **SETUP | change)
 
 
 def measure(build, layer=LAYER, meshing=None, **change):
