@@ -269,7 +269,7 @@ def test_failed_solves_say_why():
 def test_models_that_cannot_be_built(build, change, error, message):
     layer = change.get("layer", LAYER)
     with pytest.raises(error, match=message):
-        build(structure(**{name: value for name, value in change.items() if name != "layer"}), layer)
+        solve(build(structure(**{name: value for name, value in change.items() if name != "layer"}), layer))
 
 
 def test_meshed_layers_that_cannot_be_built():
