@@ -112,8 +112,7 @@ class Model(ABC):
     @cached_property
     def sides_of_cells(self) -> npt.NDArray[np.int32]:
         """0 below S, 1 in the layer, 2 above: colours of a space that is broken at both faces."""
-        joint = self.domain.joint
-        return (joint.side[self.domain.original_cells] + 1).astype(np.int32)
+        return self.domain.on_cells((self.domain.joint.side + 1).astype(np.int32))
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """A vector space on the model's mesh with the jumps of its displacements. Collective.

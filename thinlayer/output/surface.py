@@ -226,7 +226,7 @@ class Surface:
         """The vertex of the joint at each local node of the trace space."""
         mesh, cells = self.model.domain.mesh, self.trace_space.dofmap.list
         numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
-        numbers[cells] = np.asarray(mesh.geometry.input_global_indices)[cell_nodes(mesh)[:, : cells.shape[1]]]
+        numbers[cells] = self.model.domain.original_points[cell_nodes(mesh)[:, : cells.shape[1]]]
         return numbers
 
     @cached_property

@@ -78,7 +78,7 @@ class RigidMotions:
         owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
-        of[dofs] = number[model.domain.original_cells[: len(dofs)]][:, None]
+        of[dofs] = model.domain.on_cells(number)[: len(dofs), None]
         of = of[:owned]
         rigid = [f.x.array[: owned * bs].reshape(owned, bs) for f in rigid_motions(V, joint).values()]
         motions = np.zeros((count, len(rigid), owned, bs))
