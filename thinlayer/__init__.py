@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.surface import Surface
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
@@ -45,6 +46,7 @@ _NAMES = {
     "output.surface": ["Surface"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.phases": ["PhaseReport"],
+    "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],
     "time.arc_length": ["ArcLength"],
