@@ -57,8 +57,8 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         tables[case] = sweep.run(
             eps, (0.9, 1.3), pictured=pictured, title="Mohr-Coulomb layer, sheared and sheared back"
         )
-    right, wrong = (partial(ThinLayer, law) for law in (LAYERS[""], COULOMB))
-    sweep = Sweep(record, joint, setup, right, times=times, case="coulomb", instead=wrong)
+    right = partial(ThinLayer, LAYERS[""])
+    sweep = Sweep(record, joint, setup, right, times=times, case="coulomb", instead=COULOMB)
     pictured = None if quick else max
     coulomb = sweep.run(eps, None, pictured=pictured, title="Mohr-Coulomb layer, Coulomb's law on S")
     for name in ("traction", "jump"):

@@ -65,7 +65,7 @@ def test_the_general_return_has_the_same_limit_and_eases():
     law = MohrCoulombReturn(**FULL.parameters())
     error, other = limit(sheared("S", law)), limit(sheared("S", FULL))
     assert (error.t, error.failed_at) == (other.t, other.failed_at)
-    assert law.can_ease
+    assert law.traits.eases
     assert [law.eased(ease).h for ease in (0, 0.5, 1)] == [FULL.eased(ease).h for ease in (0, 0.5, 1)] != [FULL.h] * 3
 
 
@@ -203,7 +203,7 @@ class Tearing(TractionLaw):
     """Springs that are not defined beyond an opening, of a law that says it bounds stresses."""
 
     k: float
-    yields: ClassVar = True
+    bounded: ClassVar = True
 
     def traction(self, step):
         return ufl.conditional(ufl.lt(step.mid[1], 0.013), 1.0, ufl.sqrt(-1 - step.mid[1] ** 2)) * self.k * step.mid

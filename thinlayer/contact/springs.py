@@ -50,7 +50,7 @@ class ContactSprings:
         stored, dissipated = law.energies(w, slip)
         worked = (law.traction(w, slip) * (w - self.nodes.jump(old))).sum(axis=1)
         sums = self.nodes.comm.allreduce(np.array([self.nodes.weights @ e for e in (stored, dissipated, worked)]))
-        return (sums if law.has_energy else np.full(3, np.nan)), law.slip_after(w, slip)
+        return (sums if law.traits.has_energy else np.full(3, np.nan)), law.slip_after(w, slip)
 
     def destroy(self) -> None:
         """Free the matrices."""

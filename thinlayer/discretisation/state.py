@@ -120,8 +120,8 @@ class State:
         """
         model = self.model
         model.coordinates.t.value = self.t
-        at_points = model.contact is not None or any(p.law.pointwise for p in model.layer_terms)
-        in_forms = [p for p in model.layer_terms if not p.law.pointwise]
+        at_points = model.contact is not None or any(p.law.traits.compiled for p in model.layer_terms)
+        in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
         return {
             "bodies": self._stored(model.bodies),
             "layer": (self.audit.layer if at_points else 0.0) + self._stored(in_forms),
@@ -129,7 +129,7 @@ class State:
         }
 
     def _stored(self, points: Sequence[Term]) -> float:
-        if not all(p.law.has_energy for p in points):
+        if not all(p.law.traits.has_energy for p in points):
             return math.nan
         return self.integral(energy(points, self.u)) if points else 0.0
 

@@ -30,7 +30,7 @@ class PointLaws:
 
     def __init__(self, model: Model) -> None:
         self.comm, self._symmetric = model.comm, model.symmetric
-        places = [p for p in model.terms if p.law.pointwise]
+        places = [p for p in model.terms if p.law.traits.compiled]
         self.points = [CompiledTerm(model.V, p, model.degree_at(p), model.origin) for p in places]
         self.failed, self.eased, self._t = 0, 0.0, 0.0
         self._responses: list[Response] = []
@@ -44,12 +44,12 @@ class PointLaws:
     @property
     def can_ease(self) -> bool:
         """Whether laws can be replaced by easier ones."""
-        return any(p.term.law.can_ease for p in self.points)
+        return any(p.term.law.traits.eases for p in self.points)
 
     @property
     def flat(self) -> bool:
         """Whether tangents of laws with an energy may vanish along some strains."""
-        return any(p.term.law.flat for p in self.points)
+        return any(p.term.law.traits.singular for p in self.points)
 
     @property
     def switches(self) -> bool:
@@ -59,7 +59,7 @@ class PointLaws:
     @property
     def steady(self) -> bool:
         """Whether the tangents of linear laws are the same for steps of all lengths."""
-        return all(p.term.law.switches for p in self.points)
+        return all(p.term.law.traits.switches for p in self.points)
 
     def rest(self) -> list[Array]:
         """Internal values before anything happened."""

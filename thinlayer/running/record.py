@@ -320,7 +320,7 @@ class Record:
 
     def solved(self, state: State) -> State:
         """Note how a state was found; returns it."""
-        layer, report = state.model.layer, state.report
+        layer, report = state.model.thin_layer, state.report
         noted = {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t}
         self.solves.append(noted | asdict(report))
         LOG.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])

@@ -76,7 +76,7 @@ class Equations:
         self.model, self.comm = model, model.comm
         V = model.V
         self.u, self.mid = fem.Function(V), fem.Function(V)
-        forms = [p for p in model.terms if not p.law.pointwise]
+        forms = [p for p in model.terms if not p.law.traits.compiled]
         for p in forms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
             require_declared_stress(p.law, computed)
@@ -108,7 +108,7 @@ class Equations:
         self._forces, self._product = self.K.createVecLeft(), self.K.createVecLeft()
         self.loads = self.K.getDiagonal()
         self._stiffness = float(self.loads.norm())
-        constrained = [p for p in model.terms if p.law.constrained]
+        constrained = [p for p in model.terms if p.law.traits.constrained]
         self.constraint = Constraint(V, constrained[0]) if constrained else None
         if self.constraint:
             self.constraint.weigh(float(self.loads.max()[1]))
@@ -160,7 +160,10 @@ class Equations:
         Not asked where a law depends on the rate, bounds stresses or has a tangent that may vanish.
         """
         laws = [p.law for p in self.model.layer_terms]
-        if any(law.rate or law.yields or law.flat or law.softens for law in laws) or self.constraint:
+        if (
+            any(law.traits.rate or law.traits.bounded or law.traits.singular or law.traits.softens for law in laws)
+            or self.constraint
+        ):
             return
         if self.contact:
             springs = self.contact.stiffness(self.u.x.petsc_vec, self._slip)
@@ -432,7 +435,7 @@ class Equations:
         return found
 
     def _curved_energy(self, u: PETSc.Vec) -> float:
-        if not all(p.law.has_energy for p in self._curved):
+        if not all(p.law.traits.has_energy for p in self._curved):
             return float("nan")
         u.copy(self.mid.x.petsc_vec)
         self.mid.x.scatter_forward()

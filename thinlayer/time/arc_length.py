@@ -88,15 +88,15 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
         raise ModelError(f"{type(model.contact).__name__} is a contact law: march in time instead of ArcLength")
     for law in (p.law for p in model.terms):
         name = type(law).__name__
-        if law.rate:
+        if law.traits.rate:
             raise ModelError(f"{name} depends on the strain rate, and t is no time on a path: march in time")
-        if law.constrained:
+        if law.traits.constrained:
             raise ModelError(f"{name} is incompressible: paths have displacements alone; march in time")
-        if law.yields:
+        if law.traits.bounded:
             raise ModelError(
                 f"{name} bounds stresses: loads come to their limit, and stay there; march in time, which tells it"
             )
-        if law.switches:
+        if law.traits.switches:
             raise ModelError(
                 f"{name} has pure phases, whose equilibria are no curve: march in time, which finds its snaps"
             )

@@ -24,15 +24,8 @@ ENDS = "theta = 1"
 
 def remembers(model: Model) -> bool:
     """Whether the layer's law depends on what was before, so that a peak of the loads between two times matters."""
-    if model.layer is None or model.kind == "bonded":
-        return False
-    return any(law.rate or _has_memory(law) for law in parts(model.layer.law))
-
-
-def _has_memory(law: Any) -> bool:
-    return bool(
-        law.internal or getattr(law, "memory", False)
-    )  # that of a `KernelLaw` and of a contact law is their own
+    law = model.layer_law
+    return law is not None and (law.traits.rate or law.traits.remembers)
 
 
 def require_ends(model: Model, theta: float) -> None:
@@ -42,18 +35,18 @@ def require_ends(model: Model, theta: float) -> None:
     if model.contact:
         raise ModelError(f"theta is {theta}; contact laws hold at the ends of steps: {ENDS}")
     for body, law in model.body_laws.items():
-        if not law.linear:
+        if not law.traits.linear:
             raise ModelError(f"theta is {theta}; {_swings(law)} (body {body!r})")
     for law in (one for p in model.layer_terms for one in parts(p.law)):
         name = type(law).__name__
-        if law.switches:
+        if law.traits.switches:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ENDS}")
-        if law.yields:
+        if law.traits.bounded:
             raise ModelError(
                 f"theta is {theta}; {name} bounds stresses, and a stress that keeps its bound within a step may have "
                 f"left it at the end, beyond what the layer bears: {ENDS}"
             )
-        if not (law.linear or law.rate or law.pointwise):
+        if not (law.traits.linear or law.traits.rate or law.traits.compiled):
             raise ModelError(f"theta is {theta}; {_swings(law)}")
 
 
@@ -72,11 +65,13 @@ def require_time_scale(equations: Equations, theta: float, times: Sequence[float
     for p in equations.laws.points:
         laws = parts(p.term.law)
         for law, changes in zip(laws, _change(p, times), strict=True):
-            if law.rate or (law.linear and not changes):
+            if law.traits.rate or (law.traits.linear and not changes):
                 continue
             one_of_several = len(laws) > 1
             sure = (
-                law.linear and _has_memory(law) if one_of_several else takes_time(p) or (not changes and _straight(p))
+                law.traits.linear and law.traits.remembers
+                if one_of_several
+                else takes_time(p) or (not changes and _straight(p))
             )
             if not sure:
                 how = "with parameters that change in time" if changes else "not linearly"

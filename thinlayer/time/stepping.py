@@ -54,7 +54,7 @@ class TimeStepping:
     @property
     def _sudden(self) -> bool:
         """Whether the layer answers a sudden load at once."""
-        return not any(p.law.rate for p in self.solver.model.terms)
+        return not any(p.law.traits.rate for p in self.solver.model.terms)
 
     def run(self, resume: bool) -> History:
         """The march, or the rest of the one that is in its folder. Collective; errors as in `march`."""
