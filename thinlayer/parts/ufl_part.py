@@ -118,7 +118,7 @@ class _OwnForms(FormPart):
             self.traits = replace(self.traits, weakens=True)
 
     def commit(self) -> Outcome:
-        found = replace(super().commit(), remembered=True)
+        found = replace(super().commit(), kept=True)
         nan = float("nan")
         return found if self._has_energy else replace(found, before=nan, after=nan, remainder=nan)
 
