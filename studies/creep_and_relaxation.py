@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from forms import KelvinVoigt, Law, LinearElastic, Maxwell, Norton, Stack
 from geometry import sandwich
-from thinlayer import Adaptive, Model, State, Surface, Table, ThinLayer, march, observed_orders, plotting
+from thinlayer import Adaptive, Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -163,12 +163,13 @@ class Column:
         joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
         moves, stays = ("xy"[pull.axis], "yx"[pull.axis])
         supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {stays: 0.0}, "RIGHT": {stays: 0.0}}
-        setup = {"body": BODY, "layer": ThinLayer(case.law, EPS), "supports": supports}
+        setup: dict[str, Any] = {"body": BODY, "supports": supports}
         if case.relaxes:
             supports["TOP"] = {moves: pull.end}
         else:
             setup["tractions"] = {"TOP": pull.stress * np.eye(2)[pull.axis]}
-        self.models = {INTERFACE: Model.interface(joint, **setup), FULL: Model.full(joint, **setup)}
+        structure, layer = Structure(joint, **setup), ThinLayer(case.law, EPS)
+        self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
         self.surface = Surface(self.models[INTERFACE])
 
     def follow(self, model: Model, times: Sequence[float]) -> Array:

@@ -17,7 +17,8 @@ from forms.non_monotone import Phases
 from geometry import block
 from studies.fig4_drawing import draw_energies, draw_limit, draw_response
 from studies.measured import MeanJump, SupportForce
-from thinlayer import History, Model, Surface, Table, ThinLayer, march, piecewise
+from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, march, piecewise
+from thinlayer.discretisation.loads import Support
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 from thinlayer.time.journal import Observe
@@ -82,11 +83,10 @@ class Strip:
     def _model(self, bar: limits.Bar, law: type[Phases]) -> Model:
         material = law(0.0, bar.kbar / bar.l / 2, bar.alpha, bar.l * bar.cbar, np.diag([0.0, 1.0]))
         moves = piecewise({0: 0, END: END, 2 * END: 0})
-        supports = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}
-        kind = Model.full if bar.eps else Model.interface
+        supports: dict[str, Support] = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}
         layer = ThinLayer(material, (bar.eps or BAR.eps) * bar.l)  # the interface law does not depend on eps
-        body, bodies = LinearElastic(0.0, bar.K / 2), "extended"
-        return kind(self.joint, layer=layer, body=body, supports=supports, bodies=bodies, sublayers=3, element="Q1")
+        structure = Structure(self.joint, body=LinearElastic(0.0, bar.K / 2), supports=supports, element="Q1")
+        return structure.full(layer, bodies="extended", cells_through=3) if bar.eps else structure.interface(layer)
 
     def march(self, law: type[Phases], steps: int) -> History:
         """Up to END in equal steps, and back; U is measured on S, sigma at the end that moves."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from forms import Law, LinearElastic, Stack
 from geometry import block
-from thinlayer import Model, State, Surface, Table, ThinLayer, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -63,17 +63,14 @@ class Bar:
 
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
         self.record, self.joint = record, block(WIDTH, HEIGHT, h, h_S=h_S, h_ends=h_ends)
-        self.setup = {
-            "body": BAR,
-            "supports": {"RIGHT": {"x": 0.0}},
-            "tractions": {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)},
-        }
-        model = Model.interface(self.joint, layer=ThinLayer(GLUE, EPS), **self.setup)
+        loads = {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)}
+        self.bar = Structure(self.joint, body=BAR, supports={"RIGHT": {"x": 0.0}}, tractions=loads)
+        model = self.bar.interface(ThinLayer(GLUE, EPS))
         self.limit, self.surface = record.solved(solve(model)), Surface(model)
 
     def full(self, law: Law, eps: float) -> State:
         """The bar on a meshed layer."""
-        return self.record.solved(solve(Model.full(self.joint, layer=ThinLayer(law, eps), **self.setup)))
+        return self.record.solved(solve(self.bar.full(ThinLayer(law, eps))))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """x and t_T/u_T at the vertices of S, both projected to degree 1; without the supported end, where it is 0/0."""

@@ -6,7 +6,7 @@ import ufl
 
 from forms import Anisotropic
 from studies.problems import fourier
-from thinlayer import Model, State, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -30,10 +30,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
     def interface(k_n: float, k_t: float) -> tuple[State, Surface]:
         law = Anisotropic.springs(K_N=k_n, K_T=k_t)
-        state = record.solved(solve(Model.interface(joint, layer=ThinLayer(law, 1.0), **setup)))
+        state = record.solved(solve(Structure(joint, **setup).interface(ThinLayer(law, 1.0))))
         return state, Surface(state.model)
 
-    bonded = record.solved(solve(Model.bonded(joint, **setup)))
+    bonded = record.solved(solve(Structure(joint, **setup).bonded()))
     stiff = Table(path=record.path("table.csv"))
     for kappa in track(KAPPA[:: 2 if quick else 1], "limits", "kappa = {:g}"):
         state, surface = interface(kappa, kappa)

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Model, SolveError, Table, plotting
+from thinlayer import SolveError, Structure, Table, plotting
 from thinlayer.contact.blocks import faster_products
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.solver import contact_problem, scheme
@@ -98,7 +98,7 @@ class Bench:
     def __init__(self, n: int, *, depth: bool) -> None:
         joint, setup = sliding_bar(n, depth=depth)
         law = HolonomicCoulomb.of_layer(*STIFFNESS, friction=FRICTION)
-        self.n, self.model = n, Model.interface(joint, layer=law, **setup)
+        self.n, self.model = n, Structure(joint, **setup).interface(law)
         self.solver = Solver(self.model, method="newton")
         self.equations: Equations = self.solver.equations
         self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))

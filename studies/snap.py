@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from studies.fig4_bar import meet, near, straight
 from studies.snap_drawing import PURE, RELAXED, draw_phases, draw_response
-from studies.snap_structures import END, LIMIT, Structure, distance, moved, pulled_block, strip, switches
+from studies.snap_structures import END, LIMIT, Block, distance, moved, pulled_block, strip, switches
 from thinlayer import History, PhaseReport, Table, plotting
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
@@ -83,7 +83,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     draw(record)
 
 
-def note(snaps: Table, response: Table, structure: Structure, curve: str, history: History) -> None:
+def note(snaps: Table, response: Table, structure: Block, curve: str, history: History) -> None:
     """The snaps of a cycle, a row for each, and its response."""
     for row in structure.rows(curve, history, moved(history.t)).rows:
         response.append(row)
@@ -95,7 +95,7 @@ def note(snaps: Table, response: Table, structure: Structure, curve: str, histor
         snaps.append(row | {"lost": snap.lost})
 
 
-def follow_strip(record: Record, bar: Structure, pure: History, *, quick: bool) -> list[Row]:
+def follow_strip(record: Record, bar: Block, pure: History, *, quick: bool) -> list[Row]:
     """Paths of the strip against closed forms, whichever end they start from; their turns tend to the snaps as r -> 0."""
     rows, turns, mixings = [], [], MIXINGS[-2 if quick else 0 :]
     for r in track(mixings, "snap", "strip, r = {:g}"):
@@ -125,7 +125,7 @@ def turning_points(path: Table) -> tuple[float, float]:
     return up, down
 
 
-def follow_block(record: Record, body: Structure, relaxed: History, r: float, step: float, *, quick: bool) -> list[Row]:
+def follow_block(record: Record, body: Block, relaxed: History, r: float, step: float, *, quick: bool) -> list[Row]:
     """One path, whichever end it starts from and with shorter steps; it ends where the relaxed law does."""
     path, shown, name = body.path(r, step), ("delta", "force", "phase"), f"block, r = {r:g}"
     others = {"from the other end": body.path(r, step, back=True)}
@@ -148,7 +148,7 @@ def turns_back(path: Table) -> float:
     return float(np.maximum(-np.diff(path["delta"]), 0).sum())
 
 
-def check_steps(record: Record, body: Structure, pure: History) -> None:
+def check_steps(record: Record, body: Block, pure: History) -> None:
     """The energy lost is the area of the loop; other steps, the same snaps."""
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)

@@ -103,15 +103,16 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     for case, (law, shear, pull) in CASES.items():
         record.say(law)
         more = partial(phases, record, case, max(eps))
-        sweep = Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law), case=case, more=more)
+        sweep = Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law), cells_through=2, case=case, more=more)
         tables[case] = sweep.run(eps, (0.9, 1.1), pictured=None if case else max(eps), title="non-monotone layer")
         for share in ("plus", "minus", "mixed"):
             record.check(f"share of S, {share}, {TITLES[case]}", tables[case][share][-1], low=SHARE)
     for name, (case, wrong, floors) in WRONG.items():
         law, shear, pull = CASES[case]
         record.say(f"meshed layer {law}, on S {wrong}")
-        instead = partial(ThinLayer, wrong)
-        sweep = Sweep(record, *blocks(h, shear, pull), partial(ThinLayer, law), case=name, instead=instead)
+        sweep = Sweep(
+            record, *blocks(h, shear, pull), partial(ThinLayer, law), cells_through=2, case=name, instead=wrong
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RangeWarning)  # with lmbda + mu the stress falls: one of its errors
             found = sweep.run(thin, None, pictured=None)
@@ -134,7 +135,7 @@ def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> tuple
     supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     moves = {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
     data = {"supports": supports | (moves if moved else {}), "tractions": {} if moved else {"TOP": top}}
-    return joint, {"body": FOURIER_BODY, "sublayers": 2} | data
+    return joint, {"body": FOURIER_BODY} | data
 
 
 def phases(record: Record, case: str, pictured: float, full: Solution, limit: Solution) -> dict[str, float]:
@@ -144,7 +145,8 @@ def phases(record: Record, case: str, pictured: float, full: Solution, limit: So
     """
     state = last(limit)
     (x, on_s), (_, meshed) = (PhaseReport(last(one)).profile() for one in (limit, full))
-    if state.model.layer and state.model.layer.eps == pictured:
+    thin = last(full).model.thin_layer
+    if thin and thin.eps == pictured:
         rows = zip(x[:, 0], meshed, on_s, strict=True)
         record.write(f"phases_{case}.csv", Table(dict(zip(("x", MESHED, ON_S), row, strict=True)) for row in rows))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)

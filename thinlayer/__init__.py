@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.loads import piecewise
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.state import State
+    from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError, ThinlayerError
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare, observed_orders, sweep
@@ -36,6 +37,7 @@ _NAMES = {
     "discretisation.loads": ["piecewise"],
     "discretisation.model": ["Model"],
     "discretisation.state": ["State"],
+    "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
     "files.table": ["Table"],
     "output.comparison": ["compare", "observed_orders", "sweep"],

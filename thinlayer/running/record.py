@@ -314,7 +314,7 @@ class Record:
 
     def solved(self, state: State) -> State:
         """Note how a state was found; returns it."""
-        layer = state.model.layer
+        layer = state.model.thin_layer
         self.solves.append(
             {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t, **asdict(state.report)}
         )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 
 from petsc4py import PETSc
 
+from thinlayer.solving.petsc_missing import was_read
 from thinlayer_base import ThinlayerError
 
 PREFIX = "thinlayer_"
@@ -52,16 +52,8 @@ def given_elsewhere() -> str:
 
 def unread() -> list[str]:
     """Names under our prefix that are set and no solver has read, without the prefix."""
-    library = ctypes.CDLL(PETSc.__file__)
-    library.PetscOptionsUsed.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int)]
-    names = []
-    for name in PETSc.Options().getAll():
-        used = ctypes.c_int(0)
-        if name.startswith(PREFIX):
-            library.PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
-            if not used.value:
-                names.append(name.removeprefix(PREFIX))
-    return names
+    ours = [name for name in PETSc.Options().getAll() if name.startswith(PREFIX)]
+    return [name.removeprefix(PREFIX) for name in ours if not was_read(name)]
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
+from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import ModelError, SolveError, warn
@@ -93,9 +94,9 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if model.kind == "interface" and model.layer is not None and model.layer.law.traits.softens:
+    if isinstance(model, InterfaceModel) and model.layer_law and model.layer_law.traits.softens:
         raise ModelError(
-            f"{what}: the stress of {model.layer.law!r} falls as jumps grow, and an equilibrium may be one of several; "
+            f"{what}: the stress of {model.layer_law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
         )
 
@@ -107,7 +108,7 @@ def comm_of(model: Any) -> MPI.Intracomm:
 
 def _require_model(model: Any) -> None:
     if not isinstance(model, Model):
-        raise ModelError(f"model is {model!r}; give what Model.full or Model.interface returns")
+        raise ModelError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
 
 
 def _default_method(model: Model) -> str:
@@ -122,7 +123,7 @@ def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
         raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
-    if model.contact is None or like.model.kind != "interface" or like.model.element != model.element:
+    if model.contact is None or not isinstance(like.model, InterfaceModel) or like.model.element != model.element:
         raise ModelError("like is for contact laws: a state of an interface model with the same element")
 
 

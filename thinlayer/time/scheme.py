@@ -24,9 +24,8 @@ ENDS = "theta = 1"
 
 def remembers(model: Model) -> bool:
     """Whether the layer's law depends on what was before, so that a peak of the loads between two times matters."""
-    if model.layer is None or model.kind == "bonded":
-        return False
-    return model.layer.law.traits.rate or model.layer.law.traits.remembers
+    law = model.layer_law
+    return law is not None and (law.traits.rate or law.traits.remembers)
 
 
 def require_ends(model: Model, theta: float) -> None:
