@@ -60,7 +60,7 @@ def from_dolfinx(
         mine = _Part.of(mesh, cell_tags, facet_tags, comm)
     except Exception as error:
         mine = error  # the other ranks must not wait
-    parts = comm.gather(mine)
+    parts = comm.gather(mine) or []
     if cell_tags is None and regions is None:
         regions = {0: WHOLE}
     return on_root(comm, partial(_joined, parts, regions, facets, (S, upper, lower, direction)))
@@ -109,14 +109,11 @@ class _Part:
             raise GeometryError(f"{error} (degree 1 or 2)") from None
         owned = topology.index_map(dim).size_local
         region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
-        if cell_tags is not None:
-            numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
-            own = numbers < owned
-            region[numbers[own]], tagged[numbers[own]] = values[own], True
-        facet_numbers, tags = np.empty(0, np.int32), np.empty(0, np.int64)
-        if facet_tags is not None:
-            facet_numbers, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
-        whole = geometry.index_map().local_to_global(cells.ravel()).reshape(cells.shape)
+        numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
+        own = numbers < owned
+        region[numbers[own]], tagged[numbers[own]] = values[own], True
+        facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
+        whole = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
         corners = whole[:, : corner_count(kind)]
         return cls(
             kind,
@@ -124,13 +121,15 @@ class _Part:
             whole[:owned],
             region,
             tagged,
-            _vertices(mesh, corners, facet_numbers, kind),
+            _vertices(mesh, corners, facets, kind),
             tags,
         )
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.NDArray[np.int32], IntArray]:
-    """Local entities with a tag, and their tags."""
+    """Local entities with a tag, and their tags; none where there are no tags."""
+    if tags is None:
+        return np.empty(0, np.int32), np.empty(0, np.int64)
     if not isinstance(tags, dolfinx.mesh.MeshTags):
         raise GeometryError(f"{what} is {tags!r}; give dolfinx.mesh.MeshTags")
     if tags.dim != dim:
@@ -157,6 +156,7 @@ def _vertices(mesh: dolfinx.mesh.Mesh, corners: IntArray, facets: npt.NDArray[np
 
 
 def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...]) -> Joint:
+    """The joint of all ranks' parts, in the order of places: of the nodes, and of the cells' nodes."""
     for part in parts:
         if isinstance(part, Exception):
             raise part
@@ -185,7 +185,7 @@ def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...])
 
 def _groups(names: Any, values: IntArray, tagged: npt.NDArray[np.bool_], what: str) -> Groups:
     """The entities of each name."""
-    found = np.unique(values[tagged]).tolist()
+    found = [int(number) for number in np.unique(values[tagged])]
     if names is None:
         names = {number: str(number) for number in found}
     argument = {"cell": "regions", "facet": "facets"}[what]
