@@ -18,8 +18,10 @@ from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.solver import contact_problem, scheme
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
+from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
-from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.options import PREFIX, defaults, require_all_read
 from thinlayer.solving.solvers import Solver
@@ -102,8 +104,8 @@ class Bench:
         self.solver = Solver(self.model, method="newton")
         self.equations: Equations = self.solver.equations
         self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
-        assert self.equations.contact is not None
-        nodes = self.equations.contact.nodes
+        (contact,) = self.equations.of_kind(ContactPart)
+        nodes = contact.nodes
         self.problem: ContactProblem = contact_problem(nodes, self.equations.K, self.equations.held)
         self.dim, self.dofs = joint.dim, self.problem.A.getSize()[0]
         self.load(1.0)
