@@ -15,10 +15,11 @@ from mpi4py import MPI
 
 from geometry.cells import Cells
 from geometry.compat import cell_nodes
+from geometry.facets import vertices_of_facets
 from geometry.joint import GeometryError, Joint
 from geometry.naming import Groups, Named, Sides
 from geometry.parallel import on_root
-from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree, local_facets
+from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
 
 WHOLE = "BODY"  # the region of all cells where there are no cell tags
 
@@ -114,14 +115,13 @@ class _Part:
         region[numbers[own]], tagged[numbers[own]] = values[own], True
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
         whole = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
-        corners = whole[:, : corner_count(kind)]
         return cls(
             kind,
             np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float),
             whole[:owned],
             region,
             tagged,
-            _vertices(mesh, corners, facets, kind),
+            vertices_of_facets(mesh, kind, facets, whole[:, : corner_count(kind)]),
             tags,
         )
 
@@ -139,20 +139,6 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.
     if tags.values.dtype.kind not in "iu":
         raise GeometryError(f"{what} have values of type {tags.values.dtype}; they must be integers")
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
-
-
-def _vertices(mesh: dolfinx.mesh.Mesh, corners: IntArray, facets: npt.NDArray[np.int32], kind: str) -> IntArray:
-    """(n, k) vertices of local facets, from a cell of this rank at each; corners: (n_cells, m) vertices of cells."""
-    topology, local = mesh.topology, local_facets(kind)
-    if not len(facets):
-        return np.empty((0, local.shape[1]), np.int64)
-    for pair in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
-        topology.create_connectivity(*pair)
-    to_cells = topology.connectivity(topology.dim - 1, topology.dim)
-    cells = to_cells.array[to_cells.offsets[facets]]
-    of_cells = topology.connectivity(topology.dim, topology.dim - 1).array.reshape(-1, len(local))
-    which = (of_cells[cells] == facets[:, None]).argmax(axis=1)
-    return np.take_along_axis(corners[cells], local[which], axis=1)
 
 
 def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...]) -> Joint:
