@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import SolveError, Structure, Table, plotting
+from thinlayer import SolveError, Structure, plotting
 from thinlayer.contact.blocks import faster_products
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.solver import contact_problem, scheme
@@ -48,7 +48,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.parameters = {"K": STIFFNESS, "friction": FRICTION, "repeats": repeats}
     cases: list[tuple[str, int]] = [("2D", n) for n in ((128,) if quick else LIMITS["2D"])]
     cases += [("3D", n) for n in ((12,) if quick else LIMITS["3D"])]
-    table = Table(path=record.path("table.csv"))
+    table = record.table("table.csv")
     for name, n in track(cases, "performance", "{}"):
         bench = Bench(n, depth=name == "3D")
         for row in bench.compare(name, repeats if n < 46 else 3):
@@ -61,7 +61,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         table.append(row := bench.relaxed())
         record.say(row)
         bench.close()
-    draw(record)
     if quick:
         return
     for row in table.rows:
