@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from forms import Law, Stack
+from forms import Law
 from forms.kinematics import Expr
 from geometry import Joint
 from thinlayer import History, Model, State, Table, ThinLayer, compare, plotting, solve
@@ -100,7 +100,7 @@ class Sweep:
 
 def elastic_fraction(law: Law) -> dict[str, float]:
     """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
-    laws = law.laws if isinstance(law, Stack) else (law,)
+    laws = [one for _, one in law.sublayers]
     fractions = [one.parameters()["h"] for one in laws if "h" in one.parameters()]
     return {"h": max(fractions)} if fractions else {}
 

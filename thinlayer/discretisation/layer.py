@@ -9,11 +9,8 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from forms.contact import ContactLaw
 from forms.declarations import require_declarations
-from forms.law import Law, LawError
-from forms.series import Stack
-from forms.traction import TractionLaw
+from forms.law import BulkLaw, Law, LawError
 from geometry.joint import Profile
 from thinlayer_base import is_number
 
@@ -52,9 +49,9 @@ class ThinLayer:
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
-        if self.order == 1 and isinstance(self.law, Stack):
+        if self.order == 1 and len(self.law.sublayers) > 1:
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
-        if self.order == 1 and (isinstance(self.law, (TractionLaw, ContactLaw)) or self.law.traits.constrained):
+        if self.order == 1 and (self.law.traits.of_jumps or self.law.traits.constrained):
             raise LawError(f"order=1 of {type(self.law).__name__}: there is no next-order law of it; use order=0")
         if self.order == 1 and self.law.traits.switches:
             raise LawError(f"order=1 of {type(self.law).__name__}: its phases are those of jumps alone; use order=0")
@@ -65,7 +62,7 @@ class ThinLayer:
             )
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
-        if self.profile is not None and isinstance(self.law, TractionLaw):
+        if self.profile is not None and self.law.traits.of_jumps and not self.law.traits.nodal:
             raise LawError(
                 f"{type(self.law).__name__} has no thickness that could vary along S; declare `varies` and `at(x, t)` for "
                 "parameters that vary"
@@ -76,19 +73,19 @@ class ThinLayer:
     @property
     def fractions(self) -> tuple[float, ...]:
         """Thickness fractions of the sublayers, from the lower to the upper face; () for a single layer."""
-        return self.law.fractions if isinstance(self.law, Stack) else ()
+        fractions = tuple(a for a, _ in self.law.sublayers)
+        return fractions if len(fractions) > 1 else ()
 
-    def real_law(self, plane: str) -> Law:
-        """The law with real parameters, value * eps**power."""
-        eps = float(self.eps)
-        return in_plane(self.law, plane).mapped(lambda value, power: np.asarray(value, float) * eps**power)
+    def real_law(self, plane: str) -> BulkLaw:
+        """The law with real parameters, value * eps**power; one of jumps as a law of strains."""
+        return in_plane(self.law.of_strains(), plane).real(float(self.eps))
 
 
-def in_plane(law: Law, plane: str) -> Law:
+def in_plane(law: BulkLaw, plane: str) -> BulkLaw:
     """The law for plane "strain" (as it is) or plane "stress"."""
     return law.plane_stress() if plane == "stress" else law
 
 
-def constants(law: Law, mesh: Mesh) -> Law:
+def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     """A law whose parameters are Constants, so that forms are compiled once for all their values."""
     return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))

@@ -18,8 +18,7 @@ from mpi4py import MPI
 from forms import work as forms
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
-from forms.law import Law
-from forms.series import Stack, parts
+from forms.law import BulkLaw, Law
 from forms.tangent import (
     Array,
     average_lame,
@@ -84,7 +83,7 @@ class Model:
         kind: str,
         *,
         layer: ThinLayer | TractionLaw | ContactLaw | None = None,
-        body: Law | Mapping[str, Law],
+        body: BulkLaw | Mapping[str, BulkLaw],
         supports: Mapping[Place, Support],
         tractions: Mapping[str, Load] | None = None,
         body_force: BodyForce | None = None,
@@ -199,11 +198,11 @@ class Model:
         if not isinstance(layer, ThinLayer):
             raise ModelError(f"layer is {layer!r}; give layer=ThinLayer(law, eps)")
         layer.law.check_dimension(joint.dim)
-        if isinstance(layer.law, ContactLaw):
+        if layer.law.traits.nodal:
             self._check_contact()
         if layer.order == 1:
             self._check_order_1(bodies)
-        if self.kind == "full" and isinstance(layer.law, (TractionLaw, ContactLaw)):
+        if self.kind == "full" and layer.law.traits.of_jumps:
             raise ModelError(f"{type(layer.law).__name__} is a law of jump and traction: it has no meshed layer")
         if self.kind == "full" and layer.law.traits.softens:
             raise ModelError(
@@ -244,13 +243,14 @@ class Model:
         return Sheet(self.joint)
 
     @cached_property
-    def layer_at_rest(self) -> list[tuple[float, Law, Array | None]]:
+    def layer_at_rest(self) -> list[tuple[float, BulkLaw, Array | None]]:
         """Fraction of the thickness, real law and tangent at rest (None: not known) of the layer, or of its sublayers."""
         assert self.layer is not None
         law = self.layer.real_law(self.plane)
-        strata = law.sublayers if isinstance(law, Stack) else ((1.0, law),)
         n = self.sheet.mean_normal
-        return [(a, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n)) for a, one in strata]
+        return [
+            (a, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n)) for a, one in law.sublayers
+        ]
 
     def layer_over(self, dt: float) -> list[Array | None]:
         """Tangents of the same under loads that have lasted dt > 0; None: not known, or as at rest."""
@@ -297,7 +297,7 @@ class Model:
         """Refuse laws whose stiffness at rest is negative: what is found would be no equilibrium that lasts."""
         for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
             require_stable_body(law, C, self.joint.dim)
-        if self.kind == "bonded" or self.layer is None or isinstance(self.layer.law, ContactLaw):
+        if self.kind == "bonded" or self.layer is None or self.layer.law.traits.nodal:
             return
         for _, law, C in self.layer_at_rest:
             if rests_by_itself(law):
@@ -348,7 +348,7 @@ class Model:
         faces = {"full": (BASE,), "bonded": (S,)}
         return faces.get(self.kind, ()) if self.joint.rigid_base else ()
 
-    def _body_laws(self, body: Law | Mapping[str, Law]) -> dict[str, Law]:
+    def _body_laws(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         regions = self.joint.bodies
         laws = dict(body) if isinstance(body, Mapping) else dict.fromkeys(regions, body)
         for name in laws:
@@ -357,11 +357,8 @@ class Model:
         for name in regions:
             if not isinstance(laws.get(name), Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
-            if (
-                laws[name].traits.compiled
-                or laws[name].traits.constrained
-                or isinstance(laws[name], (TractionLaw, ContactLaw))
-            ):
+            known = laws[name].traits
+            if known.compiled or known.constrained or known.of_jumps:
                 raise ModelError(f"body {name!r}: {type(laws[name]).__name__} is for layers; bodies take elastic laws")
             if laws[name].traits.softens:
                 raise ModelError(
@@ -400,10 +397,9 @@ class Model:
             return forms.surface(
                 law, replace(self.sides, measure=self.sides.measure.reconstruct(**self._rule)), eps, self.layer.order
             )
-        laws = law.laws if isinstance(law, Stack) else (law,)
         n = director(self.domain)
         values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
-        laws = tuple(one if one.traits.compiled else constants(one, mesh) for one in laws)
+        laws = tuple(one if one.traits.compiled else constants(one, mesh) for _, one in law.sublayers)
         return [forms.band(one, self._dx(tags, **self._rule), n) for one, tags in zip(laws, values, strict=True)]
 
     def degree_at(self, points: forms.Term) -> int:
@@ -445,9 +441,7 @@ class Model:
     @property
     def break_times(self) -> set[float]:
         """Times at which piecewise loads, supports and temperatures break."""
-        laws = [law for p in self.layer_terms for law in parts(p.law)]
-        given = [getattr(law, name) for law in laws for name in law.functions]
-        return self.coordinates.t.breaks.union(*(getattr(function, "times", ()) for function in given))
+        return self.coordinates.t.breaks.union(*(p.law.times for p in self.layer_terms))
 
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""

@@ -11,10 +11,8 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from forms.contact import ContactLaw
-from forms.law import Law
+from forms.law import BulkLaw, Law
 from forms.tangent import across, average_lame, in_plane_modulus
-from forms.traction import TractionLaw
 from geometry.joint import LAYER, S
 from geometry.sheet import Rim
 from geometry.topology import FloatArray, IntArray
@@ -80,7 +78,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
 
 def _law_of_strains(model: Model) -> Law | None:
     """The law, its parameters real, of an interface model whose law is one of strains; else None."""
-    if model.kind != "interface" or model.layer is None or isinstance(model.layer.law, (TractionLaw, ContactLaw)):
+    if model.kind != "interface" or model.layer is None or model.layer.law.traits.of_jumps:
         return None
     return model.layer.real_law(model.plane)
 
@@ -128,7 +126,7 @@ class Stratum:
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
-    def of(cls, fraction: float, law: Law, C: FloatArray, n: FloatArray) -> Stratum | None:
+    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Stratum | None:
         """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained:

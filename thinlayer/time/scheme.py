@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from forms.series import parts
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.compiled_term import CompiledTerm
@@ -38,7 +37,7 @@ def require_ends(model: Model, theta: float) -> None:
     for body, law in model.body_laws.items():
         if not law.traits.linear:
             raise ModelError(f"theta is {theta}; {_swings(law)} (body {body!r})")
-    for law in (one for p in model.layer_terms for one in parts(p.law)):
+    for law in (one for p in model.layer_terms for _, one in p.law.sublayers):
         name = type(law).__name__
         if law.traits.switches:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ENDS}")
@@ -64,7 +63,7 @@ def require_time_scale(equations: Equations, theta: float, times: Sequence[float
     if theta == 1:
         return
     for p in equations.laws.points:
-        laws = parts(p.term.law)
+        laws = [law for _, law in p.term.law.sublayers]
         for law, changes in zip(laws, _change(p, times), strict=True):
             if law.traits.rate or (law.traits.linear and not changes):
                 continue
@@ -88,7 +87,7 @@ def _swings(law: Any, how: str = "not linearly") -> str:
 
 def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
     """Of each sublayer, whether its parameters change in time. Seen at times and at a few between them. Collective."""
-    change = [False] * len(parts(points.term.law))
+    change = [False] * len(points.term.law.sublayers)
     if not points.material.varies:
         return change
     seen = [a + share * (b - a) for a, b in pairwise(times) for share in (*BETWEEN, 1.0)]
