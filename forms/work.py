@@ -87,11 +87,15 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr) -> Term:
     return Term(law, strain, 1, measure, n)
 
 
+def of_jumps(law: BulkLaw, sides: Interface) -> Term:
+    """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
+    return Term(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)
+
+
 def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0) -> list[Term]:
     """A layer's law on S.
 
-    A law of jumps acts on the jump itself: strain sym([u] (x) n), weight 1. Of other laws, order 0: strain
-    sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the thickness of the layer,
+    Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
     e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
     e1 = sym(grad_S [u]), or what `BulkLaw.gradient` makes of it. For an energy quadratic in the strain that is the
     thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
@@ -100,8 +104,6 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0) -> list[T
     def jump_part(u: Expr) -> Expr:
         return jump_strain(sides.jump(u), sides.n) / eps
 
-    if law.traits.of_jumps:
-        return [Term(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)]
     if order == 0:
         return [Term(law, jump_part, eps, sides.measure, sides.n)]
     tangential = ufl.Identity(len(sides.n)) - ufl.outer(sides.n, sides.n)
