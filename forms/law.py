@@ -180,7 +180,7 @@ class Law:
         return {}
 
     @property
-    def times(self) -> set[float]:
+    def break_times(self) -> set[float]:
         """Times at which functions that are given as parameters break, see `thinlayer.piecewise`."""
         return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
 
@@ -193,7 +193,7 @@ class Law:
         known = self.parameters()
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in known)
 
-    def values(self) -> npt.NDArray[np.float64]:
+    def parameter_values(self) -> npt.NDArray[np.float64]:
         """The parameters one after the other, (k,)."""
         values = [np.ravel(np.asarray(value, float)) for value in self.parameters().values()]
         return np.concatenate([np.empty(0), *values])
@@ -315,7 +315,7 @@ class BulkLaw(Law):
         """
         return None
 
-    def strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def trial_strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """A strain (3, 3) that the law may be told, made of any matrix a (3, 3) and the director n (3,), to try it."""
         return (a + a.T) / 2
 
@@ -331,7 +331,7 @@ class BulkLaw(Law):
             "beside its stress"
         )
 
-    def real(self, eps: float) -> Self:
+    def in_layer(self, eps: float) -> Self:
         """The law in a layer of thickness eps (a length > 0), with real parameters, value * eps**power."""
         return self.mapped(lambda value, power: np.asarray(value, float) * eps**power)
 

@@ -69,8 +69,8 @@ class Stack(BulkLaw):
         return tuple(zip(self.fractions, self.laws, strict=True))
 
     @property
-    def times(self) -> set[float]:
-        return set().union(*(law.times for law in self.laws))
+    def break_times(self) -> set[float]:
+        return set().union(*(law.break_times for law in self.laws))
 
     @property
     def memory(self) -> int:

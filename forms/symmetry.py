@@ -185,7 +185,7 @@ class Sample:
         }
 
     def random_strain(self) -> Array:
-        return self.size * self.law.strain(self.random.normal(size=(3, 3)), self.n)
+        return self.size * self.law.trial_strain(self.random.normal(size=(3, 3)), self.n)
 
     def _step(self, change: Array | float) -> Step:
         n = ufl.as_vector(self.n.tolist())

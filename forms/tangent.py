@@ -73,7 +73,7 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     try:
         point = symbolic(law)
         stress: Any = expand_derivatives(ufl.as_ufl(point.law.stress(point.step)))
-        told = np.concatenate([n, [dt, 1.0], law.values()])
+        told = np.concatenate([n, [dt, 1.0], law.parameter_values()])
         before = np.zeros(point.numbers.ufl_shape[0] - 6 - len(told))
         found = []
         for e in np.eye(7, 6):  # the last is no strain
@@ -90,7 +90,7 @@ def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:
     if law.source is not None:
         return None
     tangent, zero, memory = np.zeros((6, 6)), np.zeros(6), np.zeros(law.memory)
-    given = zero, zero.copy(), memory, dt, 1.0, n, law.values()
+    given = zero, zero.copy(), memory, dt, 1.0, n, law.parameter_values()
     try:
         with np.errstate(all="ignore"):
             type(law).kernel(*given, np.zeros(6), tangent, memory.copy(), np.zeros(3))

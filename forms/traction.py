@@ -121,8 +121,8 @@ class OfJumps(BulkLaw):
         return self.law.internal
 
     @property
-    def times(self) -> set[float]:
-        return self.law.times
+    def break_times(self) -> set[float]:
+        return self.law.break_times
 
     def parameters(self) -> dict[str, Any]:
         return self.law.parameters()
@@ -136,8 +136,8 @@ class OfJumps(BulkLaw):
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
         return self.law.at(x, t)
 
-    def strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return super().strain(np.outer(a[0], n), n)
+    def trial_strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return super().trial_strain(np.outer(a[0], n), n)
 
     def plane_stress(self) -> Self:
         """The law itself: jumps and tractions know no plane."""

@@ -90,7 +90,7 @@ def real_law(layer: Layer, plane: str) -> BulkLaw:
     """A layer's law with real parameters, for plane "strain" or "stress"; a law of jumps as one of strains."""
     if not isinstance(layer, ThinLayer):
         return layer.of_strains()
-    return in_plane(layer.law, plane).real(float(layer.eps))
+    return in_plane(layer.law, plane).in_layer(float(layer.eps))
 
 
 def in_plane(law: BulkLaw, plane: str) -> BulkLaw:

@@ -167,7 +167,7 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """Times at which piecewise loads, supports and temperatures break."""
-        return self.coordinates.t.breaks.union(*(p.law.times for p in self.layer_terms))
+        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
 
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""

@@ -65,7 +65,7 @@ def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
 
 
 def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
-    numbers, kind = law.values(), type(law)
+    numbers, kind = law.parameter_values(), type(law)
     if isinstance(law, KernelLaw) and law.source is not None:
         address, keep = _compiled_from_c(comm, law)
         return Kernel(address, law.memory, numbers, fraction, keep=keep)

@@ -161,4 +161,4 @@ def _kinds(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
 
 def _numbers(law: BulkLaw) -> list[Array]:
     """Parameters of each sublayer, one after the other."""
-    return [one.values() for _, one in law.sublayers]
+    return [one.parameter_values() for _, one in law.sublayers]
