@@ -248,7 +248,7 @@ def test_arguments_of_inflate():
     for data, message in (
         ({"eps": "thin"}, "eps is 'thin'; it must be > 0"),
         ({"eps": True}, "eps is True"),
-        ({"strata": "ab"}, "fractions .* must be numbers > 0"),
+        ({"fractions": "ab"}, "fractions .* must be numbers > 0"),
         ({"layers": 0}, "layers is 0; the layer needs"),
     ):
         with pytest.raises(GeometryError, match=message):
