@@ -125,7 +125,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.parameters = {"eps": EPS, "body": str(BODY), "layers": [str(case.law) for case in CASES.values()], "dt": DT}
     times = until(END, 2 * DT if quick else DT)
     curves, difference = {"t": np.array(times)}, 0.0
-    orders = Table(path=record.path("orders.csv"))
+    orders = record.table("orders.csv")
     for title, pull in track([(title, pull) for title in CASES for pull in PULLS], "columns", "{0[0]}"):
         column = Column(record, CASES[title], pull)
         found = {kind: column.follow(model, times) for kind, model in column.models.items()}
@@ -136,7 +136,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     rows = zip(*curves.values(), strict=True)
     record.write("table.csv", Table(dict(zip(curves, row, strict=True)) for row in rows))
     record.say(f"closed forms at t = {AT:g}, relative errors by length of the steps\n{orders}")
-    draw(record)
     record.check("largest relative difference of both models", difference, high=1e-8)
     for scheme, (_, order) in SCHEMES.items():
         observed = orders[f"{scheme} order"]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -68,7 +68,7 @@ READINGS = {
 }
 
 
-def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
+def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: bool = False) -> None:
     """Solve Fig. 2 with the interface law and with the layer meshed; loads in one step, and for R1 in many.
 
     Without cohesion the free end of a meshed layer has no strength: an elastic fraction h makes the problem well posed.
@@ -99,7 +99,6 @@ def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
         window, picture = (-2.0, 6.0, -1.6, 4.0), record.path(f"layer_end_{name}.png")
         plotting.deformed(ends, save=picture, scale=reading.scale, unit="mm", title=title, zoom=window)
     record.write("table.csv", table)
-    draw(record)
     if "R1" in readings:
         bar = Bar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
         refine(record, bar, STEPS[: 3 if quick else None])

@@ -41,7 +41,6 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     _, ratio_band = bar.stiffness(full)
     rows = zip(x, ratio_band, ratio_interface, strict=True)
     record.write("table.csv", Table({"x_mm": a, "ratio_band": b, "ratio_interface": c} for a, b, c in rows))
-    draw(record)
     _draw_deformed(record, {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit})
 
     deviation = _deviation(record, bar, sorted(eps, reverse=True))
@@ -97,7 +96,7 @@ def _deviation(record: Record, bar: Bar, eps: Sequence[float]) -> Table:
                 "deviation_moduli_held": bar.deviation(GLUE_MODULI.per_thickness(e), e, K_T * EPS / e),
             }
         )
-    table = Table(path=record.path("deviation.csv"))
+    table = record.table("deviation.csv")
     orders = {
         way: observed_orders(eps, [row[f"deviation_{way}"] for row in rows]) for way in ("ratios_held", "moduli_held")
     }

@@ -42,7 +42,6 @@ def run(record: Record) -> None:
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
     for entry in record.results["counts"]:
         record.say(entry)
-    draw(record)
     plotting.contact(reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
     stiff, soft = states[label(*STIFFNESS[0])], states[label(*STIFFNESS[2])]
     shown = {label(*STIFFNESS[0]): stiff, label(*STIFFNESS[2]): soft}

@@ -39,7 +39,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         if len(eps) > 1:
             low = 2.5 if eps[-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
             record.check(f"last observed order of the traction, {name} layer", table["order_traction"][-1], low=low)
-    draw(record)
 
 
 def draw(record: Record) -> None:

@@ -40,7 +40,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         row = {"squares": n, "lmbda": pair[0], "mu": pair[1], "omega": omega, "omega_contact": omega if same else 1.0}
         table.append(row | {"sweeps": sweeps, "converged": int(converged)})
     record.write("table.csv", table)
-    draw(record)
     check(record, table)
 
 

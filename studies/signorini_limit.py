@@ -39,7 +39,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         row = {"squares": m, "friction": f, "K_T": K, "newton_steps": iterations}
         steps.append(row | report.counts | {"equilibrium": report.equilibrium})
     record.write("newton_steps.csv", steps)
-    draw(record)
     shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
     plotting.contact(
         shown, save=record.path("contact.png"), length="mm", stress="MPa", title="stiffer and stiffer contact"

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from studies.fig4_bar import meet, near, straight
+from studies.fig4_bar import EXACT, meet, straight
 from studies.snap_drawing import PURE, RELAXED, draw_phases, draw_response
 from studies.snap_structures import END, LIMIT, Block, distance, moved, pulled_block, strip, switches
 from thinlayer import History, PhaseReport, Table, plotting
@@ -80,7 +80,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}
     title = f"largest snap, delta = {moved(largest.t):.4f}, energy lost: {largest.lost:.4f}"
     plotting.deformed(states, save=record.path("largest_snap.png"), scale=0.2, title=title)
-    draw(record)
 
 
 def note(snaps: Table, response: Table, structure: Block, curve: str, history: History) -> None:
@@ -137,7 +136,7 @@ def follow_block(record: Record, body: Block, relaxed: History, r: float, step: 
         record.check(f"{name}: distance of the path {how}", gap, high=ALONG)
     record.check(f"{name}: delta goes back by", turns_back(path), low=1e-3)
     energy, least = path["energy"][-1], relaxed.table["energy"][-1]
-    record.check(f"{name}: energy at the end of the path over the least one", energy / least, **near(1.0))
+    record.check_near(f"{name}: energy at the end of the path over the least one", energy / least, 1.0, EXACT)
     work = float(np.trapezoid(path["force"], path["delta"]))
     record.check(f"{name}: work along the path over that energy, less 1", abs(work / energy - 1), high=ALONG)
     return path.rows
@@ -152,7 +151,7 @@ def check_steps(record: Record, body: Block, pure: History) -> None:
     """The energy lost is the area of the loop; other steps, the same snaps."""
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)
-    record.check("block: energy lost in all snaps over the area of the loop", lost / area, **near(1.0))
+    record.check_near("block: energy lost in all snaps over the area of the loop", lost / area, 1.0, EXACT)
     for steps in OTHER_STEPS:
         other = body.cycle(steps).snaps
         record.check(f"block: snaps, {steps} steps", len(other), low=len(pure.snaps), high=len(pure.snaps))

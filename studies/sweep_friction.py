@@ -103,22 +103,18 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     record.parameters = {"h": h, "times": times, "friction": FRICTION, "layer": str(BAND)}
     tables = {}
     for case, comparison in cases.items():
-        record.say(f"{comparison.contact} on S")
         sweep = comparison.sweep(record, h, case)
-        tables[case] = sweep.run(eps, (0.9, 1.1), pictured=max(eps), title=f"frictional layer, {TITLES[case]}")
+        tables[case] = sweep.run(eps, (0.9, 1.1), title=f"frictional layer, {TITLES[case]}")
         _check_discretisation(record, case, comparison, h, tables[case])
         _check_zones(record, case, tables[case], h)
     if not quick:
-        record.say(f"{CELLS} cells through the thickness")
         sweep = FINER.sweep(record, 2 * h, "cells")
-        sweep.run(eps, (0.7, 1.3), pictured=max(eps), title=f"frictional layer, {CELLS} cells through the thickness")
+        sweep.run(eps, (0.7, 1.3), title=f"frictional layer, {CELLS} cells through the thickness")
         _check_fraction(record, 2 * h, min(eps))
-    record.say(f"{SINE.contact} on S, as a control")
     control = replace(SINE.sweep(record, 2 * h, "sine"), more=None)
-    sine = control.run(eps, None, pictured=None if quick else max(eps), title="friction sin(Omega) on S")
+    sine = control.run(eps, None, pictured=None if quick else max, title="friction sin(Omega) on S")
     worst = sine["error_jump"][-1] / tables[""]["error_jump"][-1]
     record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", worst, low=2)
-    draw(record)
 
 
 # ---------------------------------------------------------------- what is measured

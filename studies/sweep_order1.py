@@ -32,7 +32,6 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         return second | {f"error_{name}_order0": first[f"error_{name}"] for name in ("traction", "jump")}
 
     table = record.sweep(compare_at, eps)
-    draw(record)
     record.say(table)
     if len(eps) > 1:
         for name in ("traction", "jump"):

@@ -73,29 +73,32 @@ class Sweep:
         self,
         eps: Sequence[float],
         order: tuple[float, float | None] | None,
-        pictured: float | None,
         *,
+        pictured: Callable[[Sequence[float]], float] | None = max,
         title: str = "",
         unit: str = "",
     ) -> Table:
-        """Sweep, print the table, draw one thickness, check the last observed orders.
+        """Sweep, print the laws and the table, draw one thickness, check the last observed orders.
 
         Args:
             eps: thicknesses, lengths.
             order: range that the last observed orders of traction and jump must lie in; None for an open end, or for no
                 such check.
-            pictured: the thickness to draw the deformed structures of; None for no picture.
+            pictured: chooses the thickness to draw the deformed structures of; None for no picture.
             title, unit: of that picture.
         """
+        shown = pictured(eps) if pictured else None
 
         def compare_at(e: float) -> dict[str, float]:
             full, limit = self.solved(e)
-            if e == pictured:
+            if e == shown:
                 states = {f"meshed layer, eps = {e:g} {unit}".rstrip(): last(full), "interface law": last(limit)}
                 plotting.deformed(states, save=self.record.path(self._named("deformed.png")), title=title, unit=unit)
             more = self.more(full, limit) if self.more else {}
             return compare(full, limit, where=self.where) | elastic_fraction(self.layer(e).law) | more
 
+        law = self.layer(eps[0]).law
+        self.record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
         table = self.record.sweep(compare_at, eps, self._named("table.csv"))
         self.record.say(table)
         if order and len(eps) > 1:
@@ -111,6 +114,11 @@ def elastic_fraction(law: Law) -> dict[str, float]:
     laws = law.laws if isinstance(law, Stack) else (law,)
     fractions = [one.parameters()["h"] for one in laws if "h" in one.parameters()]
     return {"h": max(fractions)} if fractions else {}
+
+
+def middle(eps: Sequence[float]) -> float:
+    """The thickness in the middle of a sweep."""
+    return sorted(eps)[len(eps) // 2]
 
 
 def last(solution: Solution) -> State:

@@ -202,7 +202,7 @@ def test_a_law_with_memory():
     assert t == pytest.approx(w + C * SMOOTH.k * w * np.exp(-w / SMOOTH.w_0), abs=1e-9)
     assert (np.diff(t) < 0).any()
     assert (np.diff(w) > 0).all()
-    assert np.array([state.memory[0].max() for state in history]) == pytest.approx(w, abs=1e-12)
+    assert np.array([state.memory["layer"].max() for state in history]) == pytest.approx(w, abs=1e-12)
     assert np.abs(history.table["imbalance"]).max() < 1e-9
 
 

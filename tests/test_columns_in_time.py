@@ -471,7 +471,7 @@ def test_energy_at_the_end_of_a_midpoint_step():
     """It has the strain, the flow and the parameters of the end: mu(t) (w - eps flow)^2."""
     history = marched(FLUID, "normal", 0.5, TIMES, load=lambda t: 1 + 3 * t)
     for state in history:
-        flow = state.memory[0][:, 1]
+        flow = state.memory["layer"][:, 1]
         assert flow == pytest.approx(flow[0], rel=1e-9)
         elastic = jump_of(history, "normal", state) - 0.1 * flow[0]
         expected = MU * (1 + 3 * state.t) * elastic**2

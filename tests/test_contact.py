@@ -275,7 +275,7 @@ def test_solvers_agree_on_a_march_that_turns():
         for state, other in zip(one, histories[0], strict=True):
             size = np.abs(other.u.x.array).max()
             assert state.u.x.array == pytest.approx(other.u.x.array, rel=1e-7, abs=1e-7 * size)
-            assert state.memory[-1] == pytest.approx(other.memory[-1], rel=1e-5, abs=1e-6)
+            assert state.memory["contact"] == pytest.approx(other.memory["contact"], rel=1e-5, abs=1e-6)
         assert np.abs(one.table["imbalance"]).max() < 1e-6
     assert (np.array(histories[0].table["dissipated"])[-3:] > 1e-3).all()
 
@@ -286,11 +286,13 @@ def test_a_march_over_a_softer_body():
     law = IncrementalCoulomb(7e4, 2e4, 0.5)
     setup["tractions"] = {"TOP": lift, "LEFT/UPPER": lambda x, t: (60.0 * (1 - (t - 1) ** 2), 0.0)}
     one, two = (march(Structure(joint, **setup).interface(law), [1.0, 2.0, 3.0], method=m) for m in SOLVERS[:2])
-    slip = one.at(1.0).memory[-1]
+    slip = one.at(1.0).memory["contact"]
     assert np.abs(slip).max() > 1e-4
     for state, other in zip(one, two, strict=True):
         assert state.u.x.array == pytest.approx(other.u.x.array, rel=1e-7, abs=1e-7 * np.abs(one.last.u.x.array).max())
-        assert state.memory[-1] == pytest.approx(other.memory[-1], rel=1e-5, abs=1e-6 * np.abs(slip).max())
+        assert state.memory["contact"] == pytest.approx(
+            other.memory["contact"], rel=1e-5, abs=1e-6 * np.abs(slip).max()
+        )
 
 
 def test_uniform_stress_without_any_support():

@@ -33,7 +33,7 @@ from thinlayer import (
     observed_orders,
     solve,
 )
-from thinlayer.pointwise.constraint import Constraint
+from thinlayer.parts.pressure import PressurePart
 from thinlayer.solving.solvers import Solver
 
 MU = 40.0
@@ -53,7 +53,8 @@ def volume_change(model: Model) -> tuple[State, float]:
     """Equilibrium, and the largest int q tr e(u) of all pressures' basis functions q over the sum of its terms' sizes."""
     with Solver(model) as solver:
         state = solver.step(solver.rest(0.0), 0.0)
-        G = sparse(solver.equations.constraint.G)
+        (part,) = solver.equations.of_kind(PressurePart)
+        G = sparse(part.G)
     u = state.u.x.array
     return state, float(np.abs(G @ u).max() / (abs(G) @ np.abs(u)).max())
 
@@ -327,12 +328,12 @@ def schur(model: Model, degree: int) -> np.ndarray:
     """G K^-1 G^T with displacements of a degree: the square of a pressure's norm sup_v (int q tr e(v))^2/a(v, v)."""
     V = model.V if degree == 2 else model.space(degree)
     fine = lambda p: replace(p, measure=p.measure.reconstruct(metadata={"quadrature_degree": 2 * degree + 1}))
-    constraint = Constraint(V, fine(model.layer_terms[0]))
+    part = PressurePart(V, fine(model.layer_terms[0]), stiffness=1.0)
     stiffness = work([fine(p) for p in model.terms], ufl.TrialFunction(V), ufl.TestFunction(V))
     K = dolfinx.fem.petsc.assemble_matrix(fem.form(stiffness))
     K.assemble()
     free = np.setdiff1d(np.arange(K.getSize()[0]), model.supports.held(V))
-    G = sparse(constraint.G)[:, free]
+    G = sparse(part.G)[:, free] / part.unit
     return G @ splu(sparse(K)[free][:, free].tocsc()).solve(G.T.toarray())
 
 

@@ -24,6 +24,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
+from thinlayer.parts.compiled import CompiledPart
 from thinlayer.solving.equations import Equations
 
 GLUE = LinearElastic(lmbda=60.0, mu=40.0)
@@ -41,7 +42,7 @@ def pulled(one, *times):
     """Resultants of the loads along y at some times."""
     equations, out = Equations(one), []
     for t in times:
-        b = equations.loads_at(t)
+        b = equations.history.loads_at(t)
         out.append(float(b.array_r[1::2].sum()))
     return out
 
@@ -150,7 +151,7 @@ def test_a_temperature_from_a_table():
     """Linear between its times, in a layer that forgets; steps end where it breaks."""
     alpha, T = Tabulated([(0.0, 0.5), (100.0, 1.5)]), piecewise({0: 0.0, 0.4: 100.0, 1: 50.0})
     law = NonMonotone(60.0, 40.0, alpha, 0.15, CHI, T=T)
-    laws = Equations(model(law=law)).laws.points[0]
+    (laws,) = (part.points for part in Equations(model(law=law)).of_kind(CompiledPart))
     for t, expected in ((0.2, 1.0), (0.7, 1.25)):
         laws.at_time(t)
         assert laws.material.parameters[:, 2] == pytest.approx(expected, rel=1e-12)
@@ -170,7 +171,8 @@ def test_temperatures_are_asked_for_in_the_joint_before_inflating(bodies, across
         return 20 + 100 * x[1]
 
     law = NonMonotone(60.0, 40.0, Tabulated([(0.0, 0.5), (100.0, 1.5)]), 0.15, CHI, T=T)
-    Equations(model(law=law, kind=partial(Structure.full, bodies=bodies))).laws.at_time(0.0)
+    for part in Equations(model(law=law, kind=partial(Structure.full, bodies=bodies))).parts:
+        part.at_time(0.0)
     assert np.abs(seen[-1][1]).max() == pytest.approx(across, rel=0.2, abs=1e-12)
     assert np.ptp(seen[-1][0]) > 0.8
 

@@ -282,7 +282,7 @@ def test_meshed_layers_that_cannot_be_built():
 def test_options_are_in_the_signatures():
     """Python itself, editors and type checkers know them."""
     known = set(inspect.signature(Structure).parameters)
-    assert known == {"joint", "body", "supports", "tractions", "body_force", "plane", "element", "comm"}
+    assert known == {"joint", "body", "supports", "tractions", "body_force", "parts", "plane", "element", "comm"}
     with pytest.raises(TypeError, match="unexpected keyword argument 'traction'"):
         Structure(JOINT, **SETUP, traction={})
     with pytest.raises(TypeError, match="required keyword-only argument: 'supports'"):

@@ -24,6 +24,7 @@ from tests.test_columns_in_time import column as tall_column
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from tests.test_parallel import mpirun
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, piecewise, solve
+from thinlayer.parts.places import quadratures
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
@@ -239,10 +240,10 @@ def test_temperature_along_s():
     alpha = Tabulated([(20.0, 0.9), (100.0, 1.1)])
     law = heated(T, kind=NonMonotone, alpha=alpha)
     state = solve(Structure(where, **setup).interface(ThinLayer(law, 0.02)))
-    x = state.model.quadratures[0].joint_x[0]
+    x = quadratures(state.model)["layer"].joint_x[0]
     a, C = alpha(25 + 60 * x), OF_T(25 + 60 * x)
     expected = np.clip(0.5 + (a * 0.7 * 0.02 - C) / (a**2 * law.G), 0, 1)
-    assert state.memory[0][:, 0] == pytest.approx(expected, abs=1e-5)  # bodies of 1e9 give way a little
+    assert state.memory["layer"][:, 0] == pytest.approx(expected, abs=1e-5)  # bodies of 1e9 give way a little
     assert np.ptp(expected) > 0.3
 
 
@@ -265,9 +266,9 @@ def test_phases_by_hand():
     for model in models(HEATED):
         history = march(model, [0.6, 1.0])
         for state in history:
-            x, report = model.quadratures[0].joint_x[0], PhaseReport(state)
+            x, report = quadratures(model)["layer"].joint_x[0], PhaseReport(state)
             places, phases = report.profile()
-            by_hand = [state.memory[0][np.floor(8 * x).astype(int) == k, 0].mean() for k in range(8)]
+            by_hand = [state.memory["layer"][np.floor(8 * x).astype(int) == k, 0].mean() for k in range(8)]
             assert places[:, 0] == pytest.approx(np.arange(8) / 8 + 1 / 16)
             assert phases == pytest.approx(by_hand, abs=1e-12)
             assert set(np.round(by_hand, 12)) <= {-1, 0, 1}

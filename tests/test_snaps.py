@@ -13,6 +13,7 @@ from forms import Law, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import PhaseReport, SolveError, Structure, ThinLayer, march, piecewise
+from thinlayer.parts.places import quadratures
 from thinlayer.pointwise.columns import TIE
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
@@ -48,8 +49,8 @@ def excesses(history):
     """Of every state the largest excess of a column."""
     law = history.model.layer.law
     for state in history:
-        columns = state.model.quadratures[0].columns
-        phase, drive, bound = (columns.mean(state.memory[0][:, k]) for k in (0, 2, 3))
+        columns = quadratures(state.model)["layer"].columns
+        phase, drive, bound = (columns.mean(state.memory["layer"][:, k]) for k in (0, 2, 3))
         yield law.excess(np.rint(phase), drive, bound).max()
 
 

@@ -15,6 +15,7 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import renumbered
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.state import Audit, Report, State
+from thinlayer.parts.places import quadratures
 
 STEEL = LinearElastic(3.0, 2.0)
 PURE = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.05, np.diag([0.3, 0.7]))
@@ -66,7 +67,7 @@ def test_profile_of_an_arc():
 def test_fronts_around_a_circle():
     """Phases that grow with y on a closed S: more than half where y > .3, which is between neighbours in two places."""
     model = on(ring(0.8, RADIUS, 2.0, 0.3), PURE)
-    (quadrature,) = model.quadratures
+    (quadrature,) = quadratures(model).values()
     memory = np.zeros((quadrature.count, sum(int(np.prod(s)) for s in PURE.internal.values())))
     x = quadrature.columns.centres[quadrature.columns.of]
     memory[:, list(PURE.internal).index("phase")] = 0.5 + (x[:, 1] - 0.3) / 1.6

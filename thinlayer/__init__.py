@@ -22,8 +22,8 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.comparison import compare, observed_orders, sweep
     from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.surface import Surface
+    from thinlayer.parts.phases import PhaseReport
     from thinlayer.pointwise.drive import PointHistory, drive
-    from thinlayer.pointwise.phases import PhaseReport
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
     from thinlayer.time.arc_length import ArcLength
@@ -44,7 +44,7 @@ _NAMES = {
     "output.contact_report": ["ContactReport"],
     "output.surface": ["Surface"],
     "pointwise.drive": ["PointHistory", "drive"],
-    "pointwise.phases": ["PhaseReport"],
+    "parts.phases": ["PhaseReport"],
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],
     "time.arc_length": ["ArcLength"],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import basix.ufl
@@ -20,6 +20,7 @@ from forms.series import parts
 from geometry.domain import Domain
 from geometry.joint import BONDED, Joint
 from geometry.topology import is_tensor
+from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Colours, broken_space
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.layer import ThinLayer, constants, in_plane
@@ -30,7 +31,6 @@ from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.identity import described
 from thinlayer.parallel.agreement import on_all, require_same
-from thinlayer.pointwise.quadrature import Quadrature
 
 
 class Model(ABC):
@@ -51,6 +51,7 @@ class Model(ABC):
         supports: prescribed displacements.
         conditions: their Dirichlet conditions in V.
         forces: tractions and body forces.
+        parts: what is added to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for laws that act at points.
         coordinates: the place and the time that loads depend on; `solve` sets the time.
         mark: stands for the data on several ranks, which all have the same.
@@ -87,8 +88,12 @@ class Model(ABC):
             for name, law in self.body_laws.items()
         ]
         self.layer_terms = self._layer_terms()
+        self.parts = structure.parts
+        with on_all(self.comm):
+            check_additions(self.parts, self)
         if not self.joint.rigid_base:
-            require_support(self.comm, self.V, self.joint, self.supports.held(self.V))
+            resistances = [partial(part.resistance, self) for part in self.parts]
+            require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -148,23 +153,17 @@ class Model(ABC):
         """All points where a law acts."""
         return self.bodies + self.layer_terms
 
-    @cached_property
-    def quadratures(self) -> list[Quadrature]:
-        """The points of compiled laws, in the order of `State.memory`. Collective."""
-        return [
-            Quadrature(self.domain.mesh, p, self.degree_at(p), self.origin) for p in self.terms if p.law.traits.compiled
-        ]
-
     @property
     def linear(self) -> bool:
-        """Whether every law is linear."""
-        return self.contact is None and all(p.law.traits.linear for p in self.terms)
+        """Whether every law is linear, and all that is added."""
+        of_laws = self.contact is None and all(p.law.traits.linear for p in self.terms)
+        return of_laws and all(part.is_linear(self) for part in self.parts)
 
     @property
     def symmetric(self) -> bool:
-        """Whether every law has a symmetric tangent."""
+        """Whether every law has a symmetric tangent, and all that is added."""
         laws = [p.law for p in self.terms] + ([self.contact] if self.contact else [])
-        return all(law.traits.symmetric for law in laws)
+        return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:
@@ -192,6 +191,7 @@ class Model(ABC):
             "profile": described(self.joint.relative_thickness(layer.profile)) if layer and layer.profile else None,
             "supports": [[str(place), described(given)] for place, given in self.supports.entries],
             "loads": described(self.forces.given),
+            "parts": described(list(self.parts)),
         }
 
     def _laws(self) -> dict[str, Any]:

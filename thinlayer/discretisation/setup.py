@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from forms.traction import TractionLaw
 from geometry.joint import Joint, unknown
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
+from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.layer import in_plane
 from thinlayer.discretisation.loads import Given, Load
@@ -34,7 +35,7 @@ class Setup:
         plane: "strain" or "stress".
         element: the elements of displacements.
         body_laws: law of each body.
-        supports, tractions, body_force: as given.
+        supports, tractions, body_force, parts: as given.
         comm: MPI communicator; None stands for the world.
         mark: stands for the data on several ranks, which all have the same.
     """
@@ -49,10 +50,12 @@ class Setup:
         body_force: BodyForce | None = None,
         plane: str = "strain",
         element: str | None = None,
+        parts: Sequence[Addition] = (),
         comm: MPI.Intracomm | None = None,
     ) -> None:
         self.joint, self.plane, self.comm = joint, plane, comm
         self.supports, self.tractions, self.body_force = supports, tractions, body_force
+        self.parts = tuple(parts)
         with on_all(comm):
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self._check_choices()
@@ -61,7 +64,7 @@ class Setup:
                 require_stable_body(law, C, joint.dim)
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element,
+            plane=plane, element=self.element, parts=self.parts,
         )  # fmt: skip
 
     @property

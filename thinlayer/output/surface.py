@@ -21,7 +21,7 @@ from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
 from thinlayer.compiling.compat import cell_nodes
-from thinlayer.contact.nodes import ContactNodes
+from thinlayer.contact.nodes import CONTACT, ContactNodes
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
@@ -61,7 +61,7 @@ def contact_forces(state: State) -> fem.Function:
     assert law is not None
     nodes = ContactNodes(model, np.empty(0, np.int32))
     out = nodes.zero()
-    nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[-1]), out)
+    nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[CONTACT]), out)
     forces = fem.Function(model.V)
     forces.x.array[: out.getLocalSize()] = out.array_r
     forces.x.scatter_forward()

@@ -17,7 +17,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Row
 from thinlayer.identity.identity import code_of
 from thinlayer.parallel.agreement import on_all
-from thinlayer.pointwise.phases import PhaseReport
+from thinlayer.parts.phases import PhaseReport
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.options import OptionError
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint

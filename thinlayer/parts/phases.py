@@ -16,6 +16,7 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.parts.places import quadratures
 from thinlayer.pointwise.kernels import memory_slots
 from thinlayer.pointwise.quadrature import Quadrature
 
@@ -55,7 +56,8 @@ class PhaseReport:
     def _parts(self) -> list[tuple[Quadrature, Array, Array]]:
         """Of every place with a law that has phases: points, phases (n,), weights (n,)."""
         parts = []
-        for quadrature, memory in zip(self.state.model.quadratures, self.state.memory, strict=False):
+        for key, quadrature in quadratures(self.state.model).items():
+            memory = self.state.memory[key]
             for a, k in phase_slots(quadrature.term.law):
                 parts.append((quadrature, memory[:, k], a * quadrature.weights))
         return parts
