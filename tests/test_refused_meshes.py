@@ -249,7 +249,7 @@ def test_arguments_of_inflate():
         ({"eps": "thin"}, "eps is 'thin'; it must be > 0"),
         ({"eps": True}, "eps is True"),
         ({"fractions": "ab"}, "fractions .* must be numbers > 0"),
-        ({"layers": 0}, "layers is 0; the layer needs"),
+        ({"cells_through": 0}, "cells_through is 0; the layer needs"),
     ):
         with pytest.raises(GeometryError, match=message):
             inflate(joint, **{"eps": 0.1} | data)

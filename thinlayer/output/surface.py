@@ -39,10 +39,9 @@ def reaction(state: State) -> fem.Function:
     On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i): what the layer (or the other body) exerts.
     """
     model = state.model
-    model.coordinates.t.value = state.t
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    return nodal_forces(W, work(model.bodies, state.u, v) - model.external_work(v))
+    return nodal_forces(W, work(model.bodies, state.u, v) - model.external_work(v, state.t))
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
