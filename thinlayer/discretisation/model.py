@@ -30,7 +30,7 @@ from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import require_support
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
-from thinlayer.identity.identity import described
+from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all, require_same
 
 

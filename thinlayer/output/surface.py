@@ -20,7 +20,6 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
-from thinlayer.compiling.compat import cell_nodes
 from thinlayer.contact.nodes import CONTACT, ContactNodes
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
@@ -223,9 +222,9 @@ class Surface:
     @cached_property
     def _vertices(self) -> npt.NDArray[np.int64]:
         """The vertex of the joint at each local node of the trace space."""
-        mesh, cells = self.model.domain.mesh, self.trace_space.dofmap.list
+        domain, cells = self.model.domain, self.trace_space.dofmap.list
         numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
-        numbers[cells] = self.model.domain.original_points[cell_nodes(mesh)[:, : cells.shape[1]]]
+        numbers[cells] = domain.on_cells(domain.joint.cells)[: len(cells), : cells.shape[1]]
         return numbers
 
     @cached_property

@@ -15,7 +15,7 @@ from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Row
-from thinlayer.identity.identity import code_of
+from thinlayer.identity.codes import code_of
 from thinlayer.parallel.agreement import on_all
 from thinlayer.parts.phases import PhaseReport
 from thinlayer.solving.equations import Equations
