@@ -402,12 +402,6 @@ class Model:
         laws = tuple(one if one.pointwise else constants(one, mesh) for one in laws)
         return [forms.band(one, self._dx(tags, **self._rule), n) for one, tags in zip(laws, values, strict=True)]
 
-    def degree_at(self, points: forms.Term) -> int:
-        """Quadrature degree where a compiled law acts; on quadrilaterals and hexahedra the measure has its own."""
-        degree = int(self.element[1])
-        in_volume = points.measure.integral_type() == "cell"
-        return (2 * degree - 1 if in_volume else 2 * degree) + 2 * (self.joint.degree - 1)
-
     @property
     def terms(self) -> list[forms.Term]:
         """All points where a law acts."""
@@ -416,7 +410,7 @@ class Model:
     @cached_property
     def quadratures(self) -> list[Quadrature]:
         """The points of compiled laws, in the order of `State.memory`. Collective."""
-        return [Quadrature(self.domain.mesh, p, self.degree_at(p), self.origin) for p in self.terms if p.law.pointwise]
+        return [Quadrature(self.V, p, self.origin) for p in self.terms if p.law.pointwise]
 
     @property
     def contact(self) -> ContactLaw | None:

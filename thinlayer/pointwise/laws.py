@@ -31,7 +31,7 @@ class PointLaws:
     def __init__(self, model: Model) -> None:
         self.comm, self._symmetric = model.comm, model.symmetric
         places = [p for p in model.terms if p.law.pointwise]
-        self.points = [CompiledTerm(model.V, p, model.degree_at(p), model.origin) for p in places]
+        self.points = [CompiledTerm(model.V, p, model.origin) for p in places]
         self.failed, self.eased, self._t = 0, 0.0, 0.0
         self._responses: list[Response] = []
 
