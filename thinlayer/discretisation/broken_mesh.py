@@ -165,14 +165,14 @@ class BrokenMesh:
         topology = self.mesh.topology
         own = np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32)
         inner = np.setdiff1d(own, self._outer)
-        pairs = interior_facet_entities(self.mesh, inner)
-        (lost,) = self._sum(len(inner) - len(pairs))
+        cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
+        (lost,) = self._sum(np.count_nonzero(cells_of[inner] < 2))
         if lost:
             raise ModelError(
                 f"the mesh has no ghost cells across {lost} facets between ranks; create it with "
                 "ghost_mode=dolfinx.mesh.GhostMode.shared_facet (of gmsh and XDMF files: a partitioner with this mode)"
             )
-        to_facets = topology.connectivity(self._dim, self._dim - 1)
+        pairs, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
         number = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
         apart = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
         cut = np.isin(number, cuts)

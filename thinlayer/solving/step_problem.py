@@ -19,6 +19,7 @@ from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.kernels import Array
 
+LARGEST_RESIDUAL = 1e-6  # part of the forces that may be out of balance in a state that is accepted
 DIFFERENT, SUBSET = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
@@ -73,8 +74,8 @@ class StepProblem:
         ufl_terms = [term for term in terms if not term.law.pointwise]
         residual = form + work(ufl_terms, u, ufl.TestFunction(V)) if ufl_terms else form
         self._u, self._bcs = u, list(bcs)
-        self._R = fem.form(residual)
-        self._J = fem.form(ufl.derivative(residual, u, ufl.TrialFunction(V)))
+        self._R = _compiled(residual)
+        self._J = _compiled(ufl.derivative(residual, u, ufl.TrialFunction(V)))
         self.t, self._dt, self.energies = 0.0, np.nan, np.zeros(3)
         self._remembering = [self._at_rest(CompiledTerm(V, term)) for term in terms if term.law.pointwise]
         size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
@@ -82,7 +83,17 @@ class StepProblem:
         self._held = held[held < size]
         self._held_rows = (self._held + V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs).astype(PETSc.IntType)
         self._forces = PETSc.Vec().createMPI((size, None), comm=V.mesh.comm)
-        self._matrix = self._filled(dolfinx.fem.petsc.create_matrix(self._J), DIFFERENT)
+        self._matrix = dolfinx.fem.petsc.assemble_matrix(self._J[0])
+        self._matrix.assemble()
+        for form in self._J[1:]:
+            self._add(dolfinx.fem.petsc.assemble_matrix(form), self._matrix, DIFFERENT)
+        self._stiffness = float(self._matrix.getDiagonal().norm(PETSc.NormType.INFINITY))
+        for one in self._remembering:
+            self._add(one.term.stiffness(one.response.tangent), self._matrix, DIFFERENT)
+        self._stiffness = self._stiffness or float(self._matrix.getDiagonal().norm(PETSc.NormType.INFINITY))
+        self._matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        merged, self._matrix = self._matrix, self._matrix.copy()
+        merged.destroy()
 
     def _at_rest(self, term: CompiledTerm) -> _Remembering:
         e, rest = term.strain(self._u.x.petsc_vec), term.rest()
@@ -117,30 +128,30 @@ class StepProblem:
             one.term.at_time(self.t + self._dt)
 
     def residual(self, snes: PETSc.SNES | None, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Forces out of balance at displacements x; where they are prescribed, by how much x differs. NaN: a law failed."""
+        """Forces out of balance at displacements x, NaN where a law fails.
+
+        Where displacements are prescribed, how much x differs from them, times a stiffness of the form: line searches
+        compare both.
+        """
         self._put(x)
-        b = dolfinx.fem.petsc.assemble_vector(self._R)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        out.array[:] = b.array_r
-        b.destroy()
-        self._respond()
-        for one in self._remembering:
-            out.axpy(1.0, one.term.forces(one.response.stress))
-        wanted = np.zeros(len(self._u.x.array))
-        for bc in self._bcs:
-            bc.set(wanted)
-        out.array[self._held] = x.array_r[self._held] - wanted[self._held]
+        self._balance(out)
+        out.array[self._held] = self._stiffness * self._missing()
         if self._failures():
             out.set(np.nan)
 
     def jacobian(self, snes: PETSc.SNES | None, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         """Derivative of the residual, at the displacements that it was asked for last.
 
-        The rows of prescribed displacements are those of the identity, so that a Newton step meets them and carries all
-        others along: the matrix is not symmetric.
+        The rows of prescribed displacements are those of the identity, times a stiffness, so that a Newton step meets them
+        and carries all others along: the matrix is not symmetric.
         """
         P.zeroEntries()
-        self._filled(P, SUBSET)
+        for form in self._J:
+            dolfinx.fem.petsc.assemble_matrix(P, form)
+        P.assemble()
+        for one in self._remembering:
+            self._add(one.term.stiffness(one.response.tangent), P, SUBSET)
+        P.zeroRows(self._held_rows, self._stiffness)
         if A.handle != P.handle:
             A.assemble()
 
@@ -148,12 +159,18 @@ class StepProblem:
         """End the step at the displacements u: the internal values there are where the next one begins.
 
         Raises:
-            SolveError: a law fails at u, or a column of a law with phases is to change phase, see `switch`.
+            SolveError: more than 1e-6 of the forces are out of balance, a law fails at u, or a column of a law with phases
+                is to change phase, see `switch`.
         """
-        self._respond()
+        out = self._forces
+        self._put(self._u.x.petsc_vec)
+        size = self._balance(out)
         if failed := self._failures():
             first = next(filter(None, self._gathered([one.term.failure(one.response) for one in self._remembering])))
             raise SolveError(f"laws fail at {failed} points: {first}")
+        out.array[self._held] = self._stiffness * self._missing()
+        if (lack := float(out.norm())) > LARGEST_RESIDUAL * size:
+            raise SolveError(f"u is no equilibrium: {lack / max(size, lack):.3g} of the forces are out of balance")
         columns = [(one.term.switching, one.response) for one in self._remembering if one.term.switching]
         if any(switching.excess(response.memory) > TIE for switching, response in columns if switching):
             raise SolveError(
@@ -187,6 +204,29 @@ class StepProblem:
             self._u.x.array[: x.getLocalSize()] = x.array_r
         self._u.x.scatter_forward()
 
+    def _balance(self, out: PETSc.Vec) -> float:
+        """Forces out of balance, with those of supports; the size of these or of compiled terms' forces, the larger one."""
+        out.set(0.0)
+        for form in self._R:
+            b = dolfinx.fem.petsc.assemble_vector(form)
+            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            out.array[:] += b.array_r
+            b.destroy()
+        self._respond()
+        size = 0.0
+        for one in self._remembering:
+            forces = one.term.forces(one.response.stress)
+            size = max(size, float(forces.norm()))
+            out.axpy(1.0, forces)
+        return max(size, float(out.norm()))
+
+    def _missing(self) -> Array:
+        """How much prescribed displacements lack."""
+        wanted = np.zeros(len(self._u.x.array))
+        for bc in self._bcs:
+            bc.set(wanted)
+        return np.asarray(self._u.x.array[self._held] - wanted[self._held])
+
     def _respond(self) -> None:
         if self._remembering and np.isnan(self._dt):
             raise ModelError("no step has begun: call begin(dt) before each solve")
@@ -194,16 +234,11 @@ class StepProblem:
             e = one.term.strain(self._u.x.petsc_vec)
             one.response = one.term.respond(e, one.strain, one.memory, self._dt, 1.0)
 
-    def _filled(self, A: PETSc.Mat, pattern: PETSc.Mat.Structure) -> PETSc.Mat:
-        dolfinx.fem.petsc.assemble_matrix(A, self._J)
-        A.assemble()
-        for one in self._remembering:
-            K = one.term.stiffness(one.response.tangent)
-            A.axpy(1.0, K, pattern)
-            K.destroy()
-        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        A.zeroRows(self._held_rows, 1.0)
-        return A
+    @staticmethod
+    def _add(K: PETSc.Mat, A: PETSc.Mat, pattern: PETSc.Mat.Structure) -> None:
+        K.assemble()
+        A.axpy(1.0, K, pattern)
+        K.destroy()
 
     def _failures(self) -> int:
         return int(self._comm_sum(np.array([sum(one.response.failed for one in self._remembering)]))[0])
@@ -213,3 +248,17 @@ class StepProblem:
 
     def _gathered(self, texts: list[str]) -> list[str]:
         return [text for every in self._remembering[0].term.comm.allgather(texts) for text in every]
+
+
+def _compiled(form: ufl.Form) -> list[fem.Form]:
+    """A form as several, each with one set of tags for all its integrals of a kind: DOLFINx compiles no others."""
+    groups: list[list[ufl.Integral]] = []
+    for integral in form.integrals():
+        kind, tags = integral.integral_type(), integral.subdomain_data()
+        for group in groups:
+            if all(other.subdomain_data() is tags for other in group if other.integral_type() == kind):
+                group.append(integral)
+                break
+        else:
+            groups.append([integral])
+    return [fem.form(ufl.Form(group)) for group in groups]
