@@ -48,9 +48,9 @@ class ContactLaw(Law):
     def check(self) -> None:
         positive(self, "K_N", "K_T")
 
-    @property
-    def in_series(self) -> bool:
-        return False
+    def _told_by_methods(self) -> dict[str, bool]:
+        told = super()._told_by_methods()
+        return told | {"in_series": False, "has_energy": self.memory, "remembers": self.memory}
 
     def per_thickness(self, eps: float) -> Self:
         raise LawError(
@@ -61,10 +61,6 @@ class ContactLaw(Law):
     def plane_stress(self) -> Self:
         """The law itself: jumps and tractions know no plane."""
         return self
-
-    @property
-    def has_energy(self) -> bool:
-        return self.memory
 
     def threshold(self, p: Array) -> Array:
         """Largest |t_T| at a pressure."""

@@ -10,9 +10,9 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
-from thinlayer_base import PACKAGES, ThinlayerError, is_number
+from thinlayer_base import PACKAGES, InputError, is_number
 
-DEFAULTS = ("forms.law", "forms.traction", "forms.kernel", "forms.contact")  # modules of the base classes
+DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))  # of the base classes
 ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
 CHANGES = ("advance", "evolve")  # of its memory
 OF_ANSWERS = ("stiffness", "gradient", "plane_stress", "otherwise", "energetic")  # what is written for one stress alone
@@ -21,7 +21,7 @@ SHAPES = ((), (3,), (3, 3))  # of internal variables
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
-class LawError(ThinlayerError, ValueError):
+class LawError(InputError):
     """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
 
 
@@ -63,12 +63,12 @@ def take_back(kind: Any) -> None:
         if _is_of_another(kind, name, ANSWERS + CHANGES):
             _reset(kind, name)
     written = [name for name in ENERGIES if _own(kind, name)]
-    unchecked = kind.rate or kind.internal or not kind.symmetric
+    unchecked = getattr(kind, "rate", False) or kind.internal or not getattr(kind, "symmetric", True)
     if unchecked and all(_is_of_another(kind, name, ANSWERS) for name in written):
         for name in written:
             _reset(kind, name)
     if _own(kind, "quadratic") and _place(kind, "energy") < _place(kind, "quadratic"):
-        _reset(kind, "quadratic")
+        kind.quadratic = False
 
 
 def _is_of_another(kind: Any, name: str, answers: tuple[str, ...]) -> bool:
@@ -144,11 +144,11 @@ def _require_asked(law: Any) -> None:
         raise LawError(
             f"{name} has a method {advancing[0]} and no internal variables; write internal = {{name: shape}}"
         )
-    if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.has_energy:
+    if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
         raise LawError(f"{name} declares a dissipation and no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
         raise LawError(f"{name} has a method at, and says that no parameters vary; write varies = True in the class")
-    if _own(kind, "otherwise") and kind.otherwise is not None and not law.pointwise:
+    if _own(kind, "otherwise") and kind.otherwise is not None and not law.traits.compiled:
         raise LawError(f"{name} has a law otherwise, and holds everywhere; write a method holds(step), a UFL condition")
 
 
@@ -162,11 +162,11 @@ def _own(kind: Any, name: str) -> bool:
 
 def _require_phases(law: Any) -> None:
     kind, name = type(law), type(law).__name__
-    if kind.phases is True and law.internal.get("phase") != ():
+    if getattr(kind, "phases", False) is True and law.internal.get("phase") != ():
         raise LawError(f"{name} has phases = True; it needs an internal variable 'phase' of shape (), a UFL law")
-    if kind.switches is not True:
+    if getattr(kind, "switches", False) is not True:
         return
-    if kind.phases is not True or any(law.internal.get(one) != () for one in SWITCHED):
+    if getattr(kind, "phases", False) is not True or any(law.internal.get(one) != () for one in SWITCHED):
         raise LawError(f"{name} has switches = True; it needs phases = True and the scalars {SWITCHED} in internal")
     for method in ("excess", "switched"):
         if not callable(getattr(law, method, None)):

@@ -42,10 +42,6 @@ class KernelLaw(Law):
     kernel: ClassVar[Callable[..., bool]]
     source: ClassVar[Path | None] = None
 
-    @property
-    def pointwise(self) -> bool:
-        return True
-
-    @property
-    def has_energy(self) -> bool:
-        return self.energetic
+    def _told_by_methods(self) -> dict[str, bool]:
+        told = super()._told_by_methods()
+        return told | {"compiled": True, "has_energy": bool(self.energetic), "remembers": bool(self.memory)}

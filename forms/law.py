@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ import ufl
 from forms.declarations import LawError as LawError
 from forms.declarations import require_dataclass, require_declarations, take_back
 from forms.kinematics import Expr
+from forms.traits import Traits
 from thinlayer_base import is_number
 
 
@@ -27,7 +29,7 @@ class Step(NamedTuple):
         e: strain at the end of the step, (3, 3). Laws without rate and internal variables are told of no step: for their
             stress and `holds`, in a body, in the layer, on S and in a `Stack`, it is the strain at t + theta dt.
         n: director of the layer: unit, from the lower to the upper body. None inside a body. (3,) for laws that act at
-            points (`Law.pointwise`, and in a `Stack`), in 2D with a zero; (d,) for those whose stress is a part of a form.
+            points (`Traits.compiled`), in 2D with a zero; (d,) for those whose stress is a part of a form.
             `forms.kinematics.lift(n)` is (3,) in both.
         e_old: strain at the beginning. None where there is no time, and for laws without rate and internal variables.
         q: internal variables at the beginning, by name.
@@ -80,38 +82,18 @@ class Law:
 
     Attributes:
         powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
-        linear: whether the stress is linear in the strain (affine in the strain at the end of a step).
-        symmetric: whether the tangent is symmetric (there is an energy); checked where the solver relies on it.
-        rate: whether the stress depends on the strain rate. Such a law lets no strain jump in time: it has no
-            instantaneous response, the others answer a sudden load at once.
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
-        quadratic: whether the stored energy is a quadratic function of strain and internal variables.
-        constrained: whether the strain's trace is held to zero by a pressure that is a field of its own.
-        yields: whether stresses are bounded in some direction, so that loads may have a limit.
         otherwise: a law with the same parameters and internal values, for all points in three dimensions and for those in
             plane strain where this one does not hold (`holds`). Without one such points fail, and steps are shortened.
         functions: parameters that may be given as functions; `parameters` gives numbers for them, NaN where they vary, and
             `at` their values.
-        phases: whether a scalar internal variable "phase" in [-1, 1] says how much of the layer is in phase 1, or -1.
-        switches: whether phases are pure, one for each column of the layer, held in a solve and switched after it: by the
-            methods `excess` and `switched`, from "phase" and the internal variables "drive" and "bound".
-        flat: whether the tangent of a law with an energy may vanish along some strains.
         ignored: methods that are never asked, as others give the answers.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
-    linear: ClassVar[bool] = False
-    symmetric: ClassVar[bool] = True
-    rate: ClassVar[bool] = False
     internal: ClassVar[Mapping[str, tuple[int, ...]]] = {}
-    quadratic: ClassVar[bool] = False
-    constrained: ClassVar[bool] = False
-    yields: ClassVar[bool] = False
     otherwise: ClassVar[Law | None] = None
     functions: ClassVar[tuple[str, ...]] = ()
-    phases: ClassVar[bool] = False
-    switches: ClassVar[bool] = False
-    flat: ClassVar[bool] = False
     ignored: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -136,6 +118,7 @@ class Law:
         for f in fields(self):
             self._check_number(f.name, getattr(self, f.name), f.default is None, _of_numbers(f.type))
         self.check()
+        _ = self.traits  # errors in what the class declares
         require_declarations(self)
 
     def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
@@ -158,20 +141,23 @@ class Law:
     def check_dimension(self, d: int) -> None:
         """Raise LawError if the law cannot serve in a model of dimension d."""
 
-    @property
-    def softens(self) -> bool:
-        """Whether stresses fall as strains grow, so that a meshed layer would localise and steps in time may snap."""
-        return False
+    @cached_property
+    def traits(self) -> Traits:
+        """What the law is like. It is that of a law with numbers, also when symbols or other numbers replace them."""
+        return Traits.of(self, **self._told_by_methods())
 
-    @property
-    def plateau(self) -> bool:
-        """Whether strains across the layer may grow at constant stress, so that they need not be uniform through it."""
-        return False
-
-    @property
-    def varies(self) -> bool:
-        """Whether parameters vary along the layer or in time; `at` gives those that do."""
-        return False
+    def _told_by_methods(self) -> dict[str, bool]:
+        """The traits that follow from what a class defines."""
+        kind = type(self)
+        declared = Traits.of(self)
+        return {
+            "has_energy": kind.energy is not Law.energy,
+            "eases": kind.eased is not Law.eased,
+            "relaxes": kind.gradient is not Law.gradient,
+            "in_series": not (declared.constrained or declared.switches),
+            "remembers": bool(self.internal),
+            "compiled": declared.rate or bool(self.internal) or declared.varies or kind.holds is not Law.holds,
+        }
 
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
         """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
@@ -181,28 +167,13 @@ class Law:
         """
         return {}
 
-    @property
-    def in_series(self) -> bool:
-        """Whether the law can be a sublayer of a `Stack`."""
-        return not self.constrained
-
-    @property
-    def has_energy(self) -> bool:
-        """Whether the law declares its stored energy (and so its dissipation)."""
-        return type(self).energy is not Law.energy
-
-    @property
-    def pointwise(self) -> bool:
-        """Whether the law acts on arrays of points, step by step; otherwise its stress is a part of a UFL form."""
-        return self.rate or bool(self.internal) or self.varies or type(self).holds is not Law.holds
-
     def stress(self, step: Step) -> Expr:
         """Stress at t + theta dt, (3, 3), symmetric, UFL."""
         raise LawError(f"{type(self).__name__} gives no stress; a law needs a method stress(step)")
 
     def told(self, step: Step) -> Step:
         """What the stress is asked with: of laws without rate and internal variables the strain at t + theta dt alone."""
-        return step if self.rate or self.internal else Step(step.mid, step.n)
+        return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         """Internal variables at the end of the step, by name, UFL."""
@@ -228,11 +199,6 @@ class Law:
         """A law between this one (ease = 0) and one whose equilibrium is easily found (1), for continuation."""
         return self
 
-    @property
-    def can_ease(self) -> bool:
-        """Whether there are such laws."""
-        return type(self).eased is not Law.eased
-
     def remainder(self, step: Step) -> Expr:
         """What the time scheme adds to the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
 
@@ -240,7 +206,7 @@ class Law:
         energies it is the difference itself. Where parameters vary the model takes the difference, whatever this gives.
         """
         new = self.advance(step)
-        if self.quadratic:
+        if self.traits.quadratic:
             increments = {name: new[name] - step.q[name] for name in new}
             return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
         stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
@@ -249,16 +215,13 @@ class Law:
     def gradient(self, e: Expr, n: Expr) -> Expr:
         """How the strain grows through a layer under an interface law of order 1, (3, 3): across its whole thickness.
 
+        Without this method the layer is held to displacements that are linear through it.
+
         Args:
             e: what a layer whose displacements are linear through its thickness would have, sym(grad_S [u]), (3, 3).
             n: director, (d,).
         """
         return e
-
-    @property
-    def relaxes(self) -> bool:
-        """Whether the law gives this gradient itself; else the layer is held to displacements linear through it."""
-        return type(self).gradient is not Law.gradient
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
         """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not say.
@@ -281,6 +244,7 @@ class Law:
     def with_parameters(self, values: Mapping[str, Any]) -> Self:
         """The same law with other values (numbers or UFL), unchecked."""
         law = copy.copy(self)
+        object.__setattr__(law, "traits", self.traits)
         for name, value in values.items():
             object.__setattr__(law, name, value)
         return law

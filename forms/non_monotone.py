@@ -187,7 +187,7 @@ class NonMonotone(Phases):
     G: float = field(init=False, repr=False, default=0.0)
     powers: ClassVar = {"lmbda": 1, "mu": 1, "C": -1, "G": -1}
     internal: ClassVar = {"phase": (), "stored": ()}
-    flat: ClassVar = True
+    singular: ClassVar = True
 
     def check(self) -> None:
         require(0 < self.mixing <= 1, self, "mixing", self.mixing, "0 < mixing <= 1")
@@ -257,10 +257,6 @@ class NonMonotoneUnrelaxed(Phases):
     linear: ClassVar = True
     internal: ClassVar = {"phase": (), "stored": (), "drive": (), "bound": ()}
     switches: ClassVar = True
-
-    @property
-    def in_series(self) -> bool:
-        return False
 
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid) - step.q["phase"] * self._transformation_stress(step.n)

@@ -48,7 +48,7 @@ class Plastic(Law):
     symmetric: ClassVar = False
     internal: ClassVar = {"plastic": (3, 3)}
     quadratic: ClassVar = True
-    yields: ClassVar = True
+    bounded: ClassVar = True
     stiffness = isotropic_stiffness
 
     def check(self) -> None:

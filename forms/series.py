@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
 
 from forms.declarations import require_declarations
 from forms.law import Law, LawError, require
+from forms.traits import Traits
 from thinlayer_base import is_number
 
 
@@ -62,7 +67,7 @@ class Stack(Law):
         require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
         for law in self.laws:
             allowed = "laws that give a stress for a strain, at each point by itself"
-            require(isinstance(law, Law) and law.in_series, self, "a sublayer", law, allowed)
+            require(isinstance(law, Law) and law.traits.in_series, self, "a sublayer", law, allowed)
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -74,33 +79,9 @@ class Stack(Law):
         """Laws, from the lower to the upper face."""
         return tuple(law for _, law in self.sublayers)
 
-    @property
-    def pointwise(self) -> bool:
-        return True
-
-    @property
-    def has_energy(self) -> bool:
-        return all(law.has_energy for law in self.laws)
-
-    @property
-    def linear(self) -> bool:  # type: ignore[override]
-        return all(law.linear for law in self.laws)
-
-    @property
-    def symmetric(self) -> bool:  # type: ignore[override]
-        return all(law.symmetric for law in self.laws)
-
-    @property
-    def rate(self) -> bool:  # type: ignore[override]
-        return any(law.rate for law in self.laws)
-
-    @property
-    def yields(self) -> bool:  # type: ignore[override]
-        return any(law.yields for law in self.laws)
-
-    @property
-    def can_ease(self) -> bool:
-        return any(law.can_ease for law in self.laws)
+    @cached_property
+    def traits(self) -> Traits:
+        return Traits.of_series(law.traits for law in self.laws)
 
     def eased(self, ease: float) -> Stack:
         return self.with_laws([law.eased(ease) for law in self.laws])
@@ -112,21 +93,12 @@ class Stack(Law):
     def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])
 
-    @property
-    def softens(self) -> bool:
-        return any(law.softens for law in self.laws)
+    def parameters(self) -> dict[str, Any]:
+        """Those of the sublayers, "0.mu" that of the lowest one."""
+        return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 
-    @property
-    def phases(self) -> bool:  # type: ignore[override]
-        return any(law.phases for law in self.laws)
-
-    @property
-    def flat(self) -> bool:  # type: ignore[override]
-        return any(law.flat for law in self.laws)
-
-    @property
-    def varies(self) -> bool:
-        return any(law.varies for law in self.laws)
+    def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
+        return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.at(x, t).items()}
 
     def check_dimension(self, d: int) -> None:
         for law in self.laws:

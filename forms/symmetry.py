@@ -51,12 +51,12 @@ def require_declared_stress(law: Law, key: int) -> None:
         law: with the numbers of this run.
         key: of what it computes from any numbers, see `forms.trace`.
     """
-    _for_all_numbers(law, ("stress", key, law.linear, law.symmetric), _is_declared)
+    _for_all_numbers(law, ("stress", key, law.traits.linear, law.traits.symmetric), _is_declared)
 
 
 def require_symmetric_tangent(law: Law, key: int) -> None:
     """Raise LawError if a law in UFL says `symmetric`, and its tangent is not; arguments as above."""
-    if law.symmetric:
+    if law.traits.symmetric:
         _for_all_numbers(law, ("tangent", key), _tangent_is_symmetric)
 
 
@@ -88,9 +88,9 @@ def keeps_its_word(sample: Sample) -> None:
     """Raise LawError unless internal tensors are symmetric, and the stress is as linear and elastic as a law says."""
     law = sample.law
     _memory_is_symmetric(sample)
-    if law.linear:
+    if law.traits.linear:
         _stress_is_linear(sample)
-    if law.has_energy and law.symmetric and not (law.rate or law.internal):
+    if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
         _stress_is_of_energy(sample)
 
 
@@ -123,7 +123,7 @@ def _stress_is_linear(sample: Sample) -> None:
     """Second differences vanish, also across no strain."""
     middle = sample.stress()
     mid = THETA * sample.e + (1 - THETA) * sample.e_old
-    across = [2 / THETA * mid, 2 * sample.e] if sample.law.rate or sample.law.internal else [2 / THETA * mid]
+    across = [2 / THETA * mid, 2 * sample.e] if sample.law.traits.rate or sample.law.internal else [2 / THETA * mid]
     for change in (sample.random_strain(), *across):
         up, down = sample.stress(change), sample.stress(-change)
         if middle is None or up is None or down is None:

@@ -40,10 +40,10 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     declared = law.stiffness(n)
     if declared is not None:
         return declared
-    if law.pointwise:
+    if law.traits.compiled:
         n = np.pad(n, (0, 3 - len(n)))
     if isinstance(law, KernelLaw):
-        return _of_kernel(law, n, LONG if law.rate else 0.0)
+        return _of_kernel(law, n, LONG if law.traits.rate else 0.0)
     columns = []
     for i, j in MANDEL:
         e = np.zeros((3, 3))
@@ -67,7 +67,7 @@ def tangent_over(law: Law, n: Array, dt: float) -> Array | None:
         n: director, (d,).
         dt: time > 0.
     """
-    if not law.linear:
+    if not law.traits.linear:
         return None
     n = np.pad(n, (0, 3 - len(n)))
     if isinstance(law, KernelLaw):
@@ -107,7 +107,7 @@ def _stress(law: Law, e: Array, n: Array) -> Array | None:
     zero = ufl.as_matrix(np.zeros((3, 3)).tolist())
     shapes: dict[tuple[int, ...], Any] = {(): ufl.as_ufl(0.0), (3,): ufl.as_vector([0.0] * 3)}
     q = {name: shapes.get(shape, zero) for name, shape in law.internal.items()}
-    dt = ufl.as_ufl(LONG if law.rate else 0.0)
+    dt = ufl.as_ufl(LONG if law.traits.rate else 0.0)
     try:
         named = law.mapped(lambda value, _: ufl.as_tensor(value.tolist()) if np.ndim(value) else float(value))
         step = Step(ufl.as_matrix(e.tolist()), ufl.as_vector(n.tolist()), zero, q, dt, 1.0)
@@ -125,11 +125,11 @@ def held_along(law: Law, n: Array) -> npt.NDArray[np.bool_] | None:
     None if the law has a traction where nothing jumps, parameters that vary, or cannot be evaluated. A law with memory is
     asked from rest, one with a rate in the end; an incompressible one has its pressure along n.
     """
-    if law.varies or isinstance(law, KernelLaw):
+    if law.traits.varies or isinstance(law, KernelLaw):
         return None
-    director = np.pad(n, (0, 3 - len(n))) if law.pointwise else n
+    director = np.pad(n, (0, 3 - len(n))) if law.traits.compiled else n
     N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
-    coupled = law.constrained & (np.abs(n) > UNCOUPLED)
+    coupled = law.traits.constrained & (np.abs(n) > UNCOUPLED)
     for size in (0.0, *SIZES):
         for b, axis in enumerate(np.eye(len(n))):
             e = np.zeros((3, 3))
@@ -148,7 +148,11 @@ def rests_by_itself(law: Law) -> bool:
     Not asked of laws that say `softens`, nor where divided differences do not answer: of laws that remember and have a
     rate, and of laws of jumps that are not linear (what a small jump is they alone know).
     """
-    return not (law.softens or (law.rate and law.internal) or (isinstance(law, TractionLaw) and not law.linear))
+    return not (
+        law.traits.softens
+        or (law.traits.rate and law.internal)
+        or (isinstance(law, TractionLaw) and not law.traits.linear)
+    )
 
 
 def across(C: Array, n: Array) -> Array:

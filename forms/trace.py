@@ -68,7 +68,7 @@ def symbolic(law: Law) -> Symbolic:
     q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
     n, dt, theta = take((3,)), take(()), take(())
     step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
-    step = step if law.rate or isinstance(law, TractionLaw) else step.without_rate()
+    step = step if law.traits.rate or isinstance(law, TractionLaw) else step.without_rate()
     return Symbolic(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
 
 
@@ -115,7 +115,7 @@ def _stress_key(law: Law, d: int | None) -> int:
         raise LawError(
             f"{type(law).__name__}.stress is zero, whatever the strain; a law of this kind needs a stiffness"
         )
-    if not law.has_energy:
+    if not law.traits.has_energy:
         return key([stress])
     with explained(law, "energy"), undecided(law, "energy"):
         return key([stress, shaped(law, "energy", point.law.energy(step), ())])

@@ -64,13 +64,8 @@ class TractionLaw(Law):
             raise LawError(f"{type(self).__name__}: a traction law has no powers of eps")
         super().__post_init__()
 
-    @property
-    def pointwise(self) -> bool:
-        return True
-
-    @property
-    def in_series(self) -> bool:
-        return False
+    def _told_by_methods(self) -> dict[str, bool]:
+        return super()._told_by_methods() | {"compiled": True, "in_series": False}
 
     def traction(self, step: JumpStep) -> Expr:
         """Traction at t + theta dt, (3,)."""
@@ -94,4 +89,4 @@ class TractionLaw(Law):
         return self
 
     def _jumps(self, step: Step) -> JumpStep:
-        return JumpStep.of(step) if self.rate else _NoRate(*JumpStep.of(step))
+        return JumpStep.of(step) if self.traits.rate else _NoRate(*JumpStep.of(step))

@@ -41,7 +41,7 @@ class Term:
     @property
     def proportional(self) -> bool:
         """Whether the law is linear and has no stress without strain (no eigenstrain): its form is bilinear."""
-        if not self.law.linear:
+        if not self.law.traits.linear:
             return False
         with explained(self.law, "stress"):
             unstrained = shaped(self.law, "stress", self.law.stress(Step(ufl.zero(3, 3), self.n)), (3, 3))

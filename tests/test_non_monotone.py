@@ -12,7 +12,8 @@ from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, St
 from forms.non_monotone import lamination_gain
 from geometry import sandwich
 from tests.test_points import jump_strain, material, respond, tensor, traction, vector
-from thinlayer import Model, ThinLayer, drive
+from thinlayer import Structure, ThinLayer, drive
+from thinlayer.discretisation.layer import real_law
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import TIE
 
@@ -220,7 +221,7 @@ def test_what_is_not_convex():
         law = NonMonotone(LMBDA, MU, ALPHA, C, ALONG, mixing=mixing)
         t = traction(at(law, along).stress, np.broadcast_to(E2, (41, 3)))[:, 0]
         assert (np.diff(t).min() > -1e-12) == monotone
-        assert law.softens == (not monotone)
+        assert law.traits.softens == (not monotone)
     swelling = NonMonotone(LMBDA, MU, ALPHA, C, np.eye(2))
     e = np.linspace(0, 2 * C / ALPHA, 101)[:, None] * np.array([0.5, 0.5, 0, 0, 0, 0])
     assert np.diff(at(swelling, e).stored, 2).min() < -1e-6
@@ -285,7 +286,7 @@ def test_tangent_is_the_derivative_of_the_stress(name, theta):
     law = LAWS[name]
     e, old = random_strains(law, 200) / theta, random_strains(law, 200, seed=8, spread=0.0)
     mid = lambda strain: at(law, theta * strain + (1 - theta) * old, phase=phase)
-    phase = np.resize([0, 1, -1], 200) if law.switches else None
+    phase = np.resize([0, 1, -1], 200) if law.traits.switches else None
     direction = 0.01 * np.random.default_rng(1).normal(size=e.shape)
     now, kinds, sizes = at(law, e, old, theta, phase=phase), branch(law, mid(e)), (1e-2, 1e-3)
     for h in sizes:
@@ -299,7 +300,7 @@ def test_tangent_is_the_derivative_of_the_stress(name, theta):
     change = (elastic - now.tangent) / theta
     mixed = np.abs(kinds) == 1
     chi = vector(lifted(law.chi))
-    if law.switches:
+    if law.traits.switches:
         assert set(kinds) == {-2, 0, 2}
         assert np.abs(change).max() < 1e-12
     else:
@@ -314,8 +315,8 @@ def test_both_signs(name):
     law = LAWS[name]
     e = random_strains(law, 100)
     other = type(law)(**{**{k: v for k, v in law.parameters().items() if k not in ("T", "G")}, "chi": -law.chi})
-    phase = np.resize([0, 1, -1], 100) if law.switches else None
-    back = -phase if law.switches else None
+    phase = np.resize([0, 1, -1], 100) if law.traits.switches else None
+    back = -phase if law.traits.switches else None
     now, mirrored, renamed = at(law, e, phase=phase), at(law, -e, phase=back), at(other, e, phase=back)
     assert set(np.sign(now.q[:, 0])) == {-1, 0, 1}
     for answer, sign in ((mirrored, -1), (renamed, 1)):
@@ -518,12 +519,12 @@ def test_phases_of_the_two_laws_agree_where_phases_are_pure():
 def test_scaling(name):
     """Moduli ~ eps, alpha ~ eps^0, C ~ 1/eps: traction and eps times the energy of sym([u] (x) n)/eps do not know eps."""
     law = LAWS[name]
-    phase = np.resize([0, 1, -1], 50) if law.switches else None
+    phase = np.resize([0, 1, -1], 50) if law.traits.switches else None
     w, n = jumps_and_normals(law, 50)
     E = jump_strain(w, n)
     there = at(law, E, n=n, phase=phase)
     for eps in (1e-3, 0.5):
-        real = ThinLayer(law, eps).real_law("strain")
+        real = real_law(ThinLayer(law, eps), "strain")
         numbers = real.parameters()
         assert (numbers["lmbda"], numbers["mu"], numbers["alpha"], numbers["C"]) == pytest.approx(
             (LMBDA * eps, MU * eps, ALPHA, C / eps), rel=1e-15
@@ -538,12 +539,12 @@ def test_scaling(name):
         for key, value in law.parameters().items():
             assert per_thickness[key] == pytest.approx(value, rel=1e-14)
     wrong = law.with_parameters({"lmbda": LMBDA * eps, "mu": MU * eps, "C": C})  # "the same power" for alpha and C
-    if not law.switches:
+    if not law.traits.switches:
         assert np.abs(at(wrong, E / eps, n=n).stress - there.stress).max() > 0.1
 
 
 def extra(law):
-    return {} if law.switches else {"mixing": law.mixing}
+    return {} if law.traits.switches else {"mixing": law.mixing}
 
 
 # ---------------------------------------------------------------- temperature
@@ -600,13 +601,13 @@ def test_the_layer_switches_only_above_a_temperature():
 def test_a_field_of_temperatures():
     """Each point has its parameters; and eps is that of the layer, whose real C is C/eps."""
     law = NonMonotone(LMBDA, MU, ALPHA, lambda T: 0.01 + 0.001 * T, CHI2, T=lambda x, t: 10 * x[0] + t)
-    assert law.varies
+    assert law.traits.varies
     x = np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
     values = law.at(x, 3.0)
     assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
     assert values["C"] == pytest.approx([0.013, 0.023, 0.033])
     assert values["alpha"] == pytest.approx(3 * [ALPHA])
-    real = ThinLayer(law, EPS).real_law("strain")
+    real = real_law(ThinLayer(law, EPS), "strain")
     assert real.at(x, 3.0)["C"] == pytest.approx(values["C"] / EPS)
     assert real.per_thickness(EPS).at(x, 3.0)["C"] == pytest.approx(values["C"])
     w = np.array([[0.0, 0.02, 0.0]] * 3)
@@ -633,7 +634,7 @@ def test_functions_of_temperature_per_thickness():
     for T in (15.0, lambda x, t: 15.0 + 0 * x[0]):
         real = NonMonotone(LMBDA * EPS, MU * EPS, lambda T: 0.08 * T, lambda T: T / 1000 / EPS, CHI2, T=T)
         law = real.per_thickness(EPS)
-        values = law.at(np.zeros((2, 1)), 0.0) if law.varies else law.parameters()
+        values = law.at(np.zeros((2, 1)), 0.0) if law.traits.varies else law.parameters()
         assert [*np.ravel(values["alpha"]), *np.ravel(values["C"])] == pytest.approx([1.2, 0.015], rel=1e-14)
         assert abs(law.G / lamination_gain(LMBDA, MU, CHI2) - 1) < 1e-13
 
@@ -693,8 +694,8 @@ def in_series(w):
 @pytest.mark.parametrize("order", [1, -1])
 def test_in_series_with_an_elastic_sublayer(order):
     law = Stack(*[(SHARE, STIFF), (1 - SHARE, RELAXED["2D"])][::order])
-    assert law.phases
-    assert not law.softens
+    assert law.traits.phases
+    assert not law.traits.softens
     path = np.array([*PATHS[2], (0.02, 0.03), (0.0, 0.02), (0.0, -0.02)])
     found = drive(law, pulled("w", path))
     expected = [in_series(w) for w in path]
@@ -818,21 +819,21 @@ def test_where_the_laws_have_no_place():
     setup = dict(supports={"BOTTOM": 0.0}, element="Q1")
     for build, law, body, error, message in (
         (
-            Model.interface,
+            Structure.interface,
             relaxed,
             relaxed,
             ModelError,
             "body '.*': NonMonotone is for layers; bodies take elastic laws",
         ),
-        (Model.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
+        (Structure.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
         (
-            Model.interface,
+            Structure.interface,
             RELAXED["3D"],
             STIFF,
             LawError,
             r"chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2",
         ),
-        (Model.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
+        (Structure.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
     ):
         with pytest.raises(error, match=message):
-            build(plates, layer=ThinLayer(law, 0.1), body=body, **setup)
+            build(Structure(plates, body=body, **setup), ThinLayer(law, 0.1))

@@ -13,13 +13,22 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.optimize import brentq
 
-from forms import Incompressible, LinearElastic, Maxwell, MohrCoulomb, NonMonotoneUnrelaxed, Norton, Stack
+from forms import (
+    HolonomicCoulomb,
+    Incompressible,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    NonMonotoneUnrelaxed,
+    Norton,
+    Stack,
+)
 from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
 from tests.test_parallel import CLONE, mpirun
 from tests.test_readme import OWN, README
-from thinlayer import BrokenMesh, Model, ModelError, SolveError, StepProblem, ThinLayer, march
+from thinlayer import BrokenMesh, ModelError, SolveError, StepProblem, Structure, ThinLayer, march
 
 SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[2].partition("\n## ")[0], re.DOTALL)
 STONE = LinearElastic.young(E=100.0, nu=0.3)
@@ -174,7 +183,7 @@ def test_same_as_a_model(kind, name):
         "supports": {"BOTTOM": 0.0, "TOP": top},
         "element": f"{'PQ'['h' in kind[:1] or 'q' in kind[:1]]}{degree}",
     }
-    model = Model.interface(blocks.joint, layer=layer, **options)
+    model = Structure(blocks.joint, **options).interface(layer)
     history = march(model, [0.5, 1.0, 1.5])
     assert blocks.difference(history.last.u, model.domain.original_cells) < 1e-8
     if problem.compiled:
@@ -318,6 +327,8 @@ def test_refused_tags():
         blocks.broken.interface(9)
     with pytest.raises(LawError, match="pressure of its own"):
         blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1))
+    with pytest.raises(LawError, match="contact laws need a Model"):
+        blocks.broken.layer(LAYER, HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3))
 
 
 def test_refused_steps():

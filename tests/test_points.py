@@ -32,7 +32,7 @@ from forms.law import Step
 from forms.traction import JumpStep
 from geometry import sandwich
 from tests.own_laws import Fragile, Hardening, Mises, Slipping, StandardSolid
-from thinlayer import Model, ThinLayer, solve
+from thinlayer import Structure, ThinLayer, solve
 from thinlayer.pointwise.kernels import SIZES
 from thinlayer.pointwise.material import Material
 
@@ -178,12 +178,12 @@ def test_tangent_is_the_derivative_of_the_stress(name, theta):
         moved = start.respond(law, theta, start.e + h * direction)
         left.append(np.abs(moved.stress - now.stress - h * np.einsum("kij,kj->ki", now.tangent, direction)).max())
     size = np.abs(now.stress).max()
-    if law.linear:
+    if law.traits.linear:
         assert max(left) < EXACT * size
     else:
         assert left[1] > 100 * ROUNDING * size  # it is the law's curvature that is seen
         assert np.log10(left[0] / left[1]) > 1.95
-    if law.symmetric:
+    if law.traits.symmetric:
         assert now.tangent == pytest.approx(np.swapaxes(now.tangent, 1, 2), abs=EXACT * np.abs(now.tangent).max())
 
 
@@ -448,7 +448,7 @@ def follow(law, direction, load, *, end, steps, theta, compliance=None):
     n, a = E2[None], np.asarray(direction, float)
     q, x = np.zeros((1, material(law).memory)), 0.0
     lengths = [(end / steps, theta)] * steps
-    if not law.rate:
+    if not law.traits.rate:
         lengths = [(0.0, 1.0), *lengths]
     elif theta < 1:
         lengths = [(end / steps / 2, 1.0)] * 2 + lengths[1:]
@@ -1004,11 +1004,12 @@ class TriangleWithMemory(Triangle):
 
 
 def of_blocks(law, kind="S", **choices):
-    build = Model.interface if kind == "S" else Model.full
+    build = Structure.interface if kind == "S" else Structure.full
     joint = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral", structured=True)
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.02, "y": -0.01}}
     return build(
-        joint, layer=ThinLayer(law, 0.1), body=LinearElastic(60.0, 40.0), supports=supports, element="Q1", **choices
+        Structure(joint, body=LinearElastic(60.0, 40.0), supports=supports, element="Q1", **choices),
+        ThinLayer(law, 0.1),
     )
 
 

@@ -56,7 +56,7 @@ class Condensed:
     @cached_property
     def _system(self) -> DenseSystem:
         nodes, moving = self.problem.nodes, self._sides.moving
-        H = self._sides.to_jumps(self._factor.take_complement())
+        H = self._sides.to_jumps(self._factor.complement)
         return DenseSystem(H, nodes.weights[moving], nodes.frames[moving], nodes.held[moving], chains_of(nodes, moving))
 
     def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:

@@ -13,13 +13,13 @@ import ufl
 from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
 
-from forms.contact import ContactLaw
 from forms.law import LawError
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
+from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.broken import broken_space
-from thinlayer.discretisation.layer import ThinLayer, constants
+from thinlayer.discretisation.layer import ThinLayer, constants, real_law
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.communicator import communicator
@@ -117,22 +117,25 @@ class BrokenMesh:
             layer: the law and the thickness; a law of jumps (`TractionLaw`) may stand alone.
 
         Raises:
-            LawError: a law that acts at nodes (contact), or that needs a pressure of its own.
+            LawError: a law of contact, or one that needs a pressure of its own.
         """
-        thin = layer if isinstance(layer, ThinLayer) else ThinLayer(layer, 1.0)
-        if isinstance(thin.law, ContactLaw) or thin.law.constrained:
-            why = "acts at the nodes of S" if isinstance(thin.law, ContactLaw) else "needs a pressure of its own"
-            raise LawError(f"{type(thin.law).__name__} {why}; use it in a Model")
-        thin.law.check_dimension(self._dim)
-        sides, law = self.interface(tag), thin.real_law("strain")
-        eps: Any = fem.Constant(self.mesh, float(thin.eps))
-        if thin.profile is not None:
-            shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
-            with on_all(self.comm):
-                profile = thin.profile
-                shape.interpolate(lambda x: profile(x[: self._dim]))
-            eps = eps * sides.upper(shape)
-        return surface(law if law.pointwise else constants(law, self.mesh), sides, eps, thin.order)
+        if not isinstance(layer, ThinLayer | TractionLaw):
+            raise LawError(f"the layer is {layer!r}; allowed: a ThinLayer, or a TractionLaw; contact laws need a Model")
+        law, thin = real_law(layer, "strain"), layer if isinstance(layer, ThinLayer) else None
+        if law.traits.constrained:
+            raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
+        law.check_dimension(self._dim)
+        sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
+        if thin and thin.profile is not None:
+            eps = eps * sides.upper(self._relative_thickness(thin.profile))
+        return surface(law if law.traits.compiled else constants(law, self.mesh), sides, eps, thin.order if thin else 0)
+
+    def _relative_thickness(self, profile: Profile) -> fem.Function:
+        """A profile at the vertices, linear in between."""
+        shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
+        with on_all(self.comm):
+            shape.interpolate(lambda x: profile(x[: self._dim]))
+        return shape
 
     # ---------------------------------------------------------------- the tags
     def _sum(self, *counts: int) -> list[int]:

@@ -152,7 +152,7 @@ def gather(state: State) -> Grid:
     if joint.cell_type == "tetrahedron" and len(rows):
         _orient(x, rows[:, 1:])
     rows[:, 1:] = number[rows[:, 1:]]
-    region = joint.region[model.domain.original_cells[: len(types)]]
+    region = model.domain.on_cells(joint.region)[: len(types)]
     n_layers = len(model.domain.layer_regions)
     first_layer = len(joint.regions) - n_layers
     region = np.where(region >= first_layer, first_layer - region - 1, region) if n_layers else region

@@ -66,8 +66,8 @@ class CompiledTerm(Quadrature):
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self.material = Material(self.comm, term.law)
-        self.switching = Switching(term.law, self.columns) if term.law.switches else None
-        self._at_rest = self._tangent_at_rest() if term.law.flat else None
+        self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
+        self._at_rest = self._tangent_at_rest() if term.law.traits.singular else None
 
     def _strain_matrix(self, V: fem.FunctionSpace) -> None:
         """B: displacements -> strains at the points (m rows each); assembled once, as strains are linear."""
@@ -94,13 +94,13 @@ class CompiledTerm(Quadrature):
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
         """The law's answer to strains e after e_old and the internal values `memory`."""
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
-        total = self.weights @ energies if self.term.law.has_energy else np.full(3, np.nan)
+        total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
         return Response(s, C, new, total, failed)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
         """Energy of strains e and internal values after a step of length dt, over this rank's points; NaN if undeclared."""
         energies = self.material.update(self.slots, e, e, memory, self.n, MOMENT * dt, 1.0, held=True)[3]
-        return float(self.weights @ energies[:, 0]) if self.term.law.has_energy else np.nan
+        return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
         """What is not finite at the first point of this rank where the law failed, and where that is; "" if it did not."""
@@ -128,7 +128,7 @@ class CompiledTerm(Quadrature):
         known = np.isfinite(size) & (size > ROUNDED)
         down = np.zeros(self.count, bool)
         down[known] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[known] / 2)[:, 0] < -FALLING * size[known]
-        if not (law.internal or law.varies):
+        if not (law.internal or law.traits.varies):
             change = e - e_old
             of_stress = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
             sizes = np.linalg.norm(change, axis=1) * np.linalg.norm(of_stress, axis=1)
@@ -183,9 +183,9 @@ class CompiledTerm(Quadrature):
     def stiffness(self, tangent: Array, lack: float = 0.0) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.
 
-        A tangent that may vanish (`Law.flat`) gets a small part of that at rest, the more the larger the residual over the
-        forces, `lack` (Levenberg and Marquardt): cells through the meshed layer that share a strain in any way they like
-        would leave the matrix singular. What is found is the law's own equilibrium.
+        A tangent that may vanish (`Traits.singular`) gets a small part of that at rest, the more the larger the residual
+        over the forces, `lack` (Levenberg and Marquardt): cells through the meshed layer that share a strain in any way
+        they like would leave the matrix singular. What is found is the law's own equilibrium.
         """
         m, rows = len(self.slots), self.count * len(self.slots)
         first = self.B.getOwnershipRange()[0]

@@ -114,7 +114,7 @@ def _require_substitute(law: Law, other: Any) -> None:
         )
         asked = f"those of {name}, {law.internal}: {_memory(law)} numbers"
         raise LawError(f"{name}.otherwise keeps {kept}; it must keep {asked}")
-    if law.has_energy != other.has_energy:
+    if law.traits.has_energy != other.traits.has_energy:
         raise LawError(f"one of {name} and {kind}, its law otherwise, declares an energy; both must, or none")
 
 
@@ -232,7 +232,7 @@ def _nan_unless(law: Law, step: Step) -> Expr:
 
 def _energies(law: Law, step: Step, new: dict[str, Expr]) -> list[Expr]:
     """Stored, dissipated, remainder; zero for laws that declare no energy."""
-    if not law.has_energy:
+    if not law.traits.has_energy:
         return [ufl.as_ufl(0.0)] * 3
     return [law.energy(Step(step.e, step.n, q=new)), law.dissipated(step), law.remainder(step)]
 

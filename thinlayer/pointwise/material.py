@@ -51,13 +51,13 @@ class Material:
         if _kinds(law) != _kinds(self.law) or counts != self._counts.tolist():
             raise ValueError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current = law
-        if not law.varies:
+        if not law.traits.varies:
             self.parameters = np.concatenate(_numbers(law))
 
     @property
     def varies(self) -> bool:
         """Whether parameters vary along the layer or in time."""
-        return self.law.varies
+        return self.law.traits.varies
 
     @property
     def of_sublayers(self) -> list[Array]:
@@ -72,7 +72,7 @@ class Material:
         """
         columns = []
         for law in parts(self._current):
-            varying = _varying(law, x, t) if law.varies else {}
+            varying = _varying(law, x, t) if law.traits.varies else {}
             for name, value in law.parameters().items():
                 fixed = np.broadcast_to(np.ravel(np.asarray(value, float)), (x.shape[1], np.size(value)))
                 columns.append(varying[name][:, None] if name in varying else fixed)

@@ -40,7 +40,7 @@ class MaterialPoint:
     def __init__(self, law: Law, n: Array, axes: Array, theta: float) -> None:
         self.law, self.n, self.theta = law, n, theta
         self.material = Material(MPI.COMM_SELF, law)
-        self.switching = Switching(law) if law.switches else None
+        self.switching = Switching(law) if law.traits.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
         # strain of each component of the jump, (6, d): e = E w, and by virtue of power t = E^T stress
         outer = np.einsum("ia,j->aij", axes, self.n3)

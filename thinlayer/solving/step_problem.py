@@ -69,15 +69,15 @@ class StepProblem:
     ) -> None:
         V, terms = u.function_space, list(terms)
         for term in terms:
-            if term.law.constrained:
+            if term.law.traits.constrained:
                 raise LawError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
-        ufl_terms = [term for term in terms if not term.law.pointwise]
+        ufl_terms = [term for term in terms if not term.law.traits.compiled]
         residual = form + work(ufl_terms, u, ufl.TestFunction(V)) if ufl_terms else form
         self._u, self._bcs = u, list(bcs)
         self._R = _compiled(residual)
         self._J = _compiled(ufl.derivative(residual, u, ufl.TrialFunction(V)))
         self.t, self._dt, self.energies = 0.0, np.nan, np.zeros(3)
-        self._remembering = [self._at_rest(CompiledTerm(V, term)) for term in terms if term.law.pointwise]
+        self._remembering = [self._at_rest(CompiledTerm(V, term)) for term in terms if term.law.traits.compiled]
         size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         held = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
         self._held = held[held < size]

@@ -26,7 +26,14 @@ def may_soften(law: Law) -> bool:
     Not those that say so, are linear or not symmetric, have a rate, bound stresses or switch phases: theirs fall for other
     reasons, or never.
     """
-    return not (law.softens or law.linear or not law.symmetric or law.rate or law.yields or law.switches)
+    return not (
+        law.traits.softens
+        or law.traits.linear
+        or not law.traits.symmetric
+        or law.traits.rate
+        or law.traits.bounded
+        or law.traits.switches
+    )
 
 
 class Softening:
@@ -34,7 +41,7 @@ class Softening:
 
     def __init__(self, model: Model) -> None:
         self.comm: MPI.Intracomm = model.comm
-        asked = [p for p in model.layer_terms if not p.law.pointwise and may_soften(p.law)]
+        asked = [p for p in model.layer_terms if not p.law.traits.compiled and may_soften(p.law)]
         self._u, self._old = fem.Function(model.V), fem.Function(model.V)
         self._places = [_Place.of(p, model, self._u, self._old) for p in asked]
 
