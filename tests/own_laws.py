@@ -10,7 +10,7 @@ import ufl
 
 from forms.elastic import lame
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw
+from forms.law import BulkLaw, Law
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, isotropic_energy
 from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer
