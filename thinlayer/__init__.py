@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
@@ -47,6 +48,7 @@ _NAMES = {
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.phases": ["PhaseReport"],
+    "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],
     "time.arc_length": ["ArcLength"],

@@ -35,13 +35,14 @@ SPREAD = 0.1  # of the way from the places where it is known: over less a tracti
 def reaction(state: State) -> fem.Function:
     """Nodal forces that the bodies pass to S, tested with degree-1 functions broken at its faces. Collective.
 
-    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i): what the layer (or the other body) exerts.
+    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i), and what is added to the model, say springs at
+    the end of S: what the layer (or the other body) exerts.
     """
     model = state.model
     model.coordinates.t.value = state.t
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    return nodal_forces(W, work(model.bodies, state.u, v) - model.external_work(v))
+    return nodal_forces(W, work(model.bodies, state.u, v) + model.added_work(state.u, v) - model.external_work(v))
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from forms.law import Law, LawError
 from forms.series import parts
 from thinlayer.compiling.compiled import library
+from thinlayer.errors import ModelError
 from thinlayer.pointwise.kernels import Array, kernels
 
 SOURCE = Path(__file__).with_name("response.c")
@@ -45,11 +46,11 @@ class Material:
         Where they vary, from the next `take_at` on.
 
         Raises:
-            ValueError: a law of another kind, or parameters of another shape.
+            ModelError: a law of another kind, or parameters of another shape.
         """
         counts = [len(numbers) for numbers in _numbers(law)]
         if _kinds(law) != _kinds(self.law) or counts != self._counts.tolist():
-            raise ValueError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
+            raise ModelError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current = law
         if not law.traits.varies:
             self.parameters = np.concatenate(_numbers(law))
@@ -102,16 +103,16 @@ class Material:
                 stress.
 
         Raises:
-            ValueError: arrays of the wrong shape.
+            ModelError: arrays of the wrong shape.
         """
         components = np.array(list(slots), np.int32)
         points, m, varying = len(e), len(components), self.parameters.ndim == 2
         if varying and len(self.parameters) != points:
-            raise ValueError(f"parameters are those of {len(self.parameters)} points; there are {points}")
+            raise ModelError(f"parameters are those of {len(self.parameters)} points; there are {points}")
         shapes = {"e": (e, m), "e_old": (e_old, m), "q": (q, self.memory), "n": (n, 3)}
         for name, (array, width) in shapes.items():
             if array.shape != (points, width):
-                raise ValueError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
+                raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
         in_plane = m < 6  # laws that another one answers for are closed forms of plane strain
