@@ -760,7 +760,7 @@ BAD_RELAXED = [
         "transformation_energy is .*: phases 1 and -1 would mix",
     ),
     *(({"mixing": value}, "mixing is .*allowed: .*") for value in (0.0, -0.5, 1.0001, np.nan, np.inf, "all", None)),
-    ({"G": 0.01}, "has no parameter 'G'; known: lmbda, mu, alpha, C, chi, T, mixing"),
+    ({"G": 0.01}, "has no parameter 'G'; known: lmbda, mu, alpha, transformation_energy, chi, T, mixing"),
 ]
 
 
@@ -804,7 +804,10 @@ def test_a_law_equals_itself_alone():
 
 @pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 def test_unknown_names(kind):
-    with pytest.raises(LawError, match=f"{kind.__name__} has no parameter 'cbar'; known: lmbda, mu, alpha, C, chi, T"):
+    with pytest.raises(
+        LawError,
+        match=f"{kind.__name__} has no parameter 'cbar'; known: lmbda, mu, alpha, transformation_energy, chi, T",
+    ):
         kind(LMBDA, MU, ALPHA, cbar=C, chi=CHI2)
     if kind is NonMonotoneUnrelaxed:
         with pytest.raises(LawError, match="no parameter 'mixing'"):
