@@ -106,7 +106,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
 
 def glue(h: float) -> MohrCoulomb:
     """The layer of Fig. 2, per mm."""
-    return MohrCoulomb(GLUE.lmbda, GLUE.mu, C=0.0, Omega=OMEGA, h=h)
+    return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=h)
 
 
 def meshed(sizes: tuple[float, float, float]) -> Joint:
@@ -150,7 +150,11 @@ class Bar:
         rows: list[dict[str, float | None]] = []
         for k in range(len(x)):
             ratio = float(t[k, 0] / u[k, 0]) if found[k] else None
-            rows.append({"h": law.parameters()["h"]} | {n: float(c[k]) for n, c in columns.items()} | {"ratio": ratio})
+            rows.append(
+                {"h": law.parameters()["elastic_fraction"]}
+                | {n: float(c[k]) for n, c in columns.items()}
+                | {"ratio": ratio}
+            )
         return rows
 
     def shear_force(self, state: State) -> float:

@@ -112,7 +112,7 @@ class Sweep:
 def elastic_fraction(law: Law) -> dict[str, float]:
     """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
     laws = [one for _, one in law.sublayers]
-    fractions = [one.parameters()["h"] for one in laws if "h" in one.parameters()]
+    fractions = [one.parameters()["elastic_fraction"] for one in laws if "elastic_fraction" in one.parameters()]
     return {"h": max(fractions)} if fractions else {}
 
 
