@@ -113,7 +113,7 @@ class Sweep:
 
 def sweep_in_time(
     record: Record,
-    laws: Mapping[str, Law],
+    laws: Mapping[str, BulkLaw],
     times: Mapping[str, Sequence[float]],
     eps: Sequence[float],
     h: float,
