@@ -179,7 +179,9 @@ def unrelaxed(record: Record, eps: Sequence[float]) -> None:
         return phases(record, "unrelaxed", max(eps), full, limit) | snaps(full, limit)
 
     joint, setup = blocks(2 / COLUMNS, *MOVED, moved=True)
-    sweep = Sweep(record, joint, setup, partial(ThinLayer, PURE), times=TIMES, case="unrelaxed", more=more)
+    sweep = Sweep(
+        record, joint, setup, partial(ThinLayer, PURE), cells_through=2, times=TIMES, case="unrelaxed", more=more
+    )
     table = sweep.run(eps, (0.9, 1.1), title="non-monotone layer, pure phases")
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
     record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)
