@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from scipy.spatial.transform import Rotation
 
-from forms import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Law, LawError, LinearElastic, Tresca
+from forms import BulkLaw, ContactLaw, HolonomicCoulomb, IncrementalCoulomb, LawError, LinearElastic, Tresca
 from forms.elastic import lame
 from geometry import block, ring, sandwich
 from studies.problems import BAR, sliding_bar
@@ -364,7 +364,7 @@ class Saturating(ContactLaw):
 
 
 @dataclass(frozen=True)
-class Stiffening(Law):
+class Stiffening(BulkLaw):
     """A body that stiffens with its strain."""
 
     E: float

@@ -9,7 +9,7 @@ import pytest
 import ufl
 from petsc4py import PETSc
 
-from forms import Anisotropic, HolonomicCoulomb, Law, LinearElastic, MohrCoulomb, NonMonotone
+from forms import Anisotropic, BulkLaw, HolonomicCoulomb, LinearElastic, MohrCoulomb, NonMonotone
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
@@ -24,7 +24,7 @@ HELD = {"BOTTOM": 0}
 
 
 @dataclass(frozen=True)
-class Swelling(Law):
+class Swelling(BulkLaw):
     """A layer with an eigenstrain, written as if it were not linear."""
 
     lmbda: float
@@ -93,7 +93,7 @@ def test_an_eigenstrain_that_ends_without_stress(loads):
 
 # ---------------------------------------------------------------------------------- whoever says so
 def yielding():
-    law = MohrCoulomb(120.0, 80.0, C=0.2, Omega=35)
+    law = MohrCoulomb(120.0, 80.0, cohesion=0.2, friction_angle=35)
     body, supports = LinearElastic.young(E=20e3, nu=0.2), {"BOTTOM": 0, "TOP": {"y": -0.02}}
     return Structure(PLATES, body=body, supports=supports, tractions={"TOP": (0.9, 0)}).interface(ThinLayer(law, 1.0))
 

@@ -16,7 +16,6 @@ from forms import work as forms
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
-from forms.series import parts
 from geometry.domain import Domain
 from geometry.joint import BONDED, Joint
 from geometry.topology import is_tensor
@@ -143,11 +142,6 @@ class Model(ABC):
             return {}
         return {"metadata": {"quadrature_degree": 2 * self.structure.degree + 1 + 2 * (self.joint.degree - 1)}}
 
-    def degree_at(self, points: forms.Term) -> int:
-        """Quadrature degree where a compiled law acts; on quadrilaterals and hexahedra the measure has its own."""
-        degree, in_volume = self.structure.degree, points.measure.integral_type() == "cell"
-        return (2 * degree - 1 if in_volume else 2 * degree) + 2 * (self.joint.degree - 1)
-
     @property
     def terms(self) -> list[forms.Term]:
         """All points where a law acts."""
@@ -168,9 +162,7 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """Times at which piecewise loads, supports and temperatures break."""
-        laws = [law for p in self.layer_terms for law in parts(p.law)]
-        given = [getattr(law, name) for law in laws for name in law.functions]
-        return self.coordinates.t.breaks.union(*(getattr(function, "times", ()) for function in given))
+        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
 
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""

@@ -60,8 +60,8 @@ class CompiledTerm(Quadrature):
         switching: of a law whose phases are held in a solve and switched after it; else None.
     """
 
-    def __init__(self, V: fem.FunctionSpace, term: Term, degree: int, origin: Origin | None = None) -> None:
-        super().__init__(V.mesh, term, degree, origin)
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+        super().__init__(V, term, origin)
         self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < self.dim]
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
@@ -136,7 +136,7 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(down))
 
     def ease(self, ease: float) -> None:
-        """Let the law answer from now on with an ease, see `Law.eased`; 0: the law itself."""
+        """Let the law answer from now on with an ease, see `BulkLaw.eased`; 0: the law itself."""
         self.material.take(self.term.law.eased(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:
