@@ -271,7 +271,9 @@ def column(kind: str, law: BulkLaw, body: BulkLaw, **more):
     """A column of height 1 that can neither widen nor lengthen."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    return getattr(Structure, kind)(Structure(joint, body=body, supports=sides, **more), ThinLayer(law, 0.1))
+    return getattr(Structure, kind)(
+        Structure(joint, body=body, supports=sides, **more), law if law.traits.of_jumps else ThinLayer(law, 0.1)
+    )
 
 
 @pytest.mark.parametrize("kind", ["interface", "full"])
