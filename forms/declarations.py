@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
-from thinlayer_base import PACKAGES, ThinlayerError, is_number
+from thinlayer_base import PACKAGES, InputError, is_number
 
 DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))  # of the base classes
 ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
@@ -21,7 +21,7 @@ SHAPES = ((), (3,), (3, 3))  # of internal variables
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
-class LawError(ThinlayerError, ValueError):
+class LawError(InputError):
     """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
 
 

@@ -24,7 +24,7 @@ from geometry.topology import (
     lagrange,
     ridges,
 )
-from thinlayer_base import ThinlayerError, is_finite
+from thinlayer_base import InputError, is_finite
 
 Profile = Callable[[FloatArray], FloatArray]
 
@@ -35,7 +35,7 @@ RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, BONDED)
 FLAT = 1e-5  # S counts as planar when its unit normals differ by less: files may have seven digits
 
 
-class GeometryError(ThinlayerError, ValueError):
+class GeometryError(InputError):
     """A mesh, a name or a size that cannot be used; the message says what, where and what is allowed."""
 
 

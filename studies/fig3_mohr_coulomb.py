@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
-from thinlayer import Model, State, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
+from thinlayer import Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
 from thinlayer.running.record import Record
@@ -68,7 +68,7 @@ READINGS = {
 }
 
 
-def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
+def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: bool = False) -> None:
     """Solve Fig. 2 with the interface law and with the layer meshed; loads in one step, and for R1 in many.
 
     Without cohesion the free end of a meshed layer has no strength: an elastic fraction h makes the problem well posed.
@@ -86,9 +86,9 @@ def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
     for name, reading in readings.items():
         bar = Bar(record, name, reading, coarse if quick else fine)
         shown = {
-            "interface law, h = 0": bar.solved(Model.interface, 0.0),
-            f"interface law, h = {H:g}": bar.solved(Model.interface, H),
-            f"meshed layer, h = {H:g}": bar.solved(Model.full, H),
+            "interface law, h = 0": bar.solved(Structure.interface, 0.0),
+            f"interface law, h = {H:g}": bar.solved(Structure.interface, H),
+            f"meshed layer, h = {H:g}": bar.solved(Structure.full, H),
         }
         for label, state in shown.items():
             for row in bar.profile(state):
@@ -99,7 +99,6 @@ def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
         window, picture = (-2.0, 6.0, -1.6, 4.0), record.path(f"layer_end_{name}.png")
         plotting.deformed(ends, save=picture, scale=reading.scale, unit="mm", title=title, zoom=window)
     record.write("table.csv", table)
-    draw(record)
     if "R1" in readings:
         bar = Bar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
         refine(record, bar, STEPS[: 3 if quick else None])
@@ -121,13 +120,13 @@ class Bar:
     def __init__(self, record: Record, name: str, loads: Loads, sizes: tuple[float, float, float]) -> None:
         self.record, self.name, self.loads = record, name, loads
         self.joint = meshed(sizes)
-        self.surface = Surface(self.model(Model.interface, 0.0, loads.tractions))
+        self.surface = Surface(self.model(Structure.interface, 0.0, loads.tractions))
 
     def model(self, kind: Callable[..., Model], h: float, tractions: dict[str, Any]) -> Model:
         """The bar, its layer with an elastic fraction h."""
         layer = ThinLayer(glue(h), EPS)
         supports = self.loads.supports
-        return kind(self.joint, layer=layer, body=STEEL, supports=supports, tractions=tractions, element="S2")
+        return kind(Structure(self.joint, body=STEEL, supports=supports, tractions=tractions, element="S2"), layer)
 
     def solved(self, kind: Callable[..., Model], h: float) -> State:
         """All loads in one step."""
@@ -138,12 +137,12 @@ class Bar:
         side, (x_part, y_part) = self.loads.shear
         tractions = dict([self.loads.pressure]) | {side: lambda x, t: (t * x_part, t * y_part)}
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
-        return march(self.model(Model.interface, 0.0, tractions), times, keep="last").last
+        return march(self.model(Structure.interface, 0.0, tractions), times, keep="last").last
 
     def profile(self, state: State) -> list[dict[str, float | None]]:
         """h, displacement, traction and their tangential ratio along S; the ratio is empty where it is nearly 0/0."""
-        layer, surface = state.model.layer, self.surface
-        assert layer is not None
+        law, surface = state.model.layer_law, self.surface
+        assert law is not None
         x, u = surface.profile(surface.frame(surface.jump(state)))
         _, t = surface.profile(surface.frame(surface.traction(state)))
         columns = {"x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1], "t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1]}
@@ -151,9 +150,7 @@ class Bar:
         rows: list[dict[str, float | None]] = []
         for k in range(len(x)):
             ratio = float(t[k, 0] / u[k, 0]) if found[k] else None
-            rows.append(
-                {"h": layer.law.parameters()["h"]} | {n: float(c[k]) for n, c in columns.items()} | {"ratio": ratio}
-            )
+            rows.append({"h": law.parameters()["h"]} | {n: float(c[k]) for n, c in columns.items()} | {"ratio": ratio})
         return rows
 
     def shear_force(self, state: State) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from forms import Law, LinearElastic, Stack
 from geometry import block
-from thinlayer import Model, State, Surface, Table, ThinLayer, observed_orders, plotting, solve
+from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -41,7 +41,6 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     _, ratio_band = bar.stiffness(full)
     rows = zip(x, ratio_band, ratio_interface, strict=True)
     record.write("table.csv", Table({"x_mm": a, "ratio_band": b, "ratio_interface": c} for a, b, c in rows))
-    draw(record)
     _draw_deformed(record, {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit})
 
     deviation = _deviation(record, bar, sorted(eps, reverse=True))
@@ -63,17 +62,14 @@ class Bar:
 
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
         self.record, self.joint = record, block(WIDTH, HEIGHT, h, h_S=h_S, h_ends=h_ends)
-        self.setup = {
-            "body": BAR,
-            "supports": {"RIGHT": {"x": 0.0}},
-            "tractions": {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)},
-        }
-        model = Model.interface(self.joint, layer=ThinLayer(GLUE, EPS), **self.setup)
+        loads = {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)}
+        self.bar = Structure(self.joint, body=BAR, supports={"RIGHT": {"x": 0.0}}, tractions=loads)
+        model = self.bar.interface(ThinLayer(GLUE, EPS))
         self.limit, self.surface = record.solved(solve(model)), Surface(model)
 
     def full(self, law: Law, eps: float) -> State:
         """The bar on a meshed layer."""
-        return self.record.solved(solve(Model.full(self.joint, layer=ThinLayer(law, eps), **self.setup)))
+        return self.record.solved(solve(self.bar.full(ThinLayer(law, eps))))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """x and t_T/u_T at the vertices of S, both projected to degree 1; without the supported end, where it is 0/0."""
@@ -100,7 +96,7 @@ def _deviation(record: Record, bar: Bar, eps: Sequence[float]) -> Table:
                 "deviation_moduli_held": bar.deviation(GLUE_MODULI.per_thickness(e), e, K_T * EPS / e),
             }
         )
-    table = Table(path=record.path("deviation.csv"))
+    table = record.table("deviation.csv")
     orders = {
         way: observed_orders(eps, [row[f"deviation_{way}"] for row in rows]) for way in ("ratios_held", "moduli_held")
     }

@@ -73,7 +73,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         table.append(row | shares)
     record.write("table.csv", table)
     record.say(table)
-    draw(record)
     for k, (name, case) in enumerate(CASES.items()):
         if case.floor:
             record.check(f"{name}: points per second", table["points_per_second"][k], low=case.floor)

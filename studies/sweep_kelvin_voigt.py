@@ -26,8 +26,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64
     joint, setup = fourier(h, cell="quadrilateral")
     record.parameters = {"h": h, "layer": str(LAYER), "times": TIMES}
     sweep = Sweep(record, joint, setup, lambda e: ThinLayer(LAYER, e), times=TIMES)
-    sweep.run(eps, (0.93, 1.07), pictured=max(eps), title=f"Kelvin-Voigt layer, t = {TIMES[-1]:g}")
-    draw(record)
+    sweep.run(eps, (0.93, 1.07), title=f"Kelvin-Voigt layer, t = {TIMES[-1]:g}")
 
 
 def draw(record: Record) -> None:

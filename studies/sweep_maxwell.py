@@ -32,10 +32,8 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64
     joint, setup = fourier(h, cell="quadrilateral")
     record.parameters = {"h": h, "layers": [str(law) for law in LAYERS.values()], "times": TIMES}
     for case, law in LAYERS.items():
-        record.say(law)
         sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=TIMES, case=case)
-        sweep.run(eps, (0.93, 1.07), pictured=max(eps), title=f"Maxwell layer, t = {TIMES[-1]:g}")
-    draw(record)
+        sweep.run(eps, (0.93, 1.07), title=f"Maxwell layer, t = {TIMES[-1]:g}")
 
 
 def draw(record: Record) -> None:

@@ -52,16 +52,14 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     record.parameters = {"h_blocks": h, "times": times, "layers": laws, "coulomb": str(COULOMB)}
     tables = {}
     for case, law in LAYERS.items():
-        record.say(law)
         sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=times, case=case)
-        pictured = None if quick and case else max(eps)
+        pictured = None if quick and case else max
         tables[case] = sweep.run(
             eps, (0.9, 1.3), pictured=pictured, title="Mohr-Coulomb layer, sheared and sheared back"
         )
-    record.say(f"meshed layer {LAYERS['']}, on S {COULOMB}")
-    right, wrong = (partial(ThinLayer, law) for law in (LAYERS[""], COULOMB))
-    sweep = Sweep(record, joint, setup, right, times=times, case="coulomb", instead=wrong)
-    pictured = None if quick else max(eps)
+    right = partial(ThinLayer, LAYERS[""])
+    sweep = Sweep(record, joint, setup, right, times=times, case="coulomb", instead=COULOMB)
+    pictured = None if quick else max
     coulomb = sweep.run(eps, None, pictured=pictured, title="Mohr-Coulomb layer, Coulomb's law on S")
     for name in ("traction", "jump"):
         ratio = coulomb[f"error_{name}"][-1] / tables[""][f"error_{name}"][-1]
@@ -69,11 +67,9 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         low, high = FLOOR[name]
         record.check(f"error of the {name} that Coulomb's law leaves", coulomb[f"error_{name}"][-1], low=low, high=high)
     for case, one in list(BARS.items())[: 1 if quick else None]:
-        record.say(one)
         thicknesses = [MM * e for e in eps]
         sweep = Sweep(record, bar, bar_setup, partial(ThinLayer, one), where=inside, case=case)
-        sweep.run(thicknesses, (0.9, 1.3), pictured=max(thicknesses), title="bar of Fig. 2, loads R1", unit="mm")
-    draw(record)
+        sweep.run(thicknesses, (0.9, 1.3), title="bar of Fig. 2, loads R1", unit="mm")
 
 
 def sheared_blocks(h: float) -> tuple[Joint, dict[str, Any]]:

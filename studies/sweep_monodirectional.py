@@ -50,18 +50,16 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     record.parameters = {"h": h, "times": times, "layers": {name: str(law) for name, (law, *_) in CASES.items()}}
     tables = {}
     for case, (law, path, title) in CASES.items():
-        record.say(law)
         joint, setup = pressed(h, path)
-        sweep = Sweep(record, joint, setup | {"sublayers": 2}, partial(ThinLayer, law), times=times, case=case)
+        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), cells_through=2, times=times, case=case)
         order = None if case == "pulled_less" else (0.9, 1.1)
-        pictured = None if quick and case else max(eps)
+        pictured = None if quick and case else max
         tables[case] = sweep.run(eps, order, pictured=pictured, title=f"slips parallel to S, {title}")
     for name in ("traction", "jump"):
         less, more = (tables[case][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
         record.check(
             f"pulled, h = {LESS:g} against h = {FRACTION:g}: last error of the {name}, ratio", less / more, low=2.5
         )
-    draw(record)
 
 
 def draw(record: Record) -> None:

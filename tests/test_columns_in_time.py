@@ -17,7 +17,7 @@ from forms import Incompressible, KelvinVoigt, Law, LinearElastic, Maxwell, Nort
 from geometry import block, sandwich
 from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring
 from tests.test_points import Hardening, Slipping, StandardSolid
-from thinlayer import History, Model, ModelError, Surface, ThinLayer, march
+from thinlayer import History, ModelError, Structure, Surface, ThinLayer, march
 from thinlayer.pointwise.material import Material
 
 BODY = LinearElastic.young(100.0, 0.3)
@@ -92,8 +92,9 @@ def check_balance(history: History) -> None:
 
 
 def both(where, layer: ThinLayer, setup: dict, times, **options) -> tuple[History, History]:
-    build = lambda make: make(where, layer=layer, sublayers=1, **setup)
-    return march(build(Model.interface), times, **options), march(build(Model.full), times, **options)
+    columns = Structure(where, **setup)
+    models = columns.interface(layer), columns.full(layer, cells_through=1)
+    return march(models[0], times, **options), march(models[1], times, **options)
 
 
 # ---------------------------------------------------------------- interface = layer
@@ -152,8 +153,8 @@ def test_moved_end(law, mode, eps):
 def test_cells_through_the_thickness_do_not_matter():
     layer = ThinLayer(LAWS["Maxwell, Kelvin-Voigt"], 0.05)
     setup = column("normal", load=1.0)
-    limit = march(Model.interface(joint(), layer=layer, **setup), TIMES)
-    check_same(limit, march(Model.full(joint(), layer=layer, sublayers=5, **setup), TIMES))
+    limit = march(Structure(joint(), **setup).interface(layer), TIMES)
+    check_same(limit, march(Structure(joint(), **setup).full(layer, cells_through=5), TIMES))
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, np.pi])
@@ -166,7 +167,7 @@ def test_quarter_turns(angle):
     else:
         turned["tractions"] = {"TOP": (-0.5, 0.0)}
     layer = ThinLayer(LAWS["elastic, Norton 1.5"], 0.02)
-    upright = march(Model.interface(joint(), layer=layer, **straight), TIMES)
+    upright = march(Structure(joint(), **straight).interface(layer), TIMES)
     limit, full = both(joint().rotated(angle), layer, turned, TIMES)
     check_same(limit, full)
     for name in ("supplied", "stored", "dissipated"):
@@ -241,7 +242,7 @@ def test_three_dimensions(cell, mode):
     limit, full = both(where, ThinLayer(law, 0.05), setup, TIMES)
     check_same(limit, full)
     check_balance(full)
-    flat = march(Model.interface(joint(), layer=ThinLayer(law, 0.05), **column(mode, load=LOAD[mode])), TIMES)
+    flat = march(Structure(joint(), **column(mode, load=LOAD[mode])).interface(ThinLayer(law, 0.05)), TIMES)
     assert limit.table["supplied"] == pytest.approx(0.5 * flat.table["supplied"], rel=1e-9, abs=1e-15)
 
 
@@ -252,7 +253,7 @@ def jump_of(history: History, mode: str, state=None) -> float:
 
 
 def marched(law: Law, mode: str, theta: float, times, **ends) -> History:
-    model = Model.interface(joint(), layer=ThinLayer(law, 0.1), **column(mode, **ends))
+    model = Structure(joint(), **column(mode, **ends)).interface(ThinLayer(law, 0.1))
     return march(model, times, theta=theta)
 
 
@@ -349,7 +350,7 @@ def test_traction_law_in_time():
     for mode, move in (("normal", 0.02), ("normal", -0.02), ("shear", 0.05)):
         setup = column(mode, move=move)
         history = march(
-            Model.interface(joint(), layer=ThinLayer(law, 0.1), **setup), np.linspace(0, 1, 21)[1:], theta=0.5
+            Structure(joint(), **setup).interface(ThinLayer(law, 0.1)), np.linspace(0, 1, 21)[1:], theta=0.5
         )
         if mode == "shear":
             assert jump_of(history, mode) == pytest.approx(maxwell_moved(mode, 1.0), rel=1e-4)
@@ -360,7 +361,7 @@ def test_traction_law_in_time():
         assert np.isnan(history.table["imbalance"]).all()  # it declares no energy
         assert np.isfinite(history.table["supplied"]).all()
     with pytest.raises(ModelError, match="Slipping is a law of jump and traction: it has no meshed layer"):
-        Model.full(joint(), layer=ThinLayer(law, 0.1), **column("shear", load=0.5))
+        Structure(joint(), **column("shear", load=0.5)).full(ThinLayer(law, 0.1))
 
 
 # ---------------------------------------------------------------- the first state
@@ -472,7 +473,7 @@ def test_energy_at_the_end_of_a_midpoint_step():
     """It has the strain, the flow and the parameters of the end: mu(t) (w - eps flow)^2."""
     history = marched(FLUID, "normal", 0.5, TIMES, load=lambda t: 1 + 3 * t)
     for state in history:
-        flow = state.memory[0][:, 1]
+        flow = state.memory["layer"][:, 1]
         assert flow == pytest.approx(flow[0], rel=1e-9)
         elastic = jump_of(history, "normal", state) - 0.1 * flow[0]
         expected = MU * (1 + 3 * state.t) * elastic**2

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulombMonodirectional, Stack
+from forms import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulombMonodirectional, Stack
 from geometry import sandwich
 from studies import sweep_friction, sweep_monodirectional
 from studies.problems import pressed
 from tests.test_parallel import mpirun
-from thinlayer import Model, Surface, Table, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.running.cli import main
 
 # layers whose thickness tends to zero under the same load, and columns of any height
@@ -113,7 +113,7 @@ def column(law, moves, angle=0.0):
             loads[f"{side}/{region}"] = in_steps([stress @ outward for stress in stresses])
     moved = {"xyz"[k]: in_steps(top[:, k]) for k in range(d)}
     setup = {"body": BODY, "supports": {"BOTTOM": 0.0, "TOP": moved}, "tractions": loads}
-    setup |= {"element": "Q1", "sublayers": 1}
+    setup |= {"element": "Q1"}
     return joint(d, angle), setup, [k + 1.0 for k in range(len(moves))], t, w
 
 
@@ -136,8 +136,8 @@ def in_steps(values):
 def check_column(law, eps, moves=MOVES, angle=0.0, on_s=None):
     """Both models against the closed form at every step."""
     where, setup, times, tractions, jumps = column(law, moves, angle)
-    limit = march(Model.interface(where, layer=ThinLayer(on_s or law, eps), **setup), times)
-    full = march(Model.full(where, layer=ThinLayer(law, eps), **setup), times)
+    limit = march(Structure(where, **setup).interface(ThinLayer(on_s or law, eps)), times)
+    full = march(Structure(where, **setup).full(ThinLayer(law, eps)), times)
     surface = Surface(limit.model)
     assert np.abs(tractions).max() > 1
     for k, time in enumerate(times):
@@ -206,11 +206,11 @@ def test_opening_and_closing():
     for law in (BAND, PULLED):
         for move, factor in expected[law.unilateral].items():
             setup |= {"supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": move}, **sides}, "tractions": {}}
-            for build in (Model.full, Model.interface):
-                model = build(where, layer=ThinLayer(law, 0.02), **setup)
-                surface = Surface(Model.interface(where, layer=ThinLayer(law, 0.02), **setup))
-                pulled = surface.integral(surface.traction(solve(model))[1])
-                assert pulled == pytest.approx(factor * 0.01 / (1 / K_N + C_N), rel=1e-9, abs=1e-12)
+            pulled, layer = Structure(where, **setup), ThinLayer(law, 0.02)
+            for model in (pulled.full(layer, cells_through=1), pulled.interface(layer)):
+                surface = Surface(pulled.interface(layer))
+                force = surface.integral(surface.traction(solve(model))[1])
+                assert force == pytest.approx(factor * 0.01 / (1 / K_N + C_N), rel=1e-9, abs=1e-12)
 
 
 def test_friction_pulls_the_lower_side_along():
@@ -224,10 +224,12 @@ def test_friction_pulls_the_lower_side_along():
 # ------------------------------------------------------------------------ error O(eps)
 def errors(eps, band=BAND, on_s=None, cells=32):
     where, setup = pressed(1 / cells, sweep_friction.ONCE)
-    setup |= {"element": "Q1", "sublayers": 1}
+    setup |= {"element": "Q1"}
     on_s = on_s or HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION)
-    full = solve(Model.full(where, layer=ThinLayer(band, eps), **setup))
-    return compare(full, solve(Model.interface(where, layer=ThinLayer(on_s, eps), **setup)))
+    plates = Structure(where, **setup)
+    full = solve(plates.full(ThinLayer(band, eps), cells_through=1))
+    on_s = on_s if isinstance(on_s, ContactLaw) else ThinLayer(on_s, eps)
+    return compare(full, solve(plates.interface(on_s)))
 
 
 @cache
@@ -261,12 +263,10 @@ def test_wrong_laws_leave_an_error(wrong, floor):
 def norms():
     """Errors and sizes of both models, marched to and fro."""
     where, setup = pressed(1 / 8, sweep_friction.TO_AND_FRO)
-    setup |= {"element": "Q1", "sublayers": 1}
-    marched = (
-        march(build(where, layer=ThinLayer(law, 1 / 16), **setup), (1.0, 2.0, 3.0))
-        for build, law in ((Model.full, BAND), (Model.interface, CONTACT))
-    )
-    return compare(*marched)
+    setup |= {"element": "Q1"}
+    plates = Structure(where, **setup)
+    models = plates.full(ThinLayer(BAND, 1 / 16), cells_through=1), plates.interface(CONTACT)
+    return compare(*(march(model, (1.0, 2.0, 3.0)) for model in models))
 
 
 def test_two_ranks():

@@ -18,7 +18,7 @@ from forms.tangent import tangent_at_rest
 from forms.viscous import isotropic_energy
 from geometry import sandwich
 from tests.own_laws import Fragile, Mises
-from thinlayer import Model, Surface, ThinLayer, drive, march, solve
+from thinlayer import Structure, Surface, ThinLayer, drive, march, solve
 from thinlayer.errors import RangeWarning, SolveError
 
 L, M = 3.0, 2.0  # moduli per thickness; lmbda + 2 mu = 7
@@ -49,9 +49,9 @@ def joint():
     return sandwich(width=2, lower=1, upper=1, h=1, cell="quadrilateral")
 
 
-def column(law, kind=Model.interface, tractions=(0, 1.0), body=STEEL):
+def column(law, kind=Structure.interface, tractions=(0, 1.0), body=STEEL):
     layer = law if isinstance(law, TractionLaw) else ThinLayer(law, EPS)
-    return kind(joint(), layer=layer, body=body, supports=HELD, tractions={"TOP": tractions})
+    return kind(Structure(joint(), body=body, supports=HELD, tractions={"TOP": tractions}), layer)
 
 
 def opening(law, kind, theta, steps=4):
@@ -72,10 +72,10 @@ def energy(law, step):
 def test_a_sublayer_without_memory_answers_where_forces_balance(theta):
     """Written with step.e or step.mid, on S and in the meshed layer, the same law."""
     creeping = KelvinVoigt(L, M, CREEP, CREEP)
-    expected, _ = opening(Stack((0.4, LinearElastic(L, M)), (0.6, creeping)), Model.interface, theta)
+    expected, _ = opening(Stack((0.4, LinearElastic(L, M)), (0.6, creeping)), Structure.interface, theta)
     for stress in (of_end, of_mid):
         law = Stack((0.4, own(stress=stress, energy=energy, linear=True)), (0.6, creeping))
-        for kind in (Model.interface, Model.full):
+        for kind in (Structure.interface, Structure.full):
             found, imbalance = opening(law, kind, theta)
             assert found == pytest.approx(expected, rel=1e-6)  # the meshed layer's corners are those of S to the solver
             assert imbalance < ROUNDED
@@ -85,7 +85,7 @@ def test_a_traction_law_without_memory_answers_where_forces_balance():
     """A spring of 7 under a load that grows as t opens by 1/7 at t = 1, whatever theta."""
     for told in ("w", "mid"):
         law = own(TractionLaw, traction=lambda law, step, told=told: (law.l + 2 * law.m) * getattr(step, told))
-        assert opening(law, Model.interface, 0.5)[0] == pytest.approx(1 / 7, rel=1e-6)
+        assert opening(law, Structure.interface, 0.5)[0] == pytest.approx(1 / 7, rel=1e-6)
 
 
 def test_energies_at_points_are_those_of_the_stress_that_was_told():
@@ -178,7 +178,7 @@ def test_a_law_that_ufl_does_not_take_for_linear():
 
 
 @pytest.mark.parametrize("linear", [True, False])
-@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+@pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 def test_a_law_without_stress(kind, linear):
     for law, body in ((own(stress=lambda law, step: 0 * step.e, linear=linear), STEEL),):
         for layer, of_body in ((law, body), (LinearElastic(L, M), law)):
@@ -281,8 +281,8 @@ def free_expansion(law):
     """Largest displacement of a body of width 2 that nothing holds back, and the opening of a column, plane stress."""
     supports = {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}
     layer = ThinLayer(LinearElastic(L, M), EPS)
-    body = solve(Model.interface(joint(), layer=layer, body=law, supports=supports, plane="stress"))
-    model = Model.interface(joint(), layer=ThinLayer(law, EPS), body=STEEL, supports=HELD, plane="stress")
+    body = solve(Structure(joint(), body=law, supports=supports, plane="stress").interface(layer))
+    model = Structure(joint(), body=STEEL, supports=HELD, plane="stress").interface(ThinLayer(law, EPS))
     S = Surface(model)
     return body.u.x.array[::2].max() / 2, S.profile(S.frame(S.jump(solve(model)))[1])[1][0]
 

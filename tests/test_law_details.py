@@ -30,7 +30,7 @@ from forms.elastic import lame
 from geometry import sandwich
 from tests.own_laws import Slipping
 from tests.test_points import E2, respond, tensor, vector
-from thinlayer import Model, ThinLayer, drive, solve
+from thinlayer import Structure, ThinLayer, drive, solve
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import Columns
 
@@ -87,12 +87,11 @@ def test_bearings_without_friction():
     """A layer that slides freely between bodies that are held along S."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = {
-        "layer": ThinLayer(Anisotropic.springs(5.0, 0.0), 0.1),
         "body": LinearElastic.young(100.0, 0.0),
         "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}},
         "tractions": {"TOP": (0.0, 0.3)},
     }
-    state = solve(Model.interface(joint, element="Q1", **setup))
+    state = solve(Structure(joint, element="Q1", **setup).interface(ThinLayer(Anisotropic.springs(5.0, 0.0), 0.1)))
     assert np.abs(state.u.x.array).max() == pytest.approx(0.3 / 5.0 + 0.3 / 100.0, rel=1e-9)
     for wrong in (-1.0, np.nan):
         with pytest.raises(LawError, match=r"K_T is .*; allowed: >= 0"):

@@ -20,6 +20,7 @@ from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
 from tests.test_parallel import mpirun
 from thinlayer import Adaptive, SolveError, Surface, march, solve
 from thinlayer.errors import LimitLoad
+from thinlayer.parts.compiled import CompiledPart
 from thinlayer.running.cli import OK, SOLVE_FAILED
 from thinlayer.running.cli import main as command
 from thinlayer.running.record import Record
@@ -231,7 +232,7 @@ def test_continuation_finds_what_newton_finds(kind):
     assert direct.report.iterations <= 7 < continued.report.iterations
     largest = np.abs(direct.u.x.array).max()
     assert continued.u.x.array == pytest.approx(direct.u.x.array, abs=1e-8 * largest)
-    for one, other in zip(direct.memory, continued.memory, strict=True):
+    for one, other in zip(direct.memory.values(), continued.memory.values(), strict=True):
         assert other == pytest.approx(one, abs=1e-7 * np.abs(one).max())
     assert vars(continued.audit) == pytest.approx(vars(direct.audit), rel=1e-7)
 
@@ -253,17 +254,17 @@ def test_eased_laws_leave_no_trace():
     model = sheared("S")
     with Solver(model) as solver:
         expected = solver.step(solver.rest(0.3), 0.3)
-        parameters = [p.material.parameters.copy() for p in solver.equations.laws.points]
+        parameters = [p.points.material.parameters.copy() for p in solver.equations.of_kind(CompiledPart)]
         with pytest.raises(SolveError):
             solver.step(expected, 0.7)
-        for p, before in zip(solver.equations.laws.points, parameters, strict=True):
-            assert (p.material.parameters == before).all()
+        for p, before in zip(solver.equations.of_kind(CompiledPart), parameters, strict=True):
+            assert (p.points.material.parameters == before).all()
         again = solver.step(solver.rest(0.3), 0.3)
     assert (again.u.x.array == expected.u.x.array).all()
     with Solver(model) as solver:
-        (points,) = solver.equations.laws.points
+        (part,) = solver.equations.of_kind(CompiledPart)
         with pytest.raises(ValueError, match="not of the kind that is compiled"):
-            points.material.take(FULL)
+            part.points.material.take(FULL)
 
 
 def test_the_schedule_of_eases():

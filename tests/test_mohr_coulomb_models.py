@@ -16,7 +16,7 @@ from tests.mohr_coulomb_run import numbers
 from tests.test_columns_in_time import both, check_balance, check_same
 from tests.test_columns_in_time import column as tall_column
 from tests.test_parallel import mpirun
-from thinlayer import Model, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.pointwise.drive import PointHistory, drive
 
 # layers whose thickness tends to zero under the same load, and columns of any height
@@ -79,10 +79,10 @@ def column(law, jumps, eps: float, angle: float = 0.0, flip: bool = False) -> tu
     where = block(1.0, 0.5, 0.25, structured=True, depth=0.5 if d == 3 else None).rotated(angle)
     support = {axis: component(i) for i, axis in enumerate("xyz"[:d])}
     sides = ["LEFT", "RIGHT", "TOP"] + ["BACK", "FRONT"] * (d == 3)
-    setup = {"body": BODY, "supports": dict.fromkeys(sides, support), "layer": ThinLayer(law, eps), "element": "P1"}
+    turned = Structure(where, body=BODY, supports=dict.fromkeys(sides, support), element="P1")
     times = [float(k + 1) for k in range(len(w))]
-    limit = march(Model.interface(where, **setup), times)
-    return limit, march(Model.full(where, sublayers=1, **setup), times), point
+    limit = march(turned.interface(ThinLayer(law, eps)), times)
+    return limit, march(turned.full(ThinLayer(law, eps), cells_through=1), times), point
 
 
 def check_path(limit, full, point: PointHistory) -> None:
@@ -181,7 +181,7 @@ def test_studies(tmp_path):
 def test_newton_is_quadratic(capfd):
     """The bar of Fig. 2 without cohesion, all loads in one step: the residual's exponent doubles at the end."""
     joint, setup, _ = bar_r1(quick=True)
-    model = Model.interface(joint, layer=ThinLayer(glue(0.0), 1.0), **setup)
+    model = Structure(joint, **setup).interface(ThinLayer(glue(0.0), 1.0))
     state = solve(model, options={"snes_monitor": None})
     norms = [float(line.split()[-1]) for line in capfd.readouterr().out.splitlines() if "SNES Function norm" in line]
     assert state.report.iterations <= 7

@@ -12,7 +12,8 @@ from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, St
 from forms.non_monotone import lamination_gain
 from geometry import sandwich
 from tests.test_points import jump_strain, material, respond, tensor, traction, vector
-from thinlayer import Model, ThinLayer, drive
+from thinlayer import Structure, ThinLayer, drive
+from thinlayer.discretisation.layer import real_law
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import TIE
 
@@ -523,7 +524,7 @@ def test_scaling(name):
     E = jump_strain(w, n)
     there = at(law, E, n=n, phase=phase)
     for eps in (1e-3, 0.5):
-        real = ThinLayer(law, eps).real_law("strain")
+        real = real_law(ThinLayer(law, eps), "strain")
         numbers = real.parameters()
         assert (numbers["lmbda"], numbers["mu"], numbers["alpha"], numbers["C"]) == pytest.approx(
             (LMBDA * eps, MU * eps, ALPHA, C / eps), rel=1e-15
@@ -606,7 +607,7 @@ def test_a_field_of_temperatures():
     assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
     assert values["C"] == pytest.approx([0.013, 0.023, 0.033])
     assert values["alpha"] == pytest.approx(3 * [ALPHA])
-    real = ThinLayer(law, EPS).real_law("strain")
+    real = real_law(ThinLayer(law, EPS), "strain")
     assert real.at(x, 3.0)["C"] == pytest.approx(values["C"] / EPS)
     assert real.per_thickness(EPS).at(x, 3.0)["C"] == pytest.approx(values["C"])
     w = np.array([[0.0, 0.02, 0.0]] * 3)
@@ -818,21 +819,21 @@ def test_where_the_laws_have_no_place():
     setup = dict(supports={"BOTTOM": 0.0}, element="Q1")
     for build, law, body, error, message in (
         (
-            Model.interface,
+            Structure.interface,
             relaxed,
             relaxed,
             ModelError,
             "body '.*': NonMonotone is for layers; bodies take elastic laws",
         ),
-        (Model.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
+        (Structure.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
         (
-            Model.interface,
+            Structure.interface,
             RELAXED["3D"],
             STIFF,
             LawError,
             r"chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2",
         ),
-        (Model.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
+        (Structure.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
     ):
         with pytest.raises(error, match=message):
-            build(plates, layer=ThinLayer(law, 0.1), body=body, **setup)
+            build(Structure(plates, body=body, **setup), ThinLayer(law, 0.1))

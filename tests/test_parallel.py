@@ -142,7 +142,7 @@ COMM, joint = MPI.COMM_WORLD, sandwich(1.0, 0.5, 0.5, 0.5)
 def model():
     layer = ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.1)
     body, supports = LinearElastic.young(100.0, 0.3), {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
-    return Model.interface(joint, layer=layer, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)})
+    return Structure.interface(joint, layer=layer, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)})
 """
 
 

@@ -32,7 +32,7 @@ from forms.law import Step
 from forms.traction import JumpStep
 from geometry import sandwich
 from tests.own_laws import Fragile, Hardening, Mises, Slipping, StandardSolid
-from thinlayer import Model, ThinLayer, solve
+from thinlayer import Structure, ThinLayer, solve
 from thinlayer.pointwise.kernels import SIZES
 from thinlayer.pointwise.material import Material
 
@@ -1004,11 +1004,12 @@ class TriangleWithMemory(Triangle):
 
 
 def of_blocks(law, kind="S", **choices):
-    build = Model.interface if kind == "S" else Model.full
+    build = Structure.interface if kind == "S" else Structure.full
     joint = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral", structured=True)
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.02, "y": -0.01}}
     return build(
-        joint, layer=ThinLayer(law, 0.1), body=LinearElastic(60.0, 40.0), supports=supports, element="Q1", **choices
+        Structure(joint, body=LinearElastic(60.0, 40.0), supports=supports, element="Q1", **choices),
+        ThinLayer(law, 0.1),
     )
 
 

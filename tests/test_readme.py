@@ -14,7 +14,7 @@ import pytest
 
 from forms import LinearElastic
 from geometry import sandwich
-from thinlayer import ArcLength, Model, Surface, ThinLayer, march
+from thinlayer import ArcLength, Structure, Surface, ThinLayer, march
 from thinlayer.running.catalogue import studies
 
 CLONE = Path(__file__).parent.parent
@@ -105,7 +105,7 @@ def test_laws_of_the_documentation_work():
         "Mises": names["Mises"](kappa=80.0, mu=20.0, limit=0.6),
         "Cohesive": names["Cohesive"](k=20.0, w_0=1.0),
     }.items():
-        model = Model.interface(joint, body=body, supports=supports, tractions=pull, layer=ThinLayer(law, 0.05))
+        model = Structure(joint, body=body, supports=supports, tractions=pull).interface(ThinLayer(law, 0.05))
         surface = Surface(model)
         slip = {"slip": lambda state, s=surface: s.integral(s.jump(state)[0])}
         times = ArcLength(end=0.4, first=0.2) if law.traits.softens else [0.2, 0.4]

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from forms import HolonomicCoulomb, KernelLaw, Law, LawError, LinearElastic, Stack
 from geometry import sandwich
 from tests.test_parallel import mpirun
-from thinlayer import Model, ThinLayer, drive, march
+from thinlayer import Structure, ThinLayer, drive, march
 from thinlayer.compiling.compiled import _FILES, _LOADED
 from thinlayer.identity.identity import described
 
@@ -146,7 +146,7 @@ def test_a_law_that_holds_in_part():
     setup = {"body": LinearElastic.young(1e6, 0.0), "supports": sides}
     forces = []
     for law in (partly(), Soft(5.0), partly(lambda law, step: ufl.lt(step.e[1, 1], 0)), Stiff(5.0)):
-        state = march(Model.interface(in_plane, layer=ThinLayer(law, 1.0), **setup), [1.0]).last
+        state = march(Structure(in_plane, **setup).interface(ThinLayer(law, 1.0)), [1.0]).last
         forces.append(state.energies()["bodies"])
     assert forces[0] == pytest.approx(forces[1], rel=1e-9)
     assert forces[2] == pytest.approx(forces[3], rel=1e-9) != forces[1]
@@ -202,7 +202,7 @@ def main() -> None:
     layer = ThinLayer(from_c(5.0, source="no/such/file.c"), 0.1)
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.1, -1.0)}}
     try:
-        march(Model.interface(sandwich(1.0, 0.5, 0.5, 0.5), layer=layer, **setup), [1.0], out="no/such/folder")
+        march(Structure(sandwich(1.0, 0.5, 0.5, 0.5), **setup).interface(layer), [1.0], out="no/such/folder")
     except LawError as error:
         texts = MPI.COMM_WORLD.gather(str(error))
         if MPI.COMM_WORLD.rank == 0:

@@ -14,7 +14,19 @@ from mpi4py import MPI
 from forms import Law, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
 from geometry import GeometryError, sandwich
 from tests.test_parallel import mpirun
-from thinlayer import Adaptive, ArcLength, History, Model, ModelError, PhaseReport, ThinLayer, drive, march, solve
+from thinlayer import (
+    Adaptive,
+    ArcLength,
+    History,
+    Model,
+    ModelError,
+    PhaseReport,
+    Structure,
+    ThinLayer,
+    drive,
+    march,
+    solve,
+)
 
 JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
 SETUP = {"body": LinearElastic.young(1e4, 0.3), "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0}}}
@@ -29,7 +41,7 @@ def pure(**changed: Any) -> NonMonotoneUnrelaxed:
 def model(law: Law, pull: float = 1.0) -> Model:
     """Two blocks with a layer of this law, pulled by pull * t."""
     loads = {"TOP": lambda x, t: (0.0, pull * t * (1 + 0.1 * x[0]))}
-    return Model.interface(JOINT, layer=ThinLayer(law, 0.1), tractions=loads, **SETUP)
+    return Structure(JOINT, tractions=loads, **SETUP).interface(ThinLayer(law, 0.1))
 
 
 def refused(law: Law, message: str, tmp_path: Any) -> None:
@@ -210,12 +222,12 @@ def test_a_point_with_pure_phases_holds_at_the_ends_of_steps():
 def test_loads_and_supports_that_are_no_numbers():
     layer = ThinLayer(pure(), 0.1)
     with pytest.raises(ModelError, match=r"traction on 'TOP' gives \(0, nan\); it needs 2 finite components"):
-        Model.interface(JOINT, layer=layer, tractions={"TOP": lambda x, t: (0, np.nan)}, **SETUP)
+        Structure(JOINT, tractions={"TOP": lambda x, t: (0, np.nan)}, **SETUP).interface(layer)
     moved = SETUP | {"supports": {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: np.inf}}}
     with pytest.raises(ModelError, match=r"support on 'TOP': a component gives inf; it must be a finite number"):
-        Model.interface(JOINT, layer=layer, **moved)
+        Structure(JOINT, **moved).interface(layer)
     with pytest.raises(GeometryError, match="layers is '4'; the layer needs a whole number"):
-        Model.full(JOINT, layer=layer, sublayers="4", **SETUP)
+        Structure(JOINT, **SETUP).full(layer, cells_through="4")
 
 
 def test_a_stack_of_pure_phases():

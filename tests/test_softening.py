@@ -14,7 +14,7 @@ from forms import Law, LinearElastic
 from forms.elastic import lame
 from forms.kinematics import lift
 from geometry import disc, sandwich
-from thinlayer import Model, ThinLayer, march, solve
+from thinlayer import Structure, ThinLayer, march, solve
 from thinlayer.errors import RangeWarning
 
 EPS = 0.05
@@ -76,14 +76,14 @@ def told(joint, law, kind, times):
     """RangeWarnings of a march, or of a solve at one time, in which the layer opens by t times its thickness."""
     supports = {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: EPS * t}}
     sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} if joint.dim == 2 else {}
-    model = kind(joint, layer=ThinLayer(law.per_thickness(EPS), EPS), body=STIFF, supports=supports | sides)
+    model = kind(Structure(joint, body=STIFF, supports=supports | sides), ThinLayer(law.per_thickness(EPS), EPS))
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         march(model, times) if isinstance(times, list) else solve(model, times)
     return [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
 
 
-@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+@pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 @pytest.mark.parametrize(("law", "onset"), [(Falling(3.0, 0.4), 0.4 / math.sqrt(2)), (WeakInShear(3.0, 0.3), 0.3)])
 def test_where_stresses_fall(law, onset, kind):
     """Wherever the unit of stress; a march tells it once, at the first step beyond, a solve only beyond."""
@@ -99,19 +99,19 @@ def test_where_stresses_fall(law, onset, kind):
 
 def test_rising_stresses_are_not_told():
     joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
-    for kind in (Model.interface, Model.full):
+    for kind in (Structure.interface, Structure.full):
         assert told(joint, Rising(3.0), kind, [0.3, 0.8]) == []
 
 
 def test_a_step_over_a_fall_is_told():
     """Both states rise, on branches that a fall parts."""
     joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
-    assert told(joint, Loop(3.0), Model.interface, [0.3, 0.5]) == []
-    assert len(told(joint, Loop(3.0), Model.interface, [0.3, 0.5, 1.4])) == 1
+    assert told(joint, Loop(3.0), Structure.interface, [0.3, 0.5]) == []
+    assert len(told(joint, Loop(3.0), Structure.interface, [0.3, 0.5, 1.4])) == 1
 
 
 def test_in_three_dimensions():
     joint = disc(1.0, 0.4, 0.4, h=0.6, cell="hexahedron")
     law = WeakInShear(3.0, 0.3)
-    assert told(joint, law, Model.interface, 0.2) == []
-    assert len(told(joint, law, Model.interface, 0.4)) == 1
+    assert told(joint, law, Structure.interface, 0.2) == []
+    assert len(told(joint, law, Structure.interface, 0.4)) == 1

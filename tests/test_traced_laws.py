@@ -16,7 +16,7 @@ from forms.elastic import lame
 from forms.trace import stress_key
 from geometry import sandwich
 from tests.own_laws import Slipping
-from thinlayer import Model, SolveError, ThinLayer, drive, march, solve
+from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
 FACTOR, OF_NUMBA = 1.0, 1.0
 STEP = [{"w_T": 0.01, "w_N": 0.02}]
@@ -100,7 +100,7 @@ def of_blocks(law: Law, **more) -> float:
     """Largest displacement of a pulled joint."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = {"body": LinearElastic(60.0, 40.0), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, 1.0)}}
-    model = Model.interface(joint, layer=ThinLayer(law, 0.1), element="Q1", **(setup | more))
+    model = Structure(joint, element="Q1", **setup | more).interface(ThinLayer(law, 0.1))
     return float(np.abs(march(model, [1.0]).last.u.x.array).max())
 
 
@@ -271,7 +271,7 @@ def column(kind: str, law: Law, body: Law, **more):
     """A column of height 1 that can neither widen nor lengthen."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    return getattr(Model, kind)(joint, layer=ThinLayer(law, 0.1), body=body, supports=sides, **more)
+    return getattr(Structure, kind)(Structure(joint, body=body, supports=sides, **more), ThinLayer(law, 0.1))
 
 
 @pytest.mark.parametrize("kind", ["interface", "full"])
@@ -299,7 +299,7 @@ def test_bodies_that_swell_under_contact():
     law = HolonomicCoulomb(15.0, 4.0, friction=0.3)
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    model = Model.interface(joint, layer=law, body=Swelling(60.0, 40.0, 0.01), supports=sides, element="Q1")
+    model = Structure(joint, body=Swelling(60.0, 40.0, 0.01), supports=sides, element="Q1").interface(law)
     state = solve(model)
     free = 0.01 * (3 * 60.0 + 80.0) / 140.0  # strain of a column that may lengthen
     t = -free / (1 / 140.0 + 1 / 15.0)
@@ -433,10 +433,10 @@ def test_a_law_that_is_not_finite_at_rest_is_told(way, message):
     setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, 1.0)}, "element": "Q1"}
     elastic, law = LinearElastic(60.0, 40.0), AtRest(20.0, way)
     for build, layer, body in (
-        (Model.full, law, elastic),
-        (Model.interface, elastic, law),
-        *([(Model.interface, law, elastic)] if way != "cubic" else []),
+        (Structure.full, law, elastic),
+        (Structure.interface, elastic, law),
+        *([(Structure.interface, law, elastic)] if way != "cubic" else []),
     ):
         with pytest.raises(SolveError, match=message):
-            solve(build(joint, layer=ThinLayer(layer, 0.1), body=body, **setup))
-    solve(Model.full(joint, layer=ThinLayer(AtRest(20.0, "smooth"), 0.1), body=elastic, **setup))
+            solve(build(Structure(joint, body=body, **setup), ThinLayer(layer, 0.1)))
+    solve(Structure(joint, body=elastic, **setup).full(ThinLayer(AtRest(20.0, "smooth"), 0.1)))

@@ -30,7 +30,7 @@ from forms import (
 )
 from geometry import sandwich
 from tests.own_laws import Slipping
-from thinlayer import Adaptive, ArcLength, Model, ThinLayer, march, piecewise, solve
+from thinlayer import Adaptive, ArcLength, Structure, ThinLayer, march, piecewise, solve
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ def structure(u, law, kind="interface", depth=None, **more):
         element = "Q1" if contact or "element" not in more else more.pop("element")
     push = loads(u)["TOP"]
     tractions = {"TOP": (lambda x, t: (*push(x, t), 0.1 * u.stress * u.load * t / u.time)) if d == 3 else push}
-    make = getattr(Model, kind)
-    return make(joint, layer=layer, body=body, supports=supports, tractions=tractions, element=element, **more)
+    make = getattr(Structure, kind)
+    return make(Structure(joint, body=body, supports=supports, tractions=tractions, element=element, **more), layer)
 
 
 def measured(model, state, u, energy=True):
@@ -241,7 +241,7 @@ def test_paths():
         joint = sandwich(20 * a, 4 * a, 6 * a, h=10 * a, structured=True)
         pull = {"y": lambda x, t: t * u.load * a * (0.5 + 0.02 * x[0] / a), "x": 0}
         body = LinearElastic.young(E=1e2 * u.stress, nu=0.3)
-        model = Model.interface(joint, layer=ThinLayer(law, a), body=body, supports={"BOTTOM": 0, "TOP": pull})
+        model = Structure(joint, body=body, supports={"BOTTOM": 0, "TOP": pull}).interface(ThinLayer(law, a))
         history = march(model, ArcLength(end=0.3, first=0.15))
         return np.concatenate([np.array(history.t), measured(model, history.last, u)])
 

@@ -16,13 +16,14 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.loads import piecewise
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.state import State
+    from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError, ThinlayerError
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare, observed_orders, sweep
     from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.surface import Surface
+    from thinlayer.parts.phases import PhaseReport
     from thinlayer.pointwise.drive import PointHistory, drive
-    from thinlayer.pointwise.phases import PhaseReport
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
     from thinlayer.time.arc_length import ArcLength
@@ -36,13 +37,14 @@ _NAMES = {
     "discretisation.loads": ["piecewise"],
     "discretisation.model": ["Model"],
     "discretisation.state": ["State"],
+    "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
     "files.table": ["Table"],
     "output.comparison": ["compare", "observed_orders", "sweep"],
     "output.contact_report": ["ContactReport"],
     "output.surface": ["Surface"],
     "pointwise.drive": ["PointHistory", "drive"],
-    "pointwise.phases": ["PhaseReport"],
+    "parts.phases": ["PhaseReport"],
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],
     "time.arc_length": ["ArcLength"],

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from forms.declarations import RangeWarning as RangeWarning
 from forms.declarations import show_warnings, warn_of_range
+from thinlayer_base import InputError
 from thinlayer_base import ThinlayerError as ThinlayerError
 
 
@@ -25,7 +26,7 @@ def warn(message: str, comm: MPI.Intracomm) -> None:
         warnings.showwarning = shown
 
 
-class ModelError(ThinlayerError, ValueError):
+class ModelError(InputError):
     """A model that cannot be built: says what, where and what is allowed."""
 
 

@@ -13,6 +13,10 @@ class ThinlayerError(Exception):
     """Base of all errors that these packages raise themselves, for bad input and for solves that fail."""
 
 
+class InputError(ThinlayerError, ValueError):
+    """Something given that cannot be used: the message says what, where and what is allowed."""
+
+
 def is_number(value: Any) -> bool:
     """Whether a value is a real number, NaN and infinity among them; True and False are none."""
     return isinstance(value, Real) and not isinstance(value, bool)

@@ -18,6 +18,7 @@ from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import ask
 
 Array = npt.NDArray[np.float64]
+CONTACT = "contact"  # key of the slip at nodes (n, d - 1) in states and in files
 
 
 class ContactNodes:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.contact.nodes import Array, ContactNodes
+from thinlayer.contact.nodes import CONTACT, Array, ContactNodes
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
@@ -50,12 +50,18 @@ def default_method(model: Model) -> str:
 
     Otherwise condensed to S on one rank while its matrix is small, else multigrid.
     """
-    if model.contact is None or model.contact.numbers is None or not all(p.proportional for p in model.bodies):
+    if model.contact is None or model.contact.numbers is None or not _linear_bodies(model):
         return "newton"
     vertices = len(np.unique(model.joint.surface))
     sides = 1 if model.joint.rigid_base else 2
     narrow = vertices * sides * model.joint.dim <= CONDENSED_UP_TO[model.joint.dim]
     return "condensed" if narrow and model.comm.size == 1 else "multigrid"
+
+
+def _linear_bodies(model: Model) -> bool:
+    """Whether all but the contact law is one constant, symmetric matrix."""
+    added = all(part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
+    return added and all(p.proportional for p in model.bodies)
 
 
 class ContactSolver:
@@ -86,7 +92,7 @@ class ContactSolver:
             prescribed: values of held displacements.
         """
         problem = self.problem
-        problem.begin(loads, prescribed, old.memory[-1], old.u.x.petsc_vec)
+        problem.begin(loads, prescribed, old.memory[CONTACT], old.u.x.petsc_vec)
         start = self._start if self._start is not None else self._jumps(old)
         known = problem.comm.allreduce(int(start.any()))
         u, steps, residuals = self._scheme.solve(start if known else None)
@@ -105,8 +111,10 @@ def check_method(model: Model, method: Any) -> None:
         raise ValueError(f"method={method!r} is for contact laws; the model has none")
     if method in ("condensed", "relaxation") and model.comm.size > 1:
         raise ValueError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
-    if method in METHODS and not all(p.proportional for p in model.bodies):
-        raise ValueError(f"method={method!r} needs linear bodies without eigenstrains; use method='newton'")
+    if method in METHODS and not _linear_bodies(model):
+        raise ValueError(
+            f"method={method!r} needs linear bodies without eigenstrains, and linear, symmetric parts; use method='newton'"
+        )
     if method in METHODS and model.contact and model.contact.numbers is None:
         name = type(model.contact).__name__
         raise ValueError(f"method={method!r} needs one of the laws of forms.contact, not {name}; use method='newton'")

@@ -30,6 +30,7 @@ AXES = "xyz"
 Place = str | tuple[float, ...]
 Value = float | Callable[[Expr, Expr], Expr]
 Support = float | Mapping[str, Value]
+Given = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 
 
@@ -173,9 +174,7 @@ class Supports:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
     """
 
-    def __init__(
-        self, domain: Domain, given: Mapping[Place, Support], at: Coordinates, clamped: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, domain: Domain, given: Given, at: Coordinates, clamped: Sequence[str] = ()) -> None:
         if not isinstance(given, Mapping):
             raise ModelError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
         self.domain, self.at = domain, at

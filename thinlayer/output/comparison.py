@@ -19,7 +19,7 @@ from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from forms.kinematics import Expr
 from forms.law import LawError
 from geometry.parallel import on_root
-from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import LOCK, moved_away, owned
@@ -66,30 +66,26 @@ def compare(
     if at is not None and not (is_number(at) and math.isfinite(at)):
         raise ModelError(f"compare: at is {at!r}; give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
-    if (full.model.kind, interface.model.kind) != ("full", "interface"):
-        raise ModelError(
-            f"compare needs a full and an interface model, not {full.model.kind} and {interface.model.kind}"
-        )
+    meshed, limit = full.model, interface.model
+    if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
+        raise ModelError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
     if full.model.joint is not interface.model.joint:
         raise ModelError("compare needs two models of the same joint")
     if abs(full.t - interface.t) > SAME_TIME * max(abs(full.t), abs(interface.t)):
         raise ModelError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     if full.model.element != interface.model.element:
         raise ModelError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
-    assert full.model.layer is not None
-    assert interface.model.layer is not None
-    if full.model.layer.eps != interface.model.layer.eps:
-        what = f"compare needs one thickness, not {full.model.layer.eps} and {interface.model.layer.eps}"
-        raise ModelError(f"{what}; give laws of jumps the layer's too, as ThinLayer(law, eps)")
-    on_root(full.model.comm, lambda: _require_same_structure(full.model, interface.model))
-    surface = Surface(interface.model)
+    if limit.thin_layer and meshed.layer.eps != limit.thin_layer.eps:
+        raise ModelError(f"compare needs one thickness, not {meshed.layer.eps} and {limit.thin_layer.eps}")
+    on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
+    surface = Surface(limit)
     part = 1 if where is None else _part(surface, where)
-    row = {"eps": float(full.model.layer.eps)}
+    row = {"eps": float(meshed.layer.eps)}
     sizes = {}
     for name, field in (("traction", surface.traction), ("jump", surface.jump)):
-        limit = field(interface)
-        sizes[name] = surface.norm(limit, part)
-        row[f"error_{name}"] = surface.norm(field(full) - limit, part) / sizes[name] if sizes[name] else math.nan
+        by_law = field(interface)
+        sizes[name] = surface.norm(by_law, part)
+        row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if sizes[name] else math.nan
     return row | sizes
 
 
@@ -103,7 +99,7 @@ def _state(one: State | History, at: float | None) -> State:
     return one.last if at is None else one.at(at)
 
 
-def _require_same_structure(full: Model, interface: Model) -> None:
+def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     """Raise ModelError unless both models have the same data but for the layer's law."""
     there, here = (
         model.made_from | {"supports": model.made_from["supports"][: len(model.supports.given)]}
@@ -112,9 +108,9 @@ def _require_same_structure(full: Model, interface: Model) -> None:
     for name in ("plane", "bodies", "supports", "loads"):
         if there[name] != here[name]:
             raise ModelError(f"compare needs the same {name}, not {there[name]} and {here[name]}")
-    assert full.layer is not None
-    assert interface.layer is not None
-    one, other = (full.joint.relative_thickness(layer.profile) for layer in (full.layer, interface.layer))
+    if interface.thin_layer is None:  # a law on S knows no thickness
+        return
+    one, other = (full.joint.relative_thickness(layer.profile) for layer in (full.layer, interface.thin_layer))
     if not np.allclose(one, other, rtol=SAME_PROFILE, atol=0.0):
         raise ModelError("compare needs the same profile of the thickness in both models")
 

@@ -16,7 +16,7 @@ from forms.contact import Status
 from forms.work import work
 from geometry.joint import Joint
 from geometry.order import edges_of_s, order_on_s
-from thinlayer.contact.nodes import Array, ContactNodes
+from thinlayer.contact.nodes import CONTACT, Array, ContactNodes
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
@@ -97,7 +97,7 @@ class ContactReport:
         held = model.supports.held(model.V)
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
         nodes = ContactNodes(model, held[held < owned])
-        slip, d = state.memory[-1], nodes.dim
+        slip, d = state.memory[CONTACT], nodes.dim
         w = nodes.jump(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)
         threshold = law.threshold(p)

@@ -27,12 +27,14 @@ from thinlayer.files.folder import Lock, moved_away, moved_back
 from thinlayer.files.say import say
 from thinlayer.files.table import Table, hash_of, replaced
 from thinlayer.output.comparison import sweep
+from thinlayer.parallel.log import logger
 from thinlayer.solving.options import PREFIX
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 from thinlayer_base import PACKAGES
 
+LOG = logger("study")
 RUN = "run.json"
 MARCHES = "unfinished"  # folder for the states of marches, needed to resume
 INSTALLED = (
@@ -220,6 +222,10 @@ class Record:
                 self.stop("not finished")
         return self.out / name
 
+    def table(self, name: str) -> Table:
+        """A table of the folder to add rows to: each is on the disk before the next one is computed. Collective."""
+        return Table(path=self.path(name))
+
     def write(self, name: str, table: Table) -> None:
         """Write a table as csv. Collective."""
         table.write(self.path(name))
@@ -314,15 +320,21 @@ class Record:
 
     def solved(self, state: State) -> State:
         """Note how a state was found; returns it."""
-        layer = state.model.layer
-        self.solves.append(
-            {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t, **asdict(state.report)}
-        )
+        layer, report = state.model.thin_layer, state.report
+        noted = {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t}
+        self.solves.append(noted | asdict(report))
+        LOG.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
         return state
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
         """Check that a number lies in a range; a failed check makes the run exit with status 1."""
         self.checks.append(Check(name, float(value), low, high))
+        LOG.info("check %s", self.checks[-1])
+
+    def check_near(self, name: str, value: float, expected: float, tolerance: float) -> None:
+        """Check that a number is the expected one, to a relative tolerance."""
+        low, high = sorted((expected * (1 - tolerance), expected * (1 + tolerance)))
+        self.check(name, value, low=low, high=high)
 
     @property
     def failed(self) -> list[Check]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,13 +21,13 @@ class Balance(Protocol):
 
     Attributes:
         comm: communicator.
-        laws: compiled laws; `failed` is the number of points where they failed, `failure()` says what failed and where.
+        failed: number of points where a part of the balance failed.
         scale: size of the forces in the last residual.
         least_residual: what rounding leaves of the forces of stiff bodies that supports move.
     """
 
     comm: MPI.Intracomm
-    laws: Any
+    failed: int
     scale: float
     least_residual: float
 
@@ -41,6 +41,9 @@ class Balance(Protocol):
 
     def rounding_at(self, x: PETSc.Vec) -> float:
         """What rounding leaves of the forces at unknowns x."""
+
+    def failure(self) -> str:
+        """What failed, and where."""
 
 
 def aim(equations: Balance, x: PETSc.Vec) -> float:
@@ -64,7 +67,7 @@ def require_equilibrium(equations: Balance, x: PETSc.Vec, r: PETSc.Vec) -> None:
     size, scale = free_norm(equations, r), equations.scale
     if size <= max(LARGEST_RESIDUAL * scale, equations.least_residual):
         return
-    failed = f"; {equations.laws.failure()}" if equations.laws.failed else ""
+    failed = f"; {equations.failure()}" if equations.failed else ""
     raise SolveError(
         f"what the solver returned is no equilibrium: forces of {size / max(scale, np.finfo(float).tiny):.1e} of the loads "
         f"and stresses are out of balance, allowed: {LARGEST_RESIDUAL:g}{failed}",

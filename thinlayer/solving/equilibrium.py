@@ -66,15 +66,15 @@ class Equilibrium:
         held = equations.held
         for vector in self._vectors:
             vector.set(0.0)
-        self._put_old(x)
+        equations.put_state(equations.interval.old, x)
         move.array[held] = equations.prescribed - x.array_r[held]
         if not self.curved:
             x.axpy(1.0, move)
             equations.residual(x, r)
         else:
             equations.start(x, r)
-        if equations.laws.failed:
-            raise SolveError(f"at the start of the step {equations.laws.failure()}")
+        if equations.failed:
+            raise SolveError(f"at the start of the step {equations.failure()}")
         forces = equations.scale
         if self.curved:
             self._require_finite("stress", self._free_norm(r))
@@ -102,24 +102,16 @@ class Equilibrium:
             return self._newton(x, r)
         return x, iterations, self._refine(x, r, d)
 
-    def _put_old(self, x: PETSc.Vec) -> None:
-        """Unknowns at the start of the step."""
-        equations, old = self.equations, self.equations.interval.old
-        n = equations.n_displacements
-        x.array[:n] = old.u.x.array[:n]
-        if old.p is not None and equations.constraint:
-            x.array[n:] = old.p.x.array[: equations.n_pressures] / equations.constraint.unit
-
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
-        equations, ease = self.equations, self.equations.laws.eased
+        equations, ease = self.equations, self.equations.eased
         equations.residual(x, r)
         r.scale(-1.0)
-        equations.laws.ease(1.0)
+        equations.ease(1.0)
         try:
             equations.residual(x, d)
         finally:
-            equations.laws.ease(ease)
+            equations.ease(ease)
         self._prepare(move, r)
         self._solve_linear(r, d)
 
@@ -136,7 +128,7 @@ class Equilibrium:
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
         equations = self.equations
-        dt = 0.0 if equations.laws.steady else equations.interval.dt
+        dt = equations.interval.dt if equations.traits.uses_dt else 0.0
         key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
         self.reused = move is None and self._factored == key
         if self.reused:
@@ -147,7 +139,7 @@ class Equilibrium:
             self._require_finite("tangent (the slope of the stress)", A.norm())
         else:
             equations.require_unique()
-        mark(A, equations.model, saddle=equations.constraint is not None)
+        mark(A, equations.model, saddle=equations.traits.saddle)
         self.drop_factor()
         self._ksp = ksp = PETSc.KSP().create(equations.comm)
         ksp.setOptionsPrefix(PREFIX)
@@ -159,8 +151,9 @@ class Equilibrium:
     def _require_finite(self, what: str, size: float) -> None:
         """Raise SolveError if the norm of what laws in forms give where the step starts is NaN or infinite."""
         if not math.isfinite(size):
+            names = sorted({name for part in self.equations.parts for name in part.unchecked})
             raise SolveError(
-                f"the {what} of {self.equations.curved_laws} is not finite at the start of the step",
+                f"the {what} of {' or '.join(names)} is not finite at the start of the step",
                 advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
                 "of strains, or a ufl.conditional",
             )
@@ -180,7 +173,9 @@ class Equilibrium:
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             ksp.solve(r, d)
-            size = max(x.norm(), equations.old.norm())  # loads that end at zero leave displacements that are rounding
+            size = max(
+                x.norm(), equations.interval.old.u.x.petsc_vec.norm()
+            )  # loads that end at zero leave displacements that are rounding
             if first and direct and d.norm() > UNDETERMINED * size:
                 raise SolveError(
                     "no unique solution: rounding of the forces changes the displacements by "
@@ -197,16 +192,16 @@ class Equilibrium:
                 break
             residual = refined
         if not residual < LARGEST_RESIDUAL:
-            self._put_old(d)
+            equations.put_state(equations.interval.old, d)
             equations.start(d, r)
             equations.residual(x, r)
             residual = self._relative(r)
         if not residual < LARGEST_RESIDUAL:
-            few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
+            hints = "".join(f", or {part.hint}" for part in equations.parts if part.hint)
             raise SolveError(
                 f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
                 "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
-                f"says{few}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
+                f"says{hints}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
             )
         return residual
 
@@ -222,6 +217,6 @@ class Equilibrium:
         steps, residual = newton(
             self.equations, x, r, own_test=self._own_test, hopeless=self._yields, advice=self._advice
         )
-        if not self.equations.contact:
+        if not self.equations.traits.releases:
             self.equations.require_unique()
         return x, steps + 1, residual

@@ -94,7 +94,7 @@ def newton(
     stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
     stopped = own_test and reason >= 0 and not last < LARGEST_RESIDUAL  # by a test other than ours
     if stopped or (reason < 0 and not stalled):
-        failed = f"; {equations.laws.failure()}" if equations.laws.failed else ""
+        failed = f"; {equations.failure()}" if equations.failed else ""
         raise SolveError(
             f"Newton's method failed after {steps} steps: {given_up or reason_name(Reason, reason)}"
             + (f" (linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")

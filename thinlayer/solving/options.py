@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from petsc4py import PETSc
 
 from thinlayer.solving.petsc_missing import was_read
-from thinlayer_base import ThinlayerError
+from thinlayer_base import InputError
 
 PREFIX = "thinlayer_"
 # PETSc's errors that values of options lead to: not supported, wrong, out of range, wrong state, user's function missing,
@@ -18,7 +18,7 @@ OptionValue = str | int | float | bool | None
 _PLACED: set[str] = set()  # names in PETSc's database, without the prefix, that are there by `defaults`
 
 
-class OptionError(ThinlayerError, ValueError):
+class OptionError(InputError):
     """A PETSc option that no solver reads."""
 
 

@@ -16,8 +16,9 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
+from thinlayer.parts.part import Interval
 from thinlayer.solving.balance import aim
-from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import mark, solve_linear, tell_multigrid
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
@@ -47,9 +48,7 @@ class Restraint:
         self._ksp: PETSc.KSP | None = None
         self._vectors = [equations.vector() for _ in range(6)]
         self.x, self._begin, self._r, self._d, self._trial, self._kept = self._vectors
-        diagonal = equations.K.getDiagonal()
-        self._unit = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
-        diagonal.destroy()
+        self._unit = equations.mean_stiffness
         self._stiffness = 0.0
 
     def close(self) -> None:
@@ -109,15 +108,15 @@ class Restraint:
         equations, r, d = self.equations, self._r, self._d
         equations.begin(Interval(rest, step.old.t, step.dt, 1.0))
         loads, prescribed = equations.loads.copy(), equations.prescribed
-        ease = equations.laws.eased
-        equations.laws.ease(1.0)
+        ease = equations.eased
+        equations.ease(1.0)
         try:
             equations.begin(Interval(rest, step.t, step.dt, 1.0))
             self.x.set(0.0)
             equations.residual(self.x, r)
             A = equations.tangent()
         finally:
-            equations.laws.ease(ease)
+            equations.ease(ease)
         A.shift(LEAST * self._unit)
         n = equations.n_displacements
         r.set(0.0)
@@ -132,8 +131,7 @@ class Restraint:
     def _start(self, step: Interval) -> None:
         equations, x = self.equations, self._begin
         equations.begin(step)
-        n = equations.n_displacements
-        x.array[:n] = step.old.u.x.array[:n]
+        equations.put_state(step.old, x)
         x.array[equations.held] = equations.prescribed
         x.copy(self.x)
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from functools import cached_property
 from typing import Any
 
-from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
+from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import ModelError, SolveError, warn
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.part import Interval
 from thinlayer.solving.continuation import Continuation
-from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.linear_solvers import failed_in_petsc, linear_solvers
 from thinlayer.solving.newton import FLAT, NEWTON, YIELDING
@@ -33,7 +34,6 @@ from thinlayer.solving.options import (
 )
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
-from thinlayer.solving.softening import Softening
 from thinlayer_base import is_number
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
@@ -93,9 +93,9 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if model.kind == "interface" and model.layer is not None and model.layer.law.traits.softens:
+    if isinstance(model, InterfaceModel) and model.layer_law and model.layer_law.traits.softens:
         raise ModelError(
-            f"{what}: the stress of {model.layer.law!r} falls as jumps grow, and an equilibrium may be one of several; "
+            f"{what}: the stress of {model.layer_law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
         )
 
@@ -107,7 +107,7 @@ def comm_of(model: Any) -> MPI.Intracomm:
 
 def _require_model(model: Any) -> None:
     if not isinstance(model, Model):
-        raise ModelError(f"model is {model!r}; give what Model.full or Model.interface returns")
+        raise ModelError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
 
 
 def _default_method(model: Model) -> str:
@@ -122,7 +122,7 @@ def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
         raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
-    if model.contact is None or like.model.kind != "interface" or like.model.element != model.element:
+    if model.contact is None or not isinstance(like.model, InterfaceModel) or like.model.element != model.element:
         raise ModelError("like is for contact laws: a state of an interface model with the same element")
 
 
@@ -184,8 +184,8 @@ class Solver:
 
     def _contact_solver(self, like: State | None) -> ContactSolver:
         equations = self.equations
-        assert equations.contact is not None
-        return ContactSolver(contact_problem(equations.contact.nodes, equations.K, equations.held), self.method, like)
+        (contact,) = equations.of_kind(ContactPart)
+        return ContactSolver(contact_problem(contact.nodes, equations.K, equations.held), self.method, like)
 
     def close(self) -> None:
         """Free matrices and factors."""
@@ -195,8 +195,7 @@ class Solver:
 
     def rest(self, t: float) -> State:
         """The model before anything happened."""
-        report = Report("rest", 0, 0.0, 0.0)
-        return State(self.model, fem.Function(self.model.V), t, report, memory=self.equations.rest())
+        return self.equations.rest(t)
 
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, *, held: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
@@ -208,12 +207,10 @@ class Solver:
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
         x, iterations, residual, eased = self._find(old, thorough)
-        while not held and self.equations.laws.switch():
+        while not held and self.equations.switch():
             x, more, residual, again = self._find(old, thorough)
             iterations, eased = iterations + more, eased + again
-        return self._state(
-            old, t, theta, x, Report(self.method, iterations, residual, time.perf_counter() - start, eased)
-        )
+        return self._accept(x, Report(self.method, iterations, residual, time.perf_counter() - start, eased))
 
     def seek(self, old: State, t: float, theta: float = 1.0) -> State:
         """The state at the end of a step that `step` does not find, by weak springs at all nodes. Collective.
@@ -229,7 +226,7 @@ class Solver:
             )
         finally:
             restraint.close()
-        return self._state(old, t, theta, x, Report(self.method, iterations, residual, time.perf_counter() - start))
+        return self._accept(x, Report(self.method, iterations, residual, time.perf_counter() - start))
 
     def _nearest(self, old: State, begin: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
         """Unknowns at the end of the step near some, iterations, residual."""
@@ -240,26 +237,18 @@ class Solver:
                 failed = error
         raise failed
 
-    def _state(self, old: State, t: float, theta: float, x: PETSc.Vec, report: Report) -> State:
-        memory, audit = self.equations.audit(x)
-        self._tell_softening(old, t)
-        return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
+    def _accept(self, x: PETSc.Vec, report: Report) -> State:
+        state = self.equations.accept(x, report)
+        self._tell_softening(state.t)
+        return state
 
-    @cached_property
-    def _softening(self) -> Softening:
-        return Softening(self.model)
-
-    def _tell_softening(self, old: State, t: float) -> None:
+    def _tell_softening(self, t: float) -> None:
         """Warn, once, where the stress of a law falls that does not say so: at the same loads there may be other states."""
         if self._told:
             return
-        laws = self.equations.laws
-        name, points = laws.softened(self.equations.u.x.petsc_vec)
-        where = f"at {points} points"
-        if not name:
-            name, share = self._softening.found(self.equations.u, old.u)
-            where = f"on {share:.3g} of the layer"
-        if name:
+        found = next(filter(None, (part.undeclared_softening() for part in self.equations.parts)), None)
+        if found:
+            name, where = found
             self._told = True
             warn(
                 f"at t = {t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
@@ -280,7 +269,7 @@ class Solver:
             else:
                 return x, spent + iterations, residual, 0
         assert first is not None
-        if not (thorough and self.equations.laws.can_ease):
+        if not (thorough and self.equations.traits.eases):
             raise first
         try:
             x, iterations, residual, solves = self._continue(old)
@@ -294,7 +283,7 @@ class Solver:
 
         def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
             nonlocal spent, residual
-            self.equations.laws.ease(ease)
+            self.equations.ease(ease)
             try:
                 x, iterations, residual = self._solve(old, self._searches[-1], begin)
             except SolveError as error:
@@ -306,7 +295,7 @@ class Solver:
         try:
             found = way.follow(solve)
         finally:
-            self.equations.laws.ease(0.0)
+            self.equations.ease(0.0)
         assert isinstance(self._finder, Equilibrium)
         found.copy(self._finder.x)
         found.destroy()
@@ -361,7 +350,7 @@ class Solver:
             return {}
         if self.model.contact:
             search = "basic"
-        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.laws.flat else NEWTON
+        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.traits.singular else NEWTON
         return options | ({"snes_linesearch_type": search} if search else {})
 
     @property
@@ -369,13 +358,3 @@ class Solver:
         if self.model.contact:
             return "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
         return "a larger elastic fraction" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
-
-    def _pressure(self, old: State, theta: float) -> fem.Function | None:
-        """Pressure at the end of the step; the balance of forces has the one at t + theta dt."""
-        if self.equations.pressure is None or self.equations.constraint is None:
-            return None
-        p = self.equations.pressure.copy()
-        p.x.array[:] *= self.equations.constraint.unit
-        if theta < 1 and old.p is not None:
-            p.x.array[:] = (p.x.array - (1 - theta) * old.p.x.array) / theta
-        return p

@@ -12,7 +12,6 @@ from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.solving.equations import Equations
 from thinlayer.time.plan import distinct
-from thinlayer.time.scheme import takes_time
 from thinlayer_base import is_number
 
 
@@ -104,8 +103,6 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
 
 def require_no_time(equations: Equations) -> None:
     """Raise ModelError if a law's answer depends on how long a step takes. Collective."""
-    for p in equations.laws.points:
-        if takes_time(p):
-            raise ModelError(
-                f"{type(p.term.law).__name__} creeps or relaxes, and t is no time on a path: march in time"
-            )
+    for part in equations.parts:
+        if name := part.takes_time():
+            raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")

@@ -17,7 +17,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Row
 from thinlayer.identity.identity import code_of
 from thinlayer.parallel.agreement import on_all
-from thinlayer.pointwise.phases import PhaseReport
+from thinlayer.parts.phases import PhaseReport
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.options import OptionError
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
@@ -117,7 +117,7 @@ class Journal:
         for name in COLUMNS[len(values) :]:
             value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
             values[name] = None if math.isnan(value) else value
-        if self.model.layer and self.model.kind != "bonded" and self.model.layer.law.traits.phases:
+        if self.model.layer_law and self.model.layer_law.traits.phases:
             report = PhaseReport(state)
             energy = None if math.isnan(state.audit.total) else state.audit.total
             values |= {"energy": energy} | {name: getattr(report, name) for name in PHASE_COLUMNS[1:]}

@@ -142,7 +142,7 @@ def _number(name: str, value: Any) -> float:
 
 def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe: Any) -> None:
     if not isinstance(model, Model):
-        raise ModelError(f"model is {model!r}; march takes what Model.full or Model.interface returns")
+        raise ModelError(f"model is {model!r}; march takes what Structure.full or Structure.interface returns")
     if observe is not None and not isinstance(observe, Mapping):
         raise ModelError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
     for name, function in (observe or {}).items():

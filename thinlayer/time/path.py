@@ -196,9 +196,8 @@ class EquilibriumPath:
         if missed > far:
             raise SolveError("the equilibrium at this arc length is far from where the path was going")
         self._missed = 0.0 if turn else missed / length
-        memory, audit = balance.equations.audit(x)
         report = Report("newton", iterations, residual, time.perf_counter() - begin)
-        return State(balance.equations.model, balance.equations.u.copy(), t, report, None, memory, audit)
+        return balance.equations.accept(x, report)
 
     def _from_target(self) -> PETSc.Vec:
         self.balance.x.copy(self._work)

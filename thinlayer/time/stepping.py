@@ -205,7 +205,7 @@ class TimeStepping:
         return max(start + (t - start) / NEARER, end)
 
     def _loads_change(self, before: float, after: float) -> bool:
-        a, b = (self.solver.equations.loads_at(t) for t in (before, after))
+        a, b = (self.solver.equations.history.loads_at(t) for t in (before, after))
         size = b.norm()
         b.axpy(-1.0, a)
         change = b.norm()
@@ -215,7 +215,7 @@ class TimeStepping:
 
     def _resultant(self, t: float) -> list[float]:
         """Tractions and body forces on the bodies at a time, their sum."""
-        model, loads = self.solver.model, self.solver.equations.loads_at(t)
+        model, loads = self.solver.model, self.solver.equations.history.loads_at(t)
         translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
         forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
         loads.destroy()
@@ -226,7 +226,7 @@ class TimeStepping:
         theta = 1.0 if len(self._history) == 1 and not self._sudden else self.theta
         middle = (old.t + end) / 2
         adaptive, estimate = self.plan.adaptive, self._estimate
-        if self.solver.equations.laws.switches:
+        if self.solver.equations.traits.switches:
             return [*steps(self.solver, old, end)], 1.0
         if adaptive is None or estimate is None:
             ends = [middle, end] if theta != self.theta else [end]
