@@ -16,6 +16,7 @@ from forms.contact import ContactLaw
 from thinlayer.contact.gauss_seidel import sweep_nodes
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.turning import Sliding, sliding, turned
+from thinlayer.solving.force_scale import ALLOWED, ForceScale
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
 Indices = npt.NDArray[Any]
@@ -34,8 +35,8 @@ PATIENCE = 6  # steps from a prediction; after as many the sweeps double with ev
 MOST_SWEEPS = 256
 COARSEST = 48  # nodes of chains that are not coarsened any more
 ROUGH = 1e-3  # tolerance on coarse chains, whose solution is a start
-LARGEST_RESIDUAL = 1e-9
-FAR_RESIDUAL = 1e-6  # where rounding leaves more
+STALLED = 1e-9  # residual over the forces with which Newton's method may end where no step makes it smaller
+SUMMED = 10.0  # rounding of the condensed stiffness, in units of one rounding of its largest entry for a node
 
 
 @dataclass(frozen=True)
@@ -193,13 +194,12 @@ class DenseSystem:
 
     def _rounding(self, x: PETSc.Vec) -> float:
         """What rounding leaves of the residual at jumps x, over the forces: much on soft springs, or with stiff ones."""
-        far = float(np.abs(x.array_r).max(initial=0.0)) * self._stiffest
-        share = 10 * np.finfo(float).eps * math.sqrt(self.n) * far / max(self._load.size, self._size)
-        return max(LARGEST_RESIDUAL, min(share, FAR_RESIDUAL))
+        share = self._scale.rounding(float(np.abs(x.array_r).max(initial=0.0))) / max(self._load.size, self._size)
+        return max(STALLED, min(share, ALLOWED))
 
     @cached_property
-    def _stiffest(self) -> float:
-        return float(self.H.diagonal().max())
+    def _scale(self) -> ForceScale:
+        return ForceScale(SUMMED * math.sqrt(self.n) * float(self.H.diagonal().max()))
 
     def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
         history = self._history

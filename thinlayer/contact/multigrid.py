@@ -121,7 +121,7 @@ class MultigridContact:
         given, here = self.given, self.problem
         if here is given:
             return start
-        here.least, here.largest = given.least, given.largest
+        here.largest = given.largest
         places = given.nodes.numbers, here.nodes.numbers
         here.slip = carry(given.comm, places[0], given.slip, places[1])
         return None if start is None else carry(given.comm, places[0], start, places[1])
@@ -215,7 +215,7 @@ class _Newton:
         return reason.CONVERGED_FNORM_ABS if self._h <= self.tolerance else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
-        """Before a Newton step: whether to sweep, which is where the last one has gone another way than its tangents said."""
+        """Before a Newton step: sweeps are due if the last one has gone another way than its tangents said."""
         self._swept = False
         if step:
             w = self.nodes.jump(snes.getSolution())
