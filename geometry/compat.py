@@ -9,6 +9,7 @@ from typing import Any
 import basix.ufl
 import dolfinx
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from geometry.topology import FloatArray, IntArray, geometry_degree
@@ -36,3 +37,9 @@ def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_t
     arguments = {"comm": comm, "cells": cells, "x": np.ascontiguousarray(points), "e": element}
     positional = [arguments[name] for name in order[:4]]
     return dolfinx.mesh.create_mesh(*positional, partitioner=_partitioner() if comm.size > 1 else None)
+
+
+def cell_nodes(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
+    """Nodes of the geometry of each cell of this rank, (cells, nodes)."""
+    maps = getattr(mesh.geometry, "dofmaps", None)
+    return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])

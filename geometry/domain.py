@@ -1,7 +1,7 @@
 """Domain: a joint distributed over MPI ranks, with its names.
 
-The joint is whole on every rank, the mesh is not. `Domain` alone relates the two: `original_cells`, `original_points` and
-`on_cells` are how others take what the joint knows to the cells and points of a rank.
+The joint is whole on every rank, the mesh is not. `Domain` alone relates the two: through `original_cells`,
+`original_points`, `numbers` and `on_cells` others take what the joint knows to the cells, points and facets of a rank.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from geometry.compat import create_mesh
+from geometry.facets import facets_of_cells, vertices_of_facets
 from geometry.joint import BASE, BONDED, LAYER, GeometryError, Joint, S, unknown
-from geometry.topology import IntArray, local_facets
+from geometry.topology import IntArray
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -68,6 +69,14 @@ class Domain:
     def original_points(self) -> IntArray:
         """(n,) number in `joint.points` of each local node of the mesh's geometry."""
         return np.asarray(self.mesh.geometry.input_global_indices, np.int64)
+
+    def numbers(self, dim: int, entities: npt.NDArray[np.int32]) -> IntArray:
+        """(n,) numbers in the joint of local cells (dim: the joint's), or rows of `joint.table` of local facets."""
+        joint = self.joint
+        if dim == joint.dim:
+            return self.original_cells[entities]
+        corners = self.on_cells(joint.corners)
+        return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, corners))
 
     def on_cells(self, values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
         """Values of the joint's cells, (n_cells, ...), at the local cells (ghosts included)."""
@@ -129,11 +138,7 @@ def _local_facets(
 
     A cell of the mesh has its vertices in the order of the joint's cell, and so its facets.
     """
-    dim, table = joint.dim, joint.table
-    mesh.topology.create_entities(dim - 1)
-    for pair in ((dim - 1, dim), (dim, dim - 1)):
-        mesh.topology.create_connectivity(*pair)
-    of_cells = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, len(local_facets(joint.cell_type)))
+    table, of_cells = joint.table, facets_of_cells(mesh, joint.cell_type)
     here = np.full(len(joint.cells), -1, np.int32)
     here[original] = np.arange(len(original))
     found = np.full(len(rows), -1, np.int32)

@@ -57,6 +57,7 @@ def compare_tags() -> None:
             nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
             there = distributed(domain, joint.dim - 1, nodes, np.ones(len(rows)))
             assert np.array_equal(domain.facets(which), there.indices), (name, which)
+            assert np.isin(domain.numbers(joint.dim - 1, there.indices), rows).all(), (name, which)
 
 
 if __name__ == "__main__":

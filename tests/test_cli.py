@@ -236,7 +236,7 @@ def test_verbose(tmp_path):
     )
     assert (quiet.returncode, told.returncode) == (0, 0)
     assert quiet.stderr == ""
-    assert "thinlayer.study: Model.full" in told.stderr
+    assert "eps = 0.1, t = 0: linear, " in told.stderr
     assert "thinlayer." not in told.stdout
 
 

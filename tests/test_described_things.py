@@ -24,8 +24,8 @@ from forms import KelvinVoigt
 from tests.test_identity import Spring
 from tests.test_marching import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, compare, march, solve, sweep
-from thinlayer.identity import identity
-from thinlayer.identity.identity import described
+from thinlayer.identity import known
+from thinlayer.identity.described import described
 
 LAYER = ThinLayer(SLOW, 0.1)
 
@@ -125,7 +125,7 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
     march(model, [0.1], out=tmp_path / "m")
     sweep(run, [0.4], tmp_path / "t.csv")
     assert len(march(model, [0.1, 0.2], out=tmp_path / "m", resume=True)) == 3
-    monkeypatch.setattr(identity, "PROCESS", "another")
+    monkeypatch.setattr(known, "PROCESS", "another")
     with pytest.raises(
         ModelError, match=r"is of another march \(loads: .*builtins\.generator, which no other process knows"
     ):

@@ -22,7 +22,8 @@ import pytest
 from forms.laws import LinearElastic
 from tests.test_marching import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, march, piecewise
-from thinlayer.identity.identity import code_of, described, referred
+from thinlayer.identity.codes import code_of
+from thinlayer.identity.described import described, referred
 
 FACTOR = 2.0
 SCALE = {"a": [1.0, 2.0]}

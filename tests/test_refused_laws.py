@@ -14,7 +14,7 @@ from geometry import sandwich
 from tests.test_parallel import mpirun
 from thinlayer import Structure, ThinLayer, drive, march
 from thinlayer.compiling.compiled import _FILES, _LOADED
-from thinlayer.identity.identity import described
+from thinlayer.identity.described import described
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)

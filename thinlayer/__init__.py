@@ -19,10 +19,12 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError, ThinlayerError
     from thinlayer.files.table import Table
-    from thinlayer.output.comparison import compare, observed_orders, sweep
+    from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.surface import Surface
+    from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
@@ -40,11 +42,13 @@ _NAMES = {
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
     "files.table": ["Table"],
-    "output.comparison": ["compare", "observed_orders", "sweep"],
+    "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],
     "output.surface": ["Surface"],
+    "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.phases": ["PhaseReport"],
+    "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],
     "time.arc_length": ["ArcLength"],
@@ -72,7 +76,11 @@ def _refuse_shadows() -> None:
     for name in ("thinlayer_base", "forms", "geometry"):
         spec = find_spec(name)
         if spec and spec.origin and Path(spec.origin).resolve().parent != home / name:
-            raise ImportError(f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it")
+            message = f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it"
+            if program:  # Python itself would end with the status of a check that failed
+                print(f"thinlayer: {message}", file=sys.stderr)
+                raise SystemExit(2)
+            raise ImportError(message)
 
 
 _refuse_shadows()

@@ -28,6 +28,8 @@ class Host(Protocol):
     domain: Domain
     coordinates: Coordinates
     V: fem.FunctionSpace
+    dx: ufl.Measure
+    ds: ufl.Measure
     plane: str
 
 

@@ -29,7 +29,7 @@ from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import require_support
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
-from thinlayer.identity.identity import described
+from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all, require_same
 
 
@@ -153,13 +153,13 @@ class Model(ABC):
         """All points where a law acts."""
         return self.bodies + self.layer_terms
 
-    @property
+    @cached_property
     def linear(self) -> bool:
         """Whether every law is linear, and all that is added."""
         of_laws = self.contact is None and all(p.law.traits.linear for p in self.terms)
         return of_laws and all(part.is_linear(self) for part in self.parts)
 
-    @property
+    @cached_property
     def symmetric(self) -> bool:
         """Whether every law has a symmetric tangent, and all that is added."""
         laws = [p.law for p in self.terms] + ([self.contact] if self.contact else [])
@@ -175,6 +175,10 @@ class Model(ABC):
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""
         return self.forces.work(v)
+
+    def added_work(self, u: Expr, v: Expr) -> Expr:
+        """Virtual work at displacements u of what is added to the model, a UFL form linear in v."""
+        return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
 
     # ---------------------------------------------------------------- what it is made from
     def identity(self) -> dict[str, Any]:

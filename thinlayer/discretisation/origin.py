@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 
-import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
 from geometry.domain import Domain
 from geometry.joint import Joint, S
-from geometry.topology import IntArray
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.pointwise.quadrature import Origin
 
@@ -19,24 +17,7 @@ Array = npt.NDArray[np.float64]
 
 def origin_of(domain: Domain) -> Origin:
     """The joint that a domain was made from."""
-    return Origin(
-        domain.comm, Coordinates.of(domain).x, partial(numbers, domain), partial(column_numbers, domain.joint)
-    )
-
-
-def numbers(domain: Domain, dim: int, entities: npt.NDArray[np.int32]) -> IntArray:
-    """Numbers in the joint of local cells, or of local facets in the joint's table."""
-    mesh, joint = domain.mesh, domain.joint
-    if dim == joint.dim:
-        return np.asarray(domain.original_cells[entities], np.int64)
-    if not len(entities):
-        return np.empty(0, np.int64)
-    topology = mesh.topology
-    topology.create_connectivity(0, topology.dim)
-    topology.create_connectivity(dim, 0)
-    vertices = np.array([topology.connectivity(dim, 0).links(facet) for facet in entities], np.int32)
-    nodes = dolfinx.mesh.entities_to_geometry(mesh, 0, vertices.ravel()).reshape(vertices.shape)
-    return joint.table.index(np.asarray(mesh.geometry.input_global_indices)[nodes])
+    return Origin(domain.comm, Coordinates.of(domain).x, domain.numbers, partial(column_numbers, domain.joint))
 
 
 def column_numbers(joint: Joint) -> tuple[npt.NDArray[np.int64], Array]:

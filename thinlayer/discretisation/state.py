@@ -85,7 +85,7 @@ class State:
             (of several "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
             (nodes, d - 1).
         fields: unknowns beside the displacements, by the key of their part.
-        stored: energy in parts that is no function of the displacements alone, by key.
+        stored: energy at the end of the step in the parts that are not forms of laws, by key.
         audit: energy balance of the step that led here.
     """
 

@@ -200,7 +200,7 @@ def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: 
     model.coordinates.t.value = state.t
     v = ufl.TestFunction(model.V)
     stresses, loads = (
-        nodal_forces(model.V, work(model.bodies, state.u, v)),
+        nodal_forces(model.V, work(model.bodies, state.u, v) + model.added_work(state.u, v)),
         nodal_forces(model.V, model.external_work(v)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec

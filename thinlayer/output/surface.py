@@ -20,7 +20,6 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
-from thinlayer.compiling.compat import cell_nodes
 from thinlayer.contact.nodes import CONTACT, ContactNodes
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
@@ -36,13 +35,14 @@ SPREAD = 0.1  # of the way from the places where it is known: over less a tracti
 def reaction(state: State) -> fem.Function:
     """Nodal forces that the bodies pass to S, tested with degree-1 functions broken at its faces. Collective.
 
-    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i): what the layer (or the other body) exerts.
+    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i), and what is added to the model, say springs at
+    the end of S: what the layer (or the other body) exerts.
     """
     model = state.model
     model.coordinates.t.value = state.t
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    return nodal_forces(W, work(model.bodies, state.u, v) - model.external_work(v))
+    return nodal_forces(W, work(model.bodies, state.u, v) + model.added_work(state.u, v) - model.external_work(v))
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
@@ -224,9 +224,9 @@ class Surface:
     @cached_property
     def _vertices(self) -> npt.NDArray[np.int64]:
         """The vertex of the joint at each local node of the trace space."""
-        mesh, cells = self.model.domain.mesh, self.trace_space.dofmap.list
+        domain, cells = self.model.domain, self.trace_space.dofmap.list
         numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
-        numbers[cells] = self.model.domain.original_points[cell_nodes(mesh)[:, : cells.shape[1]]]
+        numbers[cells] = domain.on_cells(domain.joint.cells)[: len(cells), : cells.shape[1]]
         return numbers
 
     @cached_property

@@ -1,11 +1,13 @@
-"""The communicator for our own messages on a mesh that somebody else made."""
+"""Communicators: for our own messages on a mesh that somebody else made, and of what is to be freed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from weakref import WeakKeyDictionary
 
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
+from petsc4py import PETSc
 
 SAME = (MPI.IDENT, MPI.CONGRUENT)
 _COPIES: WeakKeyDictionary[Mesh, MPI.Intracomm] = WeakKeyDictionary()
@@ -23,3 +25,10 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
     if mesh not in _COPIES:
         _COPIES[mesh] = mesh.comm.Dup()
     return _COPIES[mesh]
+
+
+def collect(comms: Iterable[MPI.Intracomm]) -> None:
+    """Free what Python has dropped: PETSc keeps the objects of several ranks until all ranks are asked together."""
+    for comm in comms:
+        if comm.size > 1:
+            PETSc.garbage_cleanup(comm)

@@ -118,7 +118,7 @@ class FormPart(Part):
             b.destroy()
             first, last = self._stored(old), self._stored(now)
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
-        return Outcome(before, after, 0.0, remainder, remembered=False)
+        return Outcome(before, after, 0.0, remainder, kept=False)
 
     def _quadratic(self, u: PETSc.Vec) -> float:
         """u.K u / 2."""

@@ -93,7 +93,7 @@ class Outcome:
         dissipated: energy dissipated in the step.
         remainder: what is left of the work: what the time scheme adds, or parameters that vary.
         memory: (n, values) internal values at the end of the step; None of a part without memory.
-        remembered: whether `before` is read from the state, by key: the energy is no function of displacements alone.
+        kept: whether the state keeps `after` by the part's key; not of bodies and forms, whose energies it finds itself.
     """
 
     before: float = 0.0
@@ -101,7 +101,7 @@ class Outcome:
     dissipated: float = 0.0
     remainder: float = 0.0
     memory: Array | None = None
-    remembered: bool = True
+    kept: bool = True
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class PressurePart(Part):
 
     def commit(self) -> Outcome:
         """Pressures of a constraint that holds do no work."""
-        return Outcome(remembered=False)
+        return Outcome(kept=False)
 
     def own_start(self, old: State) -> Array:
         p = old.fields.get(self.key)

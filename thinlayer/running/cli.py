@@ -13,34 +13,30 @@ from typing import Any
 
 from thinlayer.files.say import say
 from thinlayer.running import startup
+from thinlayer.running.arguments import command_line, folder, petsc_options, refuse
 from thinlayer.running.catalogue import Study, studies
 from thinlayer_base import InputError
 
 OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
-STATUSES = (
-    "Exit status: 0 all checks of the study hold; 1 a check failed; 2 bad input, nothing written; 3 a solve failed, what "
-    "was done is kept; 5 a file could not be written; 70 a defect, with its traceback; 130 interrupted."
-)
-PETSC_PREFIX = "-thinlayer_"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status.
 
-    They are those of `STATUSES`; a defect raises here, see `start`.
+    The statuses are told by `run STUDY --help`. A defect raises here; `start` has a status for it.
     """
-    parser = _parser()
+    parser = command_line()
     chosen, rest = parser.parse_known_args(arguments)
     if chosen.command == "list":
-        _refuse(parser, rest)
+        refuse(parser, rest)
         width = max(map(len, studies()))
         say("\n".join(f"{study.name:<{width}}  {study.summary}" for study in studies().values()))
         return OK
     if chosen.command == "draw":
-        _refuse(parser, rest)
+        refuse(parser, rest)
         return _draw(parser, chosen)
     if chosen.command == "info":
-        _refuse(parser, rest)
+        refuse(parser, rest)
         return _info()
     return _run(parser, chosen, rest)
 
@@ -65,49 +61,8 @@ def _set_signals() -> None:
         signal.signal(number, signal.getsignal(number))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python3 -m thinlayer", description="Thin soft layers, meshed or replaced by their interface law."
-    )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    commands.add_parser("list", help="the studies, a line each")
-    commands.add_parser("info", help="versions of everything results depend on")
-    draw = commands.add_parser("draw", help="draw a study's curves again from the tables of an earlier run")
-    draw.add_argument("study", metavar="STUDY", choices=studies(), help="name, see the command list")
-    draw.add_argument("--out", metavar="DIR", help="folder of the run (default: out/STUDY)")
-    run = commands.add_parser("run", help="run a study", description="Run a study; STUDY --help shows its options.")
-    names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
-    for study in studies().values():
-        one = names.add_parser(
-            study.name,
-            allow_abbrev=False,  # --h would print the help
-            usage="%(prog)s [options] [PETSc options]",
-            description=f"{study.summary} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg.",
-            epilog=STATUSES,
-        )
-        for name, details in study.options.items():
-            one.add_argument(f"--{name}", default=None, **details)
-        one.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
-        one.add_argument("--out", metavar="DIR", help="folder for tables and pictures (default: out/STUDY)")
-        one.add_argument(
-            "-v", "--verbose", action="count", default=0, help="tell what solves try; twice: every step of them"
-        )
-    return parser
-
-
-def _refuse(parser: argparse.ArgumentParser, rest: Sequence[str]) -> None:
-    if rest:
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
-
-
-def _folder(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> Path:
-    if chosen.out is not None and not chosen.out.strip():
-        parser.error("--out is empty; give the name of a folder")
-    return Path("out") / chosen.study if chosen.out is None else Path(chosen.out)
-
-
 def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
-    out = _folder(parser, chosen)
+    out = folder(parser, chosen)
     if not (out / "table.csv").is_file():
         parser.error(f"no table.csv in {out}; run the study first")
     from thinlayer import ModelError
@@ -132,30 +87,12 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
 
 def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
     study = studies()[chosen.study]
-    petsc = _petsc_options(parser, study, rest)
+    petsc = petsc_options(parser, study, rest)
     given = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
-    out = _folder(parser, chosen)
+    out = folder(parser, chosen)
     if out.exists() and not out.is_dir():
         parser.error(f"--out {out} is a file")
     return _run_study(study, out, given, petsc, chosen.resume, chosen.verbose)
-
-
-def _petsc_options(parser: argparse.ArgumentParser, study: Study, rest: Sequence[str]) -> dict[str, str | None]:
-    """-thinlayer_NAME [VALUE] ... as a dictionary."""
-    options: dict[str, str | None] = {}
-    name = None
-    for word in rest:
-        if word.startswith(PETSC_PREFIX):
-            name = word[1:]
-            options[name] = None
-        elif name is not None and options[name] is None and not word.startswith("--"):
-            options[name] = word
-        elif any(word == f"--{option}" for one in studies().values() for option in one.options):
-            uses = ", ".join(f"--{option}" for option in study.options) or "none"
-            parser.error(f"study {study.name} does not use {word}; it uses: {uses}")
-        else:
-            parser.error(f"unrecognized argument {word!r}; PETSc options start with {PETSC_PREFIX}")
-    return options
 
 
 def _run_study(
@@ -247,7 +184,7 @@ def _end_all_ranks(comm: Any, status: int, message: str) -> None:
 
 
 def _info() -> int:
-    from thinlayer.running.record import versions
+    from thinlayer.running.provenance import versions
 
     found = versions()
     _set_signals()

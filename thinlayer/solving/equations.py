@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
@@ -18,6 +19,7 @@ from thinlayer.parts.making import parts_of
 from thinlayer.parts.part import DISPLACEMENTS, Block, Interval, Part, PartTraits
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
+from thinlayer.solving.layout import Layout
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
@@ -49,11 +51,11 @@ class Equations:
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
         self.parts: list[Part] = parts_of(model, self.held)
         self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
-        dofmap = model.V.dofmap
-        self.n_displacements = int(dofmap.index_map.size_local * dofmap.index_map_bs)
-        sizes = {part.key: part.own_size for part in self.parts if part.field is not None}
-        self._matrix = TangentMatrix(self.comm, {DISPLACEMENTS: self.n_displacements} | sizes)
-        self._ends = np.cumsum([self.n_displacements, *sizes.values()])
+        self._with_own = [part for part in self.parts if part.field is not None]
+        fields = {part.key: part.field for part in self._with_own if part.field is not None}
+        self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
+        self._matrix = TangentMatrix(self.comm, self._layout.sizes)
+        self.n_displacements = self._layout.sizes[DISPLACEMENTS]
         diagonal = self.K.getDiagonal()
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
@@ -70,34 +72,19 @@ class Equations:
     # ---------------------------------------------------------------- unknowns
     def vector(self) -> PETSc.Vec:
         """A vector of unknowns, zero."""
-        return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
-
-    def _own(self, values: npt.NDArray[np.float64]) -> list[tuple[Part, npt.NDArray[np.float64]]]:
-        """The parts that have unknowns beside the displacements, and their share of all unknowns of this rank."""
-        with_field = [part for part in self.parts if part.field is not None]
-        return list(zip(with_field, np.split(values, self._ends[:-1])[1:], strict=True))
-
-    def put(self, x: PETSc.Vec) -> None:
-        """Take over unknowns, ghosts included."""
-        self.u.x.array[: self.n_displacements] = x.array_r[: self.n_displacements]
-        self.u.x.scatter_forward()
-        for part, values in self._own(x.array_r):
-            assert part.field is not None
-            part.field.x.array[: len(values)] = values
-            part.field.x.scatter_forward()
+        return self._layout.vector()
 
     def put_state(self, state: State, x: PETSc.Vec) -> None:
         """Write the unknowns of a state, as a step that goes on from it starts with them."""
-        n = self.n_displacements
-        x.array[:n] = state.u.x.array[:n]
-        for part, values in self._own(x.array):
-            values[:] = part.own_start(state)
+        values = self._layout.split(x.array)
+        values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
+        for part in self._with_own:
+            values[part.key][:] = part.own_start(state)
 
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
         """Global numbers among the unknowns of the displacements that supports prescribe."""
-        n = int(self._ends[-1])
-        return (self.comm.scan(n) - n + self.held).astype(PETSc.IntType)
+        return self._layout.rows(self.held)
 
     @cached_property
     def K(self) -> PETSc.Mat:
@@ -161,7 +148,7 @@ class Equations:
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads, then the parts' own residuals. NaN where a part failed."""
-        self.put(x)
+        self._layout.put(x)
         theta, mid = self.interval.theta, self._mid.x.petsc_vec
         self.u.x.petsc_vec.copy(mid)
         mid.scale(theta)
@@ -175,9 +162,10 @@ class Equations:
         self.scale.see(*sizes)
         self._forces.axpy(-1.0, self.loads)
         self.failed = sum(part.failed for part in self.parts)
-        out.array[: self.n_displacements] = np.nan if self.failed else self._forces.array_r
-        for part, rows in self._own(out.array):
-            rows[:] = part.own_residual()
+        rows = self._layout.split(out.array)
+        rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
+        for part in self._with_own:
+            rows[part.key][:] = part.own_residual()
         self._lack = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
 
     def failure(self) -> str:
@@ -238,8 +226,8 @@ class Equations:
             sum(one.after for one in every),
         )
         memory = {key: one.memory for key, one in found.items() if one.memory is not None}
-        fields = {part.key: part.own_result() for part in self.parts if part.field is not None}
-        stored = {key: one.after for key, one in found.items() if one.remembered}
+        fields = {part.key: part.own_result() for part in self._with_own}
+        stored = {key: one.after for key, one in found.items() if one.kept}
         return State(self.model, self.u.copy(), self.interval.t, report, memory, fields, stored, audit)
 
     # ---------------------------------------------------------------- time
@@ -266,9 +254,8 @@ class Equations:
         for thing in (*self.parts, self.K, self._matrix, self._forces, self.loads):
             thing.destroy()
 
-    def collect(self) -> None:
-        """Free what Python has dropped: PETSc keeps the objects of several ranks until all ranks are asked together."""
-        if self.comm.size > 1:
-            V = self.model.V
-            for comm in (self.comm, V.mesh.comm, V.dofmap.index_map.comm, *(c for p in self.parts for c in p.comms)):
-                PETSc.garbage_cleanup(comm)
+    @property
+    def comms(self) -> list[MPI.Intracomm]:
+        """Communicators of the PETSc objects."""
+        V = self.model.V
+        return [self.comm, V.mesh.comm, V.dofmap.index_map.comm, *(comm for part in self.parts for comm in part.comms)]

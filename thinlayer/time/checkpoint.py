@@ -17,7 +17,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Report, State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table, replaced
-from thinlayer.identity.identity import digest
+from thinlayer.identity.values import digest
 from thinlayer.parallel.exchange import carry
 from thinlayer.solving.equations import Equations
 from thinlayer.time.history import History

@@ -15,8 +15,9 @@ from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Row
-from thinlayer.identity.identity import code_of
+from thinlayer.identity.codes import code_of
 from thinlayer.parallel.agreement import on_all
+from thinlayer.parallel.communicator import collect
 from thinlayer.parts.phases import PhaseReport
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.options import OptionError
@@ -99,7 +100,7 @@ class Journal:
         if self._checkpoint:
             self._checkpoint.write(self.history, self.pace, self._written, self.before)
             self._written = len(self.history)
-        self._equations.collect()
+        collect(self._equations.comms)
 
     def note(self, state: State) -> None:
         """Add a row and a state to the history. They are written together with the next ones that are accepted."""
