@@ -17,7 +17,7 @@ ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
 CHANGES = ("advance", "evolve")  # of its memory
 OF_ANSWERS = ("stiffness", "gradient", "plane_stress", "otherwise", "energetic")  # what is written for one stress alone
 ENERGIES = ("energy", "dissipation", "dissipated")
-SHAPES = ((), (3,), (3, 3))  # of internal variables
+SIZES = {(): 1, (3,): 3, (3, 3): 6}  # numbers in an internal variable of a shape
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
@@ -96,9 +96,8 @@ def _place(kind: Any, name: str) -> int:
 
 def _reset(kind: Any, name: str) -> None:
     """Give a class the default of all laws."""
-    setattr(
-        kind, name, next(vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULTS and name in vars(one))
-    )
+    defaults = (vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULTS and name in vars(one))
+    setattr(kind, name, next(defaults, None))
 
 
 def require_declarations(law: Any) -> None:
@@ -118,8 +117,8 @@ def require_declarations(law: Any) -> None:
                 f"{kind.__name__}: parameters() gives a function for {name}; it must give a number, NaN where it varies"
             )
     for name, shape in law.internal.items():
-        if shape not in SHAPES:
-            allowed = ", ".join(map(str, SHAPES))
+        if shape not in SIZES:
+            allowed = ", ".join(map(str, SIZES))
             raise LawError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
     _require_phases(law)
     _require_asked(law)
@@ -132,8 +131,8 @@ def _require_asked(law: Any) -> None:
     for one in kind.ignored:
         if _own(kind, one) and _place(kind, one) < answering:
             raise LawError(
-                f"{name} has a method {one} that is never asked: the answers are the kernel, the source or the sublayers "
-                f"of {kind.__mro__[answering].__name__}; change those, or write a Law"
+                f"{name} has a method {one} that is never asked: the answers are the kernel, the source, the sublayers or "
+                f"the traction of {kind.__mro__[answering].__name__}; change those, or write a BulkLaw"
             )
     if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
         raise LawError(

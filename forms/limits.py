@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from forms.declarations import LawError
 from forms.limits_bar import Bar as Bar
 from forms.limits_non_monotone import lamination as lamination
 from forms.limits_non_monotone import non_monotone as non_monotone
@@ -194,13 +195,13 @@ def mohr_coulomb_fixed_opening(
         s: (s_T, s_N) at the start; default: (0, mu w_N), elastic compression.
 
     Raises:
-        ValueError: a start beyond the yield surface.
+        LawError: a start beyond the yield surface.
     """
     angle, p, x = np.radians(Omega), (lmbda + mu) * w_N, np.asarray(w_T, float)
     R = C * np.cos(angle) - p * np.sin(angle)
     s_T, s_N = (0.0, mu * w_N) if s is None else s
     if not (R > 0 and np.hypot(s_T, s_N) <= R * (1 + 1e-12)):
-        raise ValueError(f"|s| = {np.hypot(s_T, s_N):g} at the start exceeds R = {R:g}")
+        raise LawError(f"|s| = {np.hypot(s_T, s_N):g} at the start exceeds R = {R:g}")
     sign = -1.0 if np.any(x < 0) else 1.0
     first = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
     beyond = (s_T + mu * x - first) / R  # from first yield on

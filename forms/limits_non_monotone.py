@@ -12,6 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from forms.declarations import LawError
 from thinlayer_base import is_number
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +32,7 @@ def lamination(lmbda: float, mu: float, chi: Array) -> float:
         chi: symmetric, not zero; (2, 2) in plane strain (k in the plane) or (3, 3).
 
     Raises:
-        ValueError: a modulus or chi out of range.
+        LawError: a modulus or chi out of range.
     """
     _require_moduli(lmbda, mu)
     c = np.linalg.eigvalsh(_orientation(chi))
@@ -59,13 +60,13 @@ def non_monotone(
         mixing: share of the gain, 0 < mixing <= 1.
 
     Raises:
-        ValueError: a parameter out of range.
+        LawError: a parameter out of range.
     """
     if not mixed_share(mixing) > 0:
-        raise ValueError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
+        raise LawError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
     if not g / 2 * (1 - ROUNDING) <= C:
-        raise ValueError(f"C = {C:g}; allowed: >= {g / 2:g}, half the gain of mixing")
+        raise LawError(f"C = {C:g}; allowed: >= {g / 2:g}, half the gain of mixing")
     phase = fraction(non_monotone_drive(alpha, C, chi, w, n), C, g)
     return _traction(lmbda, mu, alpha, chi, w, n, phase), phase
 
@@ -101,7 +102,7 @@ def non_monotone_energy(
     """
     mixed_share(mixing)
     if not (np.abs(phase) <= 1).all():
-        raise ValueError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
+        raise LawError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
     x = non_monotone_drive(alpha, C, chi, w, n)
     elastic = np.sum(np.asarray(w, float) * _traction(lmbda, mu, alpha, chi, w, n, 0 * x), axis=-1) / 2
@@ -112,9 +113,9 @@ def non_monotone_drive(alpha: float, C: float, chi: Array, w: Array, n: Array) -
     """alpha chi_ij w_i n_j (...), energy per area: what phase 1 gains over phase 0, before its cost C."""
     chi, w, n = _orientation(chi), np.asarray(w, float), np.asarray(n, float)
     if n.shape != chi.shape[:1] or w.shape[-1:] != n.shape or not abs(n @ n - 1) < 1e-9:
-        raise ValueError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
+        raise LawError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
     if not (0 < alpha < math.inf and 0 < C < math.inf):
-        raise ValueError(f"alpha = {alpha:g}, C = {C:g}; allowed: > 0")
+        raise LawError(f"alpha = {alpha:g}, C = {C:g}; allowed: > 0")
     return np.asarray(alpha * w @ _transformation(chi, n))
 
 
@@ -139,22 +140,22 @@ def _transformation(chi: Array, n: Array) -> Array:
 
 def _require_moduli(lmbda: float, mu: float) -> None:
     if not (0 < mu < math.inf and -2 / 3 * mu < lmbda < math.inf):
-        raise ValueError(f"lmbda = {lmbda:g}, mu = {mu:g}; allowed: mu > 0, lmbda > -2 mu/3")
+        raise LawError(f"lmbda = {lmbda:g}, mu = {mu:g}; allowed: mu > 0, lmbda > -2 mu/3")
 
 
 def _orientation(chi: Array) -> Array:
     chi = np.asarray(chi, float)
     if chi.shape not in ((2, 2), (3, 3)) or not np.isfinite(chi).all() or not chi.any():
-        raise ValueError(f"chi is {chi.tolist()}; allowed: (2, 2) or (3, 3), finite, not zero")
+        raise LawError(f"chi is {chi.tolist()}; allowed: (2, 2) or (3, 3), finite, not zero")
     if not np.allclose(chi, chi.T, rtol=1e-10, atol=0):
-        raise ValueError(f"chi is {chi.tolist()}; allowed: symmetric")
+        raise LawError(f"chi is {chi.tolist()}; allowed: symmetric")
     return chi
 
 
 def require_pure(phase: int) -> None:
-    """Raise ValueError unless a phase is one of the three."""
+    """Raise LawError unless a phase is one of the three."""
     if phase not in (-1, 0, 1):
-        raise ValueError(f"phase is {phase!r}; allowed: -1, 0, 1")
+        raise LawError(f"phase is {phase!r}; allowed: -1, 0, 1")
 
 
 def fraction(x: Array, C: float, g: float) -> Array:
@@ -170,7 +171,7 @@ def phase_energy(x: Array, C: float, g: float, phase: Array) -> Array:
 
 
 def mixed_share(mixing: float) -> float:
-    """The share itself; raises ValueError unless it is in [0, 1]."""
+    """The share itself; raises LawError unless it is in [0, 1]."""
     if not (is_number(mixing) and 0 <= mixing <= 1):
-        raise ValueError(f"mixing = {mixing!r}; allowed: 0 <= mixing <= 1")
+        raise LawError(f"mixing = {mixing!r}; allowed: 0 <= mixing <= 1")
     return mixing

@@ -13,7 +13,7 @@ import ufl
 
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
-from forms.law import Law, LawError, Step, require
+from forms.law import BulkLaw, LawError, Step, require
 from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
 from forms.viscous import isotropic_energy
 from thinlayer_base import is_number
@@ -40,7 +40,7 @@ def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Phases(Law):
+class Phases(BulkLaw):
     """Base of the non-monotone laws: phases z = -1, 0, 1 of equal moduli, and what tells one from the other.
 
     A phase has the energy e:C:e/2 - z alpha chi:e + C |z| per volume, stress C:e - z alpha chi; Eq. (39).

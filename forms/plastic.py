@@ -13,7 +13,7 @@ from forms.declarations import warn_of_range
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
-from forms.law import Law, LawError, Step, require
+from forms.law import BulkLaw, LawError, Step, choice, require
 from forms.viscous import isotropic_energy
 from thinlayer_base import is_number
 
@@ -22,7 +22,7 @@ LEAST_FRACTION = 1e-6  # that continuation takes before none at all
 
 
 @dataclass(frozen=True)
-class Plastic(Law):
+class Plastic(BulkLaw):
     """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear meets its bound.
 
     A fraction h of the layer stays elastic beside the rest, stress = (1 - h) stress_plastic + h (lmbda tr(e) I + 2 mu e).
@@ -189,10 +189,7 @@ class MohrCoulombMonodirectional(Plastic):
         unilateral: whether the layer can only push.
     """
 
-    unilateral: bool = False
-
-    def parameters(self) -> dict[str, Any]:
-        return {name: value for name, value in super().parameters().items() if name != "unilateral"}
+    unilateral: bool = choice(False)
 
     @property
     def quadratic(self) -> bool:  # type: ignore[override]

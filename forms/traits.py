@@ -48,6 +48,9 @@ class Traits:
         relaxes: `gradient` gives the strain that grows through the layer, for the interface law of order 1.
         in_series: the law can be a sublayer of a Stack.
         remembers: the law has internal values.
+        in_ufl: its equations are written in UFL.
+        of_jumps: the law is one of jumps, not of strains: there is no thickness in it.
+        nodal: the law acts at the nodes of S.
         compiled: the law is compiled and acts on arrays of points, step by step; otherwise its stress is a part of a form.
     """
 
@@ -68,6 +71,9 @@ class Traits:
     relaxes: bool = trait(all)
     in_series: bool = trait(all)
     remembers: bool = trait(any)
+    in_ufl: bool = trait(all)
+    of_jumps: bool = trait(any)
+    nodal: bool = trait(any)
     compiled: bool = trait(always)
 
     @classmethod

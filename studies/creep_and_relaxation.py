@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms import KelvinVoigt, Law, LinearElastic, Maxwell, Norton, Stack
+from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import sandwich
 from thinlayer import Adaptive, Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting
 from thinlayer.files.progress import track
@@ -64,7 +64,7 @@ class Case:
         relaxes: whether the top is moved and the traction measured; otherwise the traction is held, the jump measured.
     """
 
-    law: Law
+    law: BulkLaw
     exact: Callable[[Pull, Array], Array]
     relaxes: bool = False
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from forms import Law, LinearElastic, Stack
+from forms import BulkLaw, LinearElastic, Stack
 from geometry import block
 from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
 from thinlayer.files.progress import track
@@ -67,7 +67,7 @@ class Bar:
         model = self.bar.interface(ThinLayer(GLUE, EPS))
         self.limit, self.surface = record.solved(solve(model)), Surface(model)
 
-    def full(self, law: Law, eps: float) -> State:
+    def full(self, law: BulkLaw, eps: float) -> State:
         """The bar on a meshed layer."""
         return self.record.solved(solve(self.bar.full(ThinLayer(law, eps))))
 
@@ -79,7 +79,7 @@ class Bar:
         free = np.abs(u[:, 0]) > 1e-9 * np.abs(u[:, 0]).max()
         return x[free, 0], t[free, 0] / u[free, 0]
 
-    def deviation(self, law: Law, eps: float, k_t: float) -> float:
+    def deviation(self, law: BulkLaw, eps: float, k_t: float) -> float:
         """Relative deviation of t_T/u_T from k_t at PLACE."""
         x, ratio = self.stiffness(self.full(law, eps))
         return float(np.interp(PLACE, x, ratio) / k_t - 1)

@@ -30,7 +30,7 @@ def run(record: Record) -> None:
         for lmbda, mu in STIFFNESS:
             law = HolonomicCoulomb.of_layer(lmbda, mu, friction=FRICTION)
             state = record.solved(solve(Structure(joint, **setup).interface(law)))
-            report = ContactReport.of(state)
+            report = ContactReport(state)
             counts[n, lmbda] = report.counts
             if n == N:
                 reports[label(lmbda, mu)], states[label(lmbda, mu)] = report, state

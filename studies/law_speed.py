@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
-from forms import Law, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
+from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from forms.kinematics import MANDEL, ROOT2
 from thinlayer import SolveError, Table, plotting
 from thinlayer.files.progress import track
@@ -35,7 +35,7 @@ class Case:
         floor: points per second that it must reach, or None.
     """
 
-    law: Law
+    law: BulkLaw
     slots: tuple[int, ...] = PLANE
     closed: float = 0.0
     floor: float | None = None

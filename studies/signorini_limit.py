@@ -51,7 +51,7 @@ def solved(record: Record, n: int, K: float, friction: float) -> tuple[ContactRe
     joint, setup = sliding_bar(n)
     model = Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))
     state = record.solved(solve(model))
-    return ContactReport.of(state), state.report.iterations
+    return ContactReport(state), state.report.iterations
 
 
 def _errors(reports: dict[float, ContactReport]) -> Table:

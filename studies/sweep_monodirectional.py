@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from forms import Law, LinearElastic, MohrCoulombMonodirectional, Stack
+from forms import BulkLaw, LinearElastic, MohrCoulombMonodirectional, Stack
 from studies.problems import pressed
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer
@@ -19,7 +19,7 @@ STACK = Stack((0.4, LinearElastic(lmbda=90.0, mu=30.0)), (0.6, SLIPPING))
 PUSHED = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
 PULLED = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
 TIMES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-CASES: dict[str, tuple[Law, dict[int, tuple[float, float, float]], str]] = {
+CASES: dict[str, tuple[BulkLaw, dict[int, tuple[float, float, float]], str]] = {
     "": (SLIPPING, PUSHED, "bilateral"),
     "unilateral": (OPENING, PULLED, "unilateral, h = 0.01"),
     "stack": (STACK, PUSHED, "elastic, bilateral"),

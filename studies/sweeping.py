@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from forms import Law, Stack
+from forms import BulkLaw, Law
 from forms.kinematics import Expr
 from geometry import Joint
 from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, plotting, solve
@@ -45,7 +45,7 @@ class Sweep:
     times: Sequence[float] | None = None
     more: Callable[[Solution, Solution], dict[str, Any]] | None = None
     case: str = ""
-    instead: Law | None = None
+    instead: BulkLaw | LawOnS | None = None
 
     def solved(self, eps: float) -> tuple[Solution, Solution]:
         """The full and the interface model's state, or history, for a thickness."""
@@ -111,7 +111,7 @@ class Sweep:
 
 def elastic_fraction(law: Law) -> dict[str, float]:
     """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
-    laws = law.laws if isinstance(law, Stack) else (law,)
+    laws = [one for _, one in law.sublayers]
     fractions = [one.parameters()["h"] for one in laws if "h" in one.parameters()]
     return {"h": max(fractions)} if fractions else {}
 

@@ -24,8 +24,8 @@ E, HEIGHT, WIDTH = 2.3, 1.7, 0.85
 
 
 def opening(step):
-    """[u].n of a strain sym([u] (x) n)."""
-    return ufl.dot(ufl.dot(step.e, step.n), step.n)
+    """[u].n."""
+    return ufl.dot(step.w, step.n)
 
 
 def across_and_along(w, normal, k_T, step):
@@ -34,7 +34,7 @@ def across_and_along(w, normal, k_T, step):
 
 
 def energy_along(k_T, step):
-    along = 2 * (ufl.dot(step.e, step.n) - opening(step) * step.n)
+    along = step.w - opening(step) * step.n
     return k_T * ufl.inner(along, along) / 2
 
 

@@ -43,7 +43,7 @@ def reports():
     model = Structure(joint, **data).interface(HolonomicCoulomb(7e4, 2e4, 0.9, 1.0))
     found["two bodies"] = solve(model)
     found["to and fro"] = to_and_fro().last
-    return {name: ContactReport.of(state) for name, state in found.items()}
+    return {name: ContactReport(state) for name, state in found.items()}
 
 
 def content(report):
@@ -54,7 +54,7 @@ def content(report):
 if __name__ == "__main__":
     if len(sys.argv) > 1:
         state = to_and_fro(sys.argv[1], float(sys.argv[2])).last
-        out = {"resumed": content(ContactReport.of(state))}
+        out = {"resumed": content(ContactReport(state))}
     else:
         out = {name: content(report) for name, report in reports().items()}
     if MPI.COMM_WORLD.rank == 0:

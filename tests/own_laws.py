@@ -10,13 +10,13 @@ import ufl
 
 from forms.elastic import lame
 from forms.kernel import KernelLaw
-from forms.law import Law
+from forms.law import BulkLaw
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, isotropic_energy
 
 
 @dataclass(frozen=True)
-class StandardSolid(Law):
+class StandardSolid(BulkLaw):
     """Spring parallel to a spring and dashpot in series, which act on the deviator; memory: the dashpot's strain."""
 
     lmbda: float
@@ -48,7 +48,7 @@ class StandardSolid(Law):
 
 
 @dataclass(frozen=True)
-class Hardening(Law):
+class Hardening(BulkLaw):
     """Memory of all three shapes, no quadratic energy: stiffer with the strain gone through, and in closing."""
 
     lmbda: float
@@ -170,7 +170,7 @@ def _aged(value, growth, x, t):
 
 
 @dataclass(frozen=True)
-class AgeingSpring(Law):
+class AgeingSpring(BulkLaw):
     """A spring without memory that becomes stiffer with time, and along S."""
 
     mu: float
@@ -192,7 +192,7 @@ class AgeingSpring(Law):
 
 
 @dataclass(frozen=True)
-class AgeingFluid(Law):
+class AgeingFluid(BulkLaw):
     """A spring and a dashpot in series; the relaxation time grows with the time t, the spring too if it has a growth."""
 
     mu: float

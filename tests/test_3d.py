@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from scipy.spatial.transform import Rotation
 
-from forms import Anisotropic, Law, LinearElastic, limits
+from forms import Anisotropic, BulkLaw, LinearElastic, limits
 from forms.elastic import VOIGT
 from geometry import Joint, block, sandwich
 from tests import reference
@@ -58,7 +58,7 @@ def check_column(
     joint: Joint,
     bodies: dict[str, LinearElastic],
     eps: float,
-    glue: Law = GLUE,
+    glue: BulkLaw = GLUE,
     tensor: np.ndarray | None = None,
     **options,
 ) -> None:

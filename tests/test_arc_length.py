@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms.law import Law
+from forms.law import BulkLaw
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
 from forms.traction import TractionLaw
 from geometry import block
@@ -271,7 +271,7 @@ class Undeclared(Cohesive):
 
 
 @dataclass(frozen=True)
-class Softer(Law):
+class Softer(BulkLaw):
     """A body's law that says its stress falls."""
 
     k: float

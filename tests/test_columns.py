@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, Law, LinearElastic, Stack, limits
+from forms import Anisotropic, BulkLaw, LinearElastic, Stack, limits
 from geometry import block, sandwich
 from geometry.joint import Joint
 from thinlayer import Structure, Surface, ThinLayer, solve
@@ -41,7 +41,11 @@ def side_stress(law: LinearElastic, t: np.ndarray, n: np.ndarray) -> np.ndarray:
 
 
 def column(
-    joint: Joint, glue: Law, bodies: dict[str, LinearElastic], angle: float, layer_sides: dict[str, np.ndarray] | None
+    joint: Joint,
+    glue: BulkLaw,
+    bodies: dict[str, LinearElastic],
+    angle: float,
+    layer_sides: dict[str, np.ndarray] | None,
 ) -> tuple[dict, np.ndarray, np.ndarray]:
     """Data of the two models, the traction and n; `layer_sides`: stresses of the layer's regions for its side."""
     turn = rotation(angle)

@@ -13,7 +13,7 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import Incompressible, KelvinVoigt, Law, LinearElastic, Maxwell, Norton, Stack, limits
+from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, limits
 from geometry import block, sandwich
 from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring
 from tests.test_points import Hardening, Slipping, StandardSolid
@@ -178,7 +178,7 @@ ANGLE = 0.4
 TRACTION = np.array([0.3, -0.8])
 
 
-def held_traction(law: Law, t: np.ndarray, n: np.ndarray, times: list[float]) -> tuple[list, list]:
+def held_traction(law: BulkLaw, t: np.ndarray, n: np.ndarray, times: list[float]) -> tuple[list, list]:
     """Jumps and stresses (2, 2) of a layer under a traction that is held, step by step at one point."""
     material, n3 = Material(MPI.COMM_SELF, law), np.append(n, 0.0)[None]
     slots, root = [0, 1, 3], 2**0.5
@@ -252,7 +252,7 @@ def jump_of(history: History, mode: str, state=None) -> float:
     return surface.integral(surface.jump(state or history.last)[AXIS[mode]])
 
 
-def marched(law: Law, mode: str, theta: float, times, **ends) -> History:
+def marched(law: BulkLaw, mode: str, theta: float, times, **ends) -> History:
     model = Structure(joint(), **column(mode, **ends)).interface(ThinLayer(law, 0.1))
     return march(model, times, theta=theta)
 

@@ -9,7 +9,7 @@ import pytest
 import ufl
 from petsc4py import PETSc
 
-from forms import Anisotropic, HolonomicCoulomb, Law, LinearElastic, MohrCoulomb, NonMonotone
+from forms import Anisotropic, BulkLaw, HolonomicCoulomb, LinearElastic, MohrCoulomb, NonMonotone
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
@@ -24,7 +24,7 @@ HELD = {"BOTTOM": 0}
 
 
 @dataclass(frozen=True)
-class Swelling(Law):
+class Swelling(BulkLaw):
     """A layer with an eigenstrain, written as if it were not linear."""
 
     lmbda: float

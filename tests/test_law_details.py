@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 
 from forms import (
     Anisotropic,
+    BulkLaw,
     KelvinVoigt,
-    Law,
     LawError,
     LinearElastic,
     Maxwell,
@@ -177,7 +177,7 @@ def test_rigid_sublayers_in_time(theta, stiffer):
 
 # ---------------------------------------------------------------- prescribed tractions
 @dataclass(frozen=True)
-class Dashpot(Law):
+class Dashpot(BulkLaw):
     """A power-law dashpot beside a spring, next to rigid at rest, as a user would write it."""
 
     lmbda: float

@@ -16,7 +16,7 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
-from forms.laws import KelvinVoigt, KernelLaw, Law, LinearElastic, Maxwell, Norton
+from forms.laws import BulkLaw, KelvinVoigt, KernelLaw, LinearElastic, Maxwell, Norton
 from geometry import sandwich
 from tests import marching_run
 from tests.test_parallel import CLEAN, CLONE, mpirun
@@ -43,7 +43,7 @@ JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 
 
 @dataclass(frozen=True)
-class StiffeningSolid(Law):
+class StiffeningSolid(BulkLaw):
     """An energy of second and fourth degree."""
 
     mu: float
@@ -304,7 +304,7 @@ def test_moved_sides_of_a_layer_that_is_rigid_at_rest():
 
 
 @dataclass(frozen=True)
-class Ageing(Law):
+class Ageing(BulkLaw):
     """Linear in the strain at the end of a step, with a modulus that grows with its age."""
 
     k: float

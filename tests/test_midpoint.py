@@ -23,7 +23,7 @@ from forms import (
     Norton,
     Stack,
 )
-from forms.law import Law
+from forms.law import BulkLaw
 from forms.traction import TractionLaw
 from geometry import sandwich
 from tests.own_laws import (
@@ -140,7 +140,7 @@ def test_elastic_layers_have_no_error(law, kind):
 
 
 @dataclass(frozen=True)
-class Stiffening(Law):
+class Stiffening(BulkLaw):
     """Elastic, without memory: it answers at once."""
 
     k: float

@@ -11,7 +11,7 @@ import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms import Anisotropic, Law, LawError, LinearElastic, MohrCoulomb, Stack
+from forms import Anisotropic, BulkLaw, LawError, LinearElastic, MohrCoulomb, Stack
 from geometry import GeometryError, block, sandwich
 from tests.limit_load_run import dragged
 from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, solve
@@ -145,7 +145,7 @@ def test_point_support_holds_both_sides_of_s():
     assert np.abs(values[:, 1]).min() > 0
 
 
-class Hardening(Law):
+class Hardening(BulkLaw):
     """Stress 2 k e + c (e:e) e, for tests of Newton's method: a user's law in a dozen lines."""
 
     powers = {"k": 1, "c": 3}

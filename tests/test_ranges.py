@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from scipy.special import iv
 
-from forms import Anisotropic, KelvinVoigt, Law, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Stack
+from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Stack
 from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
 from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
@@ -39,10 +39,10 @@ def told(action):
 
 # ---------------------------------------------------------------- stiffness at rest
 @dataclass(frozen=True)
-class Unnamed(Law):
+class Unnamed(BulkLaw):
     """Anisotropic elasticity that says nothing of its stiffness, and is not linear."""
 
-    law: Law
+    law: BulkLaw
 
     def stress(self, step):
         return self.law.stress(step) * (1 + ufl.tr(step.e) ** 2)

@@ -12,10 +12,10 @@ import ufl
 
 from forms import (
     Anisotropic,
+    BulkLaw,
     Incompressible,
     KelvinVoigt,
     KernelLaw,
-    Law,
     LawError,
     LinearElastic,
     Maxwell,
@@ -34,7 +34,7 @@ STIFF = LinearElastic.young(1e5, 0.3)
 
 
 @dataclass(frozen=True)
-class Own(Law):
+class Own(BulkLaw):
     """Isotropic elasticity that says nothing of its stiffness."""
 
     a: float
@@ -174,7 +174,7 @@ def test_incompressible_with_free_ends():
 
 
 # ---------------------------------------------------------------- negative stiffness
-def model_of(layer: Law, kind: Any = Structure.interface, body: Law = STIFF, **data: Any) -> Model:
+def model_of(layer: BulkLaw, kind: Any = Structure.interface, body: BulkLaw = STIFF, **data: Any) -> Model:
     joint, setup = fourier(1 / 8, cell="quadrilateral")
     return kind(Structure(joint, **setup | {"body": body} | data), ThinLayer(layer, 0.1))
 
@@ -219,7 +219,7 @@ class Springs(TractionLaw):
 
 
 @dataclass(frozen=True)
-class Hill(Law):
+class Hill(BulkLaw):
     """Falls from the beginning, and rises later."""
 
     k: float

@@ -17,7 +17,9 @@ from thinlayer import (
     SolveError,
     Structure,
     Surface,
+    Table,
     ThinLayer,
+    ThinlayerError,
     compare,
     fields,
     plotting,
@@ -193,3 +195,24 @@ def test_energies_of_bonded_bodies():
     energies = state.energies()
     assert energies["layer"] == 0.0
     assert energies["bodies"] == pytest.approx(energies["loads"] / 2)
+
+
+def test_every_error_is_one_of_the_package(states, tmp_path):
+    """One base class of all; those of bad input are ValueErrors, as Python's own."""
+    state = states[1]
+    refused = [
+        lambda: solve(state.model, method="fast"),
+        lambda: Table([{"a": 1.0}])["b"],
+        lambda: Table([{"a": 1.0}]).append({"b": 1.0}),
+        lambda: plotting.deformed(state, save=tmp_path / "u.xyz"),
+        lambda: fields.write(state, tmp_path / "u.xyz"),
+        lambda: sweep(lambda e: {}, [0.1], tmp_path),
+        lambda: LinearElastic(lmbda=1.0, mu=-1.0),
+        lambda: sandwich(1.0, -1.0, 1.0, 0.5),
+    ]
+    for one in refused:
+        with pytest.raises(ThinlayerError) as found:
+            one()
+        assert isinstance(found.value, ValueError)
+    assert issubclass(SolveError, ThinlayerError)
+    assert issubclass(SolveError, RuntimeError)

@@ -9,7 +9,7 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import HolonomicCoulomb, KernelLaw, Law, LawError, LinearElastic, Stack
+from forms import BulkLaw, HolonomicCoulomb, KernelLaw, LawError, LinearElastic, Stack
 from geometry import sandwich
 from tests.test_parallel import mpirun
 from thinlayer import Structure, ThinLayer, drive, march
@@ -96,7 +96,7 @@ def test_bad_declarations(tmp_path, declared, message):
 
 # ---------------------------------------------------------------- laws that hold in part
 @dataclass(frozen=True)
-class Soft(Law):
+class Soft(BulkLaw):
     """A spring with a memory that it does not use."""
 
     k: float
@@ -130,7 +130,7 @@ def opens(law, step):
     return ufl.gt(step.e[1, 1], 0)
 
 
-def partly(holds=opens, **declared: Any) -> Law:
+def partly(holds=opens, **declared: Any) -> BulkLaw:
     """A soft law that holds in part; `otherwise` gives the law for the other points."""
     otherwise = declared.pop("otherwise", lambda law: Stiff(law.k))
     names = {"__annotations__": {}, "__module__": __name__, "holds": holds, "otherwise": property(otherwise)}
@@ -183,7 +183,7 @@ def test_a_condition_is_not_forgotten_without_memory():
     """A law without memory would be a part of the form, where nobody asks whether it holds."""
 
     @dataclass(frozen=True)
-    class Static(Law):
+    class Static(BulkLaw):
         k: float
         otherwise: ClassVar = LinearElastic(1.0, 1.0)
         holds = opens

@@ -11,7 +11,7 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import Law, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
+from forms import BulkLaw, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
 from geometry import GeometryError, sandwich
 from tests.test_parallel import mpirun
 from thinlayer import (
@@ -38,13 +38,13 @@ def pure(**changed: Any) -> NonMonotoneUnrelaxed:
     return NonMonotoneUnrelaxed(**{"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "C": 0.3, "chi": SLIP_AND_OPENING, **changed})
 
 
-def model(law: Law, pull: float = 1.0) -> Model:
+def model(law: BulkLaw, pull: float = 1.0) -> Model:
     """Two blocks with a layer of this law, pulled by pull * t."""
     loads = {"TOP": lambda x, t: (0.0, pull * t * (1 + 0.1 * x[0]))}
     return Structure(JOINT, tractions=loads, **SETUP).interface(ThinLayer(law, 0.1))
 
 
-def refused(law: Law, message: str, tmp_path: Any) -> None:
+def refused(law: BulkLaw, message: str, tmp_path: Any) -> None:
     """A march with this law is refused, and writes nothing."""
     with pytest.raises(LawError, match=message):
         march(model(law), [0.5, 1.0], out=tmp_path / "run")
@@ -98,7 +98,7 @@ def test_a_table_of_no_temperatures():
 
 # ---------------------------------------------------------------- laws of one's own
 @dataclass(frozen=True)
-class Switch(Law):
+class Switch(BulkLaw):
     """A spring whose phase tells whether it is open."""
 
     k: float
@@ -113,7 +113,7 @@ class Switch(Law):
         return self.k * step.mid
 
 
-def kind(**declared: Any) -> Law:
+def kind(**declared: Any) -> BulkLaw:
     """The spring, of a class that declares this."""
     return dataclass(frozen=True)(type("Own", (Switch,), {"__annotations__": {}, "__module__": __name__} | declared))(
         5.0
@@ -188,7 +188,7 @@ def test_parameters_that_do_not_vary_as_they_should(way, tmp_path):
 def test_parameters_of_a_law_without_memory_vary():
     """Such a law would be a part of the form, where nobody asks for its parameters at a place."""
     twice = {"varies": True, "at": lambda self, x, t: {"k": np.full(x.shape[1], 10 * self.k)}}
-    plain = {"phases": False, "internal": {}, "advance": Law.advance}
+    plain = {"phases": False, "internal": {}, "advance": BulkLaw.advance}
     moved = [np.abs(solve(model(kind(**plain, **vary)), 1.0).u.x.array).max() for vary in ({}, twice)]
     assert moved[1] < 0.5 * moved[0]
 

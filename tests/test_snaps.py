@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Law, LinearElastic, NonMonotoneUnrelaxed
+from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import PhaseReport, SolveError, Structure, ThinLayer, march, piecewise
@@ -22,7 +22,7 @@ SOFT = LinearElastic.young(100.0, 0.3)
 
 
 @dataclass(frozen=True)
-class Stiffening(Law):
+class Stiffening(BulkLaw):
     mu: float
     c: float
 

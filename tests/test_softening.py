@@ -10,7 +10,7 @@ from typing import ClassVar
 import pytest
 import ufl
 
-from forms import Law, LinearElastic
+from forms import BulkLaw, LinearElastic
 from forms.elastic import lame
 from forms.kinematics import lift
 from geometry import disc, sandwich
@@ -22,7 +22,7 @@ STIFF = LinearElastic.young(1e6, 0.3)
 
 
 @dataclass(frozen=True)
-class Falling(Law):
+class Falling(BulkLaw):
     """k e exp(-e:e/s^2), which falls beyond e = s/sqrt 2."""
 
     k: float
@@ -34,7 +34,7 @@ class Falling(Law):
 
 
 @dataclass(frozen=True)
-class WeakInShear(Law):
+class WeakInShear(BulkLaw):
     """From an energy: as the layer opens by e_N = c, nothing resists its slip; across S it never softens."""
 
     k: float
@@ -49,7 +49,7 @@ class WeakInShear(Law):
 
 
 @dataclass(frozen=True)
-class Rising(Law):
+class Rising(BulkLaw):
     k: float
     powers: ClassVar = {"k": 1}
 
@@ -58,7 +58,7 @@ class Rising(Law):
 
 
 @dataclass(frozen=True)
-class Loop(Law):
+class Loop(BulkLaw):
     """Falls between two branches that rise, 0.5 and 1.5 about: a step may pass over it."""
 
     k: float

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, HolonomicCoulomb, KelvinVoigt, Law, LinearElastic
+from forms import Anisotropic, BulkLaw, HolonomicCoulomb, KelvinVoigt, LinearElastic
 from geometry import block, sandwich
 from thinlayer import Structure, Surface, ThinLayer, compare, march, piecewise, solve
 
@@ -142,7 +142,7 @@ def test_ends_that_hold_both_bodies_together(build, cell):
 
 
 @dataclass(frozen=True)
-class Swelling(Law):
+class Swelling(BulkLaw):
     """t = K [u] - p n."""
 
     lmbda: float

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import KernelLaw, Law, LawError, LinearElastic, TractionLaw
+from forms import BulkLaw, KernelLaw, LawError, LinearElastic, TractionLaw
 from forms.elastic import lame
 from forms.trace import stress_key
 from geometry import sandwich
@@ -27,7 +27,7 @@ def factor():
 
 
 @dataclass(frozen=True)
-class ReadsGlobals(Law):
+class ReadsGlobals(BulkLaw):
     k: float
     powers: ClassVar = {"k": 1}
     internal: ClassVar = {"last": (3, 3)}
@@ -61,7 +61,7 @@ class KernelReadsGlobals(KernelLaw):
         return True
 
 
-def shear(law: Law) -> float:
+def shear(law: BulkLaw) -> float:
     return float(drive(law, STEP).tractions[0, 0])
 
 
@@ -96,7 +96,7 @@ def test_a_march_reads_them_again(monkeypatch):
     assert moved[0] > 2 * moved[1]
 
 
-def of_blocks(law: Law, **more) -> float:
+def of_blocks(law: BulkLaw, **more) -> float:
     """Largest displacement of a pulled joint."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = {"body": LinearElastic(60.0, 40.0), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, 1.0)}}
@@ -108,7 +108,7 @@ def test_keys_are_of_what_is_computed():
     """Numbers, names of symbols and the class do not matter; a constant in the formula does."""
 
     @dataclass(frozen=True)
-    class Formula(Law):
+    class Formula(BulkLaw):
         k: float
         text: ClassVar[str] = ""
 
@@ -130,7 +130,7 @@ def test_keys_are_of_what_is_computed():
 
 # ---------------------------------------------------------------- decisions
 @dataclass(frozen=True)
-class Deciding(Law):
+class Deciding(BulkLaw):
     """Branches by numbers in Python: UFL would compare how expressions are written."""
 
     k: float
@@ -214,7 +214,7 @@ def test_a_law_at_points_knows_its_numbers_alone():
 
 # ---------------------------------------------------------------- symmetry
 @dataclass(frozen=True)
-class Coupled(Law):
+class Coupled(BulkLaw):
     """Symmetric for g = 0 alone, whatever it says."""
 
     k: float
@@ -247,7 +247,7 @@ def test_symmetry_is_looked_at_once(monkeypatch):
 
 # ---------------------------------------------------------------- eigenstrains
 @dataclass(frozen=True)
-class Swelling(Law):
+class Swelling(BulkLaw):
     """Elastic about a strain of its own, `linear` in that its tangent is constant."""
 
     lmbda: float
@@ -267,7 +267,7 @@ class Swelling(Law):
         return ufl.inner(lame(self.lmbda, self.mu, e), e) / 2
 
 
-def column(kind: str, law: Law, body: Law, **more):
+def column(kind: str, law: BulkLaw, body: BulkLaw, **more):
     """A column of height 1 that can neither widen nor lengthen."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
@@ -312,8 +312,8 @@ def test_bodies_that_swell_under_contact():
 def test_parameters_of_classes_without_postponed_annotations():
     namespace: dict = {}
     exec(
-        "from dataclasses import dataclass\nfrom typing import Optional\nfrom forms import Law\n"
-        "@dataclass(frozen=True)\nclass Bare(Law):\n    k: float\n    m: float | None = None\n"
+        "from dataclasses import dataclass\nfrom typing import Optional\nfrom forms import BulkLaw\n"
+        "@dataclass(frozen=True)\nclass Bare(BulkLaw):\n    k: float\n    m: float | None = None\n"
         "    n: Optional[float] = None\n    i: int = 1\n    C: list = (1.0, 2.0)\n",
         namespace,
     )
@@ -359,7 +359,7 @@ def test_a_profile_of_a_law_of_jumps():
 
 def test_a_law_without_energy_has_none_to_tell():
     @dataclass(frozen=True)
-    class Plain(Law):
+    class Plain(BulkLaw):
         k: float
 
         def stress(self, step):
@@ -394,7 +394,7 @@ def test_a_failing_law_says_what_and_where(shift, what):
 
 
 @dataclass(frozen=True)
-class AtRest(Law):
+class AtRest(BulkLaw):
     """Laws that have no number, or no slope, where the strain e is zero."""
 
     k: float

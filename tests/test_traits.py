@@ -10,7 +10,7 @@ import pytest
 
 import forms.law
 import forms.series
-from forms import KelvinVoigt, Law, LawError, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms import BulkLaw, KelvinVoigt, LawError, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
 from forms.traits import Traits, trait
 from tests.own_laws import AgeingSpring
 
@@ -31,7 +31,7 @@ class Probed(Traits):
 
 
 @dataclass(frozen=True)
-class Odd(Law):
+class Odd(BulkLaw):
     mu: float
     probe: ClassVar = True
     sure: ClassVar = False
@@ -57,7 +57,7 @@ def test_stacks_fold_every_trait():
     mixed = halves(KelvinVoigt(1.0, 1.0, 1.0, 1.0), MohrCoulomb(1.0, 1.0, 1.0, 30.0)).traits
     assert mixed == Traits(
         rate=True, remembers=True, bounded=True, eases=True, compiled=True, has_energy=True, quadratic=True, in_series=True,
-        symmetric=False,
+        in_ufl=True, symmetric=False,
     )  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def test_pure_phases_are_no_sublayer():
 @pytest.mark.parametrize("value", [1, "yes", None])
 def test_a_trait_is_true_or_false(value):
     @dataclass(frozen=True)
-    class Vague(Law):
+    class Vague(BulkLaw):
         mu: float
         linear: ClassVar = value
 

@@ -14,6 +14,7 @@ from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.relaxation import ContactRelaxation
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
+from thinlayer.errors import ModelError
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.finder import Found
 
@@ -105,15 +106,15 @@ class ContactFinder:
 
 
 def check_method(model: Model, method: Any) -> None:
-    """Raise ValueError if a method is for contact and the model has none, or bodies that are not linear."""
+    """Raise ModelError if a method is for contact and the model has none, or bodies that are not linear."""
     if method in METHODS and model.contact is None:
-        raise ValueError(f"method={method!r} is for contact laws; the model has none")
+        raise ModelError(f"method={method!r} is for contact laws; the model has none")
     if method in ("condensed", "relaxation") and model.comm.size > 1:
-        raise ValueError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
+        raise ModelError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
     if method in METHODS and not _linear_bodies(model):
-        raise ValueError(
+        raise ModelError(
             f"method={method!r} needs linear bodies without eigenstrains, and linear, symmetric parts; use method='newton'"
         )
     if method in METHODS and model.contact and model.contact.numbers is None:
         name = type(model.contact).__name__
-        raise ValueError(f"method={method!r} needs one of the laws of forms.contact, not {name}; use method='newton'")
+        raise ModelError(f"method={method!r} needs one of the laws of forms.contact, not {name}; use method='newton'")

@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from forms.law import Law
-from forms.series import Stack
+from forms.law import BulkLaw
 from forms.tangent import (
     Array,
     average_lame,
@@ -34,11 +33,11 @@ class AtRest:
         strata: share of the thickness, law and tangent at rest (6, 6) of each sublayer; None: not known.
     """
 
-    def __init__(self, law: Law, n: Array) -> None:
+    def __init__(self, law: BulkLaw, n: Array) -> None:
         self.n = n
-        laws = law.sublayers if isinstance(law, Stack) else ((1.0, law),)
         self.strata = [
-            (share, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n)) for share, one in laws
+            (share, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n))
+            for share, one in law.sublayers
         ]
 
     def over(self, dt: float) -> list[Array | None]:

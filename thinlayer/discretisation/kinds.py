@@ -13,7 +13,6 @@ from dolfinx import fem
 from forms import work as forms
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
-from forms.series import Stack
 from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, Joint, S
 from geometry.motion import require_no_branches
@@ -74,10 +73,9 @@ class FullModel(Model):
 
     def _layer_terms(self) -> list[forms.Term]:
         mesh, law = self.domain.mesh, real_law(self.layer, self.plane)
-        laws = law.laws if isinstance(law, Stack) else (law,)
         n = director(self.domain)
         values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
-        laws = tuple(one if one.traits.compiled else constants(one, mesh) for one in laws)
+        laws = [one if one.traits.compiled else constants(one, mesh) for _, one in law.sublayers]
         return [forms.band(one, self.dx(tags, **self._rule), n) for one, tags in zip(laws, values, strict=True)]
 
 
@@ -131,12 +129,14 @@ class InterfaceModel(Model):
         if self.contact:
             return []
         mesh, law, layer = self.domain.mesh, real_law(self.layer, self.plane), self.thin_layer
-        eps: Expr = fem.Constant(mesh, float(layer.eps) if layer else 1.0)
-        if layer and layer.profile is not None:
-            eps = eps * self.sides.upper(relative_thickness(self.domain, layer.profile))
         law = law if law.traits.compiled else constants(law, mesh)
         sides = replace(self.sides, measure=self.sides.measure.reconstruct(**self._rule))
-        return forms.surface(law, sides, eps, layer.order if layer else 0)
+        if layer is None:
+            return [forms.of_jumps(law, sides)]
+        eps: Expr = fem.Constant(mesh, float(layer.eps))
+        if layer.profile is not None:
+            eps = eps * self.sides.upper(relative_thickness(self.domain, layer.profile))
+        return forms.surface(law, sides, eps, layer.order)
 
     @cached_property
     def silent(self) -> tuple[npt.NDArray[np.bool_], bool]:

@@ -14,8 +14,7 @@ from dolfinx.mesh import Mesh
 
 from forms.contact import ContactLaw
 from forms.declarations import require_declarations
-from forms.law import Law, LawError
-from forms.series import Stack
+from forms.law import BulkLaw, LawError
 from forms.traction import TractionLaw
 from geometry.joint import Profile
 from thinlayer_base import is_number
@@ -44,24 +43,24 @@ class ThinLayer:
             of a varying thickness.
     """
 
-    law: Law
+    law: BulkLaw
     eps: float
     order: int = 0
     profile: Profile | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.law, Law):
-            raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
         if isinstance(self.law, LawOnS):
             raise LawError(
                 f"{type(self.law).__name__} is a law on S and has no thickness: give it alone, structure.interface(law)"
             )
+        if not isinstance(self.law, BulkLaw):
+            raise LawError(f"the layer's law is {self.law!r}; it must be a BulkLaw such as forms.LinearElastic")
         require_declarations(self.law)
         if not (is_number(self.eps) and math.isfinite(self.eps) and self.eps > 0):
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
-        if self.order == 1 and isinstance(self.law, Stack):
+        if self.order == 1 and len(self.law.sublayers) > 1:
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
         if self.order == 1 and self.law.traits.constrained:
             raise LawError(f"order=1 of {type(self.law).__name__}: there is no next-order law of it; use order=0")
@@ -80,23 +79,25 @@ class ThinLayer:
     @property
     def fractions(self) -> tuple[float, ...]:
         """Thickness fractions of the sublayers, from the lower to the upper face; () for a single layer."""
-        return self.law.fractions if isinstance(self.law, Stack) else ()
+        fractions = tuple(a for a, _ in self.law.sublayers)
+        return fractions if len(fractions) > 1 else ()
 
 
 Layer = ThinLayer | LawOnS
 
 
-def real_law(layer: Layer, plane: str) -> Law:
-    """A layer's law with real parameters, value * eps**power, for plane "strain" or "stress"."""
-    law, eps = (layer.law, float(layer.eps)) if isinstance(layer, ThinLayer) else (layer, 1.0)
-    return in_plane(law, plane).mapped(lambda value, power: np.asarray(value, float) * eps**power)
+def real_law(layer: Layer, plane: str) -> BulkLaw:
+    """A layer's law with real parameters, for plane "strain" or "stress"; a law of jumps as one of strains."""
+    if not isinstance(layer, ThinLayer):
+        return layer.of_strains()
+    return in_plane(layer.law, plane).in_layer(float(layer.eps))
 
 
-def in_plane(law: Law, plane: str) -> Law:
+def in_plane(law: BulkLaw, plane: str) -> BulkLaw:
     """The law for plane "strain" (as it is) or plane "stress"."""
     return law.plane_stress() if plane == "stress" else law
 
 
-def constants(law: Law, mesh: Mesh) -> Law:
+def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     """A law whose parameters are Constants, so that forms are compiled once for all their values."""
     return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))

@@ -16,7 +16,6 @@ from forms import work as forms
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
-from forms.series import parts
 from geometry.domain import Domain
 from geometry.joint import BONDED, Joint
 from geometry.topology import is_tensor
@@ -168,9 +167,7 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """Times at which piecewise loads, supports and temperatures break."""
-        laws = [law for p in self.layer_terms for law in parts(p.law)]
-        given = [getattr(law, name) for law in laws for name in law.functions]
-        return self.coordinates.t.breaks.union(*(getattr(function, "times", ()) for function in given))
+        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
 
     def external_work(self, v: Expr) -> Expr:
         """Virtual work of the loads, a UFL form linear in v."""

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from forms.contact import ContactLaw
-from forms.law import Law
+from forms.law import BulkLaw, Law
 from forms.tangent import Array, require_stable_body, tangent_at_rest
-from forms.traction import TractionLaw
 from geometry.joint import Joint, unknown
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
@@ -44,7 +42,7 @@ class Setup:
         self,
         joint: Joint,
         *,
-        body: Law | Mapping[str, Law],
+        body: BulkLaw | Mapping[str, BulkLaw],
         supports: Given,
         tractions: Mapping[str, Load] | None = None,
         body_force: BodyForce | None = None,
@@ -99,10 +97,10 @@ class Setup:
                 f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"
             )
 
-    def _laws_of(self, body: Law | Mapping[str, Law]) -> dict[str, Law]:
+    def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """The law of each body, in the same order on all ranks."""
         regions = self.joint.bodies
-        laws = dict(body) if isinstance(body, Mapping) else dict.fromkeys(regions, body)
+        laws: dict[str, BulkLaw] = dict(body) if isinstance(body, Mapping) else dict.fromkeys(regions, body)
         for name in laws:
             if name not in regions:
                 raise ModelError(unknown("body", name, regions))
@@ -110,7 +108,7 @@ class Setup:
             law = laws.get(name)
             if not isinstance(law, Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
-            if law.traits.compiled or law.traits.constrained or isinstance(law, (TractionLaw, ContactLaw)):
+            if law.traits.compiled or law.traits.constrained or law.traits.of_jumps:
                 raise ModelError(f"body {name!r}: {type(law).__name__} is for layers; bodies take elastic laws")
             if law.traits.softens:
                 raise ModelError(

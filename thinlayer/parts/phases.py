@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from forms.law import Law
-from forms.series import Stack
+from forms.law import BulkLaw, Law
 from geometry.order import along, by_place
 from geometry.topology import IntArray
 from thinlayer.discretisation.layer import ThinLayer
@@ -134,11 +133,11 @@ class PhaseReport:
         return f"phase 1: {self.plus:.4g}, phase -1: {self.minus:.4g} of the layer, boundary at {self.boundary:.6g}"
 
 
-def phase_slots(law: Law) -> list[tuple[float, int]]:
+def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
     """Fraction of the thickness and place among the internal values of each phase of a law."""
     return [(a, k) for a, one, k in memory_slots(law, "phase") if one.traits.phases]
 
 
 def phase_thickness(law: Law) -> float:
     """Fraction of the thickness whose law has phases."""
-    return sum(a for a, one in law.sublayers if one.traits.phases) if isinstance(law, Stack) else 1.0
+    return sum(a for a, one in law.sublayers if one.traits.phases)

@@ -11,7 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.kinematics import jump_strain
-from forms.law import Law, Step
+from forms.law import BulkLaw, Step
 from forms.work import Term
 from thinlayer.discretisation.model import Model
 
@@ -19,7 +19,7 @@ FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no
 TINY = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
 
 
-def may_soften(law: Law) -> bool:
+def may_soften(law: BulkLaw) -> bool:
     """Whether a law is asked if its stress falls.
 
     Not those that say so, are linear or not symmetric, have a rate, bound stresses or switch phases: theirs fall for other

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from forms.series import parts
 from thinlayer.discretisation.load_history import BETWEEN
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import Array
@@ -28,7 +27,7 @@ def not_linear_at_once(points: CompiledTerm, times: Sequence[float]) -> tuple[st
         points: where the law acts.
         times: of the march.
     """
-    laws = parts(points.term.law)
+    laws = [law for _, law in points.term.law.sublayers]
     for law, changes in zip(laws, _change(points, times), strict=True):
         if law.traits.rate or (law.traits.linear and not changes):
             continue
@@ -51,7 +50,7 @@ def takes_time(points: CompiledTerm) -> bool:
 
 def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
     """Of each sublayer, whether its parameters change in time. Seen at times and at a few between them. Collective."""
-    change = [False] * len(parts(points.term.law))
+    change = [False] * len(points.term.law.sublayers)
     if not points.material.varies:
         return change
     seen = [a + share * (b - a) for a, b in pairwise(times) for share in (*BETWEEN, 1.0)]

@@ -136,7 +136,7 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(down))
 
     def ease(self, ease: float) -> None:
-        """Let the law answer from now on with an ease, see `Law.eased`; 0: the law itself."""
+        """Let the law answer from now on with an ease, see `BulkLaw.eased`; 0: the law itself."""
         self.material.take(self.term.law.eased(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:

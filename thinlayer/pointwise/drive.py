@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from forms.contact import ContactLaw
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
 from forms.temperature import real
@@ -89,7 +88,7 @@ def drive(
             input out of range.
         SolveError: tractions that the law does not bear; `history` has the steps before.
     """
-    if not isinstance(law, Law) or isinstance(law, ContactLaw) or law.traits.constrained:
+    if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise ModelError(
             f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
         )
@@ -117,7 +116,7 @@ def drive(
     timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
     if no_time and law.traits.rate:
         raise ModelError(timeless)
-    point = MaterialPoint(law, normal, axes, float(theta))
+    point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
     states = [point.rest()]
     parts: list[int] = []
 

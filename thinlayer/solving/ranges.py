@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from forms.law import Law
+from forms.law import BulkLaw
 from forms.tangent import across, average_lame, in_plane_modulus
 from geometry.joint import LAYER, S
 from geometry.sheet import Rim, Sheet
@@ -130,7 +130,7 @@ class Stratum:
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
-    def of(cls, fraction: float, law: Law, C: FloatArray, n: FloatArray) -> Stratum | None:
+    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Stratum | None:
         """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained:

@@ -67,7 +67,7 @@ def solve(
     Raises:
         SolveError: no convergence, or no unique solution. OptionError: a PETSc option that the solver does not read.
         ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
-        ValueError: unknown method, or a linear solve of a non-linear law.
+        ModelError: unknown method, or a linear solve of a non-linear law.
     """
     with on_all(comm_of(model)):
         _require_model(model)
@@ -168,11 +168,11 @@ class Solver:
         model, allowed = self.model, ("newton", *METHODS) if self.model.contact else ("linear", "newton")
         if self.method not in allowed:
             check_method(model, self.method)
-            raise ValueError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
+            raise ModelError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
         check_method(model, self.method)
         _check_like(model, like)
         if self.method == "linear" and not model.linear:
-            raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
+            raise ModelError("method='linear' cannot solve a non-linear law; use method='newton'")
 
     def __enter__(self) -> Solver:
         return self

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from forms.series import parts
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.solving.equations import Equations
@@ -30,7 +29,7 @@ def require_ends(model: Model, theta: float) -> None:
     for part in model.parts:
         if not part.is_linear(model):
             raise ModelError(f"theta is {theta}; {_swings(f'the part {part.key!r}')}")
-    for law in (one for p in model.layer_terms for one in parts(p.law)):
+    for law in (one for p in model.layer_terms for _, one in p.law.sublayers):
         name = type(law).__name__
         if law.traits.switches:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ENDS}")

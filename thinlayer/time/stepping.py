@@ -11,6 +11,7 @@ from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
 from thinlayer.files.progress import track
+from thinlayer.parallel.log import logger
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
@@ -42,6 +43,7 @@ class TimeStepping:
     def __init__(self, solver: Solver, journal: Journal, plan: Plan, start: float, theta: float) -> None:
         self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
         self._journal = journal
+        self._log = logger("march", solver.model.comm)
         self._failed_at: float | None = None  # earliest end of a step that failed, still ahead
         self._run_away = math.inf  # earliest time at which displacements were seen to run away
         self._shortest = False  # whether the step cannot be shortened further
@@ -157,6 +159,7 @@ class TimeStepping:
 
     def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
         if dt >= self._smallest and distinct(old.t, old.t + dt):
+            self._log.info("t = %g: the step to %g is cut to %.3g: %s", old.t, end, dt, error.reason)
             self._journal.pace.step = dt
             return
         if self.solver.yields and self._seek(old, end, error):
