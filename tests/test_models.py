@@ -213,7 +213,7 @@ def test_a_looser_tolerance_takes_fewer_steps():
 
 
 def test_a_line_search_that_is_given_is_the_only_one():
-    model = dragged(MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0))
+    model = dragged(MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0))
     for options, number in (({}, 2), ({"snes_linesearch_type": "bt"}, 1)):
         with Solver(model, options=options) as solver:
             assert len(solver._searches) == number

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and mypy alone
+    from thinlayer.discretisation.broken_mesh import BrokenMesh
     from thinlayer.discretisation.layer import ThinLayer
     from thinlayer.discretisation.loads import piecewise
     from thinlayer.discretisation.model import Model
@@ -28,6 +29,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.pointwise.drive import PointHistory, drive
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
+    from thinlayer.solving.step_problem import StepProblem
     from thinlayer.time.arc_length import ArcLength
     from thinlayer.time.history import History
     from thinlayer.time.marching import march
@@ -35,6 +37,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
 
 __version__ = "0.1.0"
 _NAMES = {
+    "discretisation.broken_mesh": ["BrokenMesh"],
     "discretisation.layer": ["ThinLayer"],
     "discretisation.loads": ["piecewise"],
     "discretisation.model": ["Model"],
@@ -51,6 +54,7 @@ _NAMES = {
     "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],
+    "solving.step_problem": ["StepProblem"],
     "time.arc_length": ["ArcLength"],
     "time.history": ["History"],
     "time.marching": ["march"],

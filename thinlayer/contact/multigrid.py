@@ -168,6 +168,7 @@ class _Newton:
         self.residuals: list[float] = []
         self.iterations: list[int] = []
         self._target = shares[0]
+        self._known = False  # whether the next residual that is asked for is that of the outer solver
         self._at: Sliding | None = None  # at the last tangents
         self._set_rtol = not is_set("ksp_rtol", {})
 
@@ -203,6 +204,10 @@ class _Newton:
                 item.destroy()
 
     def _residual(self, _: PETSc.SNES, u: PETSc.Vec, f: PETSc.Vec) -> None:
+        if self._known:  # without a sweep PETSc asks for it again
+            self._known = False
+            self._f.copy(f)
+            return
         self._h = self.problem.residual(u, f)
 
     def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
@@ -226,6 +231,7 @@ class _Newton:
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
         """Gauss-Seidel sweeps over the nodes of S, each rank its own, if they are due; the residual of u is there."""
+        self._known = not self._swept
         if self._swept:
             self.surface.sweep(u, self._f, self._turn)
 

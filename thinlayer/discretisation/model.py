@@ -142,11 +142,6 @@ class Model(ABC):
             return {}
         return {"metadata": {"quadrature_degree": 2 * self.structure.degree + 1 + 2 * (self.joint.degree - 1)}}
 
-    def degree_at(self, points: forms.Term) -> int:
-        """Quadrature degree where a compiled law acts; on quadrilaterals and hexahedra the measure has its own."""
-        degree, in_volume = self.structure.degree, points.measure.integral_type() == "cell"
-        return (2 * degree - 1 if in_volume else 2 * degree) + 2 * (self.joint.degree - 1)
-
     @property
     def terms(self) -> list[forms.Term]:
         """All points where a law acts."""

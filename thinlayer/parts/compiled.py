@@ -31,7 +31,7 @@ class CompiledPart(Part):
 
     def __init__(self, key: str, model: Model, term: Term) -> None:
         self.key, self.comm, self._symmetric = key, model.comm, model.symmetric
-        self.points = CompiledTerm(model.V, term, model.degree_at(term), model.origin)
+        self.points = CompiledTerm(model.V, term, model.origin)
         self.law = law = term.law
         self._t = 0.0
         self.traits = PartTraits(

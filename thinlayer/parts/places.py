@@ -21,8 +21,5 @@ def compiled_terms(model: Model) -> dict[str, Term]:
 def quadratures(model: Model) -> dict[str, Quadrature]:
     """The points of compiled laws, by key; made once for a model. Collective."""
     if model not in _FOUND:
-        _FOUND[model] = {
-            key: Quadrature(model.domain.mesh, p, model.degree_at(p), model.origin)
-            for key, p in compiled_terms(model).items()
-        }
+        _FOUND[model] = {key: Quadrature(model.V, p, model.origin) for key, p in compiled_terms(model).items()}
     return _FOUND[model]

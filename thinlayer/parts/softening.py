@@ -14,6 +14,7 @@ from forms.kinematics import jump_strain
 from forms.law import BulkLaw, Step
 from forms.work import Term
 from thinlayer.discretisation.model import Model
+from thinlayer.pointwise.quadrature import quadrature_degree
 
 FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
 TINY = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
@@ -68,7 +69,7 @@ class _Place:
 
     @classmethod
     def of(cls, p: Term, model: Model, u: Any, old: Any) -> _Place:
-        degree = dict(p.measure.metadata()).get("quadrature_degree", model.degree_at(p))
+        degree = dict(p.measure.metadata()).get("quadrature_degree", quadrature_degree(model.V, p.measure))
         everywhere = fem.Constant(model.domain.mesh, 0.0)
         one = ufl.conditional(falling(p, u, old), 1.0, everywhere)
         measure = p.measure.reconstruct(metadata={"quadrature_degree": degree})

@@ -60,8 +60,8 @@ class CompiledTerm(Quadrature):
         switching: of a law whose phases are held in a solve and switched after it; else None.
     """
 
-    def __init__(self, V: fem.FunctionSpace, term: Term, degree: int, origin: Origin | None = None) -> None:
-        super().__init__(V.mesh, term, degree, origin)
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+        super().__init__(V, term, origin)
         self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < self.dim]
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.mesh import Mesh
+from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
 from forms.kinematics import Expr, lift
@@ -110,6 +110,19 @@ def _everywhere(mesh: Mesh, kind: str) -> npt.NDArray[np.int32]:
     return outer if kind == "exterior_facet" else np.setdiff1d(own, outer)
 
 
+def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
+    """Degree of the quadrature of laws of displacements in V: exact on straight cells, higher on others.
+
+    On quadrilaterals and hexahedra a point more each way. UFL would sum the degrees of all directions and of the geometry:
+    many times the points, to no avail.
+    """
+    mesh = V.mesh
+    degree, curved = V.ufl_element().basix_element.degree, 2 * (mesh.geometry.cmap.degree - 1)
+    if mesh.topology.cell_type in (CellType.quadrilateral, CellType.hexahedron):
+        return int(2 * degree + 1 + curved)
+    return int((2 * degree - 1 if measure.integral_type() == "cell" else 2 * degree) + curved)
+
+
 class Quadrature:
     """Quadrature points of a term. Collective.
 
@@ -118,7 +131,7 @@ class Quadrature:
         region: where it acts.
         origin: the joint of the mesh, if there is one.
         comm: communicator for messages.
-        degree: of the quadrature, unless the measure has its own.
+        degree: of the quadrature: the measure's, or `quadrature_degree`.
         count: number of points of this rank.
         cells: (cells of the region that this rank owns, points per cell) their points.
         x: (points, d) their places.
@@ -126,12 +139,12 @@ class Quadrature:
         weights: (points,) quadrature weights.
     """
 
-    def __init__(self, mesh: Mesh, term: Term, degree: int, origin: Origin | None = None) -> None:
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         self.term, self.origin = term, origin
         metadata = dict(term.measure.metadata())
-        self.degree = metadata.setdefault("quadrature_degree", degree)
-        self.region = Region(mesh, term.measure)
-        self.comm = origin.comm if origin else communicator(mesh)
+        self.degree = metadata.setdefault("quadrature_degree", quadrature_degree(V, term.measure))
+        self.region = Region(V.mesh, term.measure)
+        self.comm = origin.comm if origin else communicator(V.mesh)
         self._measure = term.measure.reconstruct(metadata=metadata)
         self._geometry()
 

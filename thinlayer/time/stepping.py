@@ -43,7 +43,6 @@ class TimeStepping:
     def __init__(self, solver: Solver, journal: Journal, plan: Plan, start: float, theta: float) -> None:
         self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
         self._journal = journal
-        self._log = logger("march", solver.model.comm)
         self._failed_at: float | None = None  # earliest end of a step that failed, still ahead
         self._run_away = math.inf  # earliest time at which displacements were seen to run away
         self._shortest = False  # whether the step cannot be shortened further
@@ -159,7 +158,8 @@ class TimeStepping:
 
     def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
         if dt >= self._smallest and distinct(old.t, old.t + dt):
-            self._log.info("t = %g: the step to %g is cut to %.3g: %s", old.t, end, dt, error.reason)
+            what = "step from t = %g to %g is shortened to %g: %s"
+            logger("march", self.solver.model.comm).info(what, old.t, end, dt, error)
             self._journal.pace.step = dt
             return
         if self.solver.yields and self._seek(old, end, error):
