@@ -135,14 +135,14 @@ from mpi4py import MPI
 import thinlayer.parallel.agreement
 from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
-from thinlayer import Model, ThinLayer, march, sweep
+from thinlayer import Structure, ThinLayer, march, sweep
 
 COMM, joint = MPI.COMM_WORLD, sandwich(1.0, 0.5, 0.5, 0.5)
 
 def model():
     layer = ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.1)
     body, supports = LinearElastic.young(100.0, 0.3), {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
-    return Structure.interface(joint, layer=layer, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)})
+    return Structure(joint, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)}).interface(layer)
 """
 
 
