@@ -42,7 +42,14 @@ def lamination(lmbda: float, mu: float, chi: Array) -> float:
 
 
 def non_monotone(
-    lmbda: float, mu: float, alpha: float, C: float, chi: Array, w: Array, n: Array, mixing: float = 1.0
+    lmbda: float,
+    mu: float,
+    alpha: float,
+    transformation_energy: float,
+    chi: Array,
+    w: Array,
+    n: Array,
+    mixing: float = 1.0,
 ) -> tuple[Array, Array]:
     """Traction (..., d) of jumps w (..., d) and signed phase fraction (...): t = K_L w - phase alpha chi n.
 
@@ -54,7 +61,7 @@ def non_monotone(
     Args:
         lmbda, mu: Lame moduli, stress per thickness.
         alpha: transformation stress, > 0.
-        C: energy per area of the transformed layer, >= g/2 (below, phases 1 and -1 would mix).
+        transformation_energy: C, energy per area of the transformed layer, >= g/2 (below, phases 1 and -1 would mix).
         chi: symmetric (d, d) in the layer's axes: the second is n, the first in 2D (n_2, -n_1).
         w, n: jump, and the unit normal (d,).
         mixing: share of the gain, 0 < mixing <= 1.
@@ -65,14 +72,16 @@ def non_monotone(
     if not mixed_share(mixing) > 0:
         raise LawError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
-    if not g / 2 * (1 - ROUNDING) <= C:
-        raise LawError(f"C = {C:g}; allowed: >= {g / 2:g}, half the gain of mixing")
-    phase = fraction(non_monotone_drive(alpha, C, chi, w, n), C, g)
+    if not g / 2 * (1 - ROUNDING) <= transformation_energy:
+        raise LawError(
+            f"transformation_energy = {transformation_energy:g}; allowed: >= {g / 2:g}, half the gain of mixing"
+        )
+    phase = fraction(non_monotone_drive(alpha, transformation_energy, chi, w, n), transformation_energy, g)
     return _traction(lmbda, mu, alpha, chi, w, n, phase), phase
 
 
 def non_monotone_branch(
-    lmbda: float, mu: float, alpha: float, C: float, chi: Array, w: Array, n: Array, phase: int
+    lmbda: float, mu: float, alpha: float, transformation_energy: float, chi: Array, w: Array, n: Array, phase: int
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Traction (..., d) of a layer all in one phase z = -1, 0 or 1, and whether the phase holds at this jump.
 
@@ -80,8 +89,8 @@ def non_monotone_branch(
     [u_2]. With x = alpha (chi n).w, phase 0 holds for |x| <= C, phases z = -1, 1 for z x >= C.
     """
     require_pure(phase)
-    x = non_monotone_drive(alpha, C, chi, w, n)
-    holds = phase * x >= C if phase else np.abs(x) <= C
+    x = non_monotone_drive(alpha, transformation_energy, chi, w, n)
+    holds = phase * x >= transformation_energy if phase else np.abs(x) <= transformation_energy
     return _traction(lmbda, mu, alpha, chi, w, n, np.full(x.shape, float(phase))), np.asarray(holds)
 
 
@@ -89,7 +98,7 @@ def non_monotone_energy(
     lmbda: float,
     mu: float,
     alpha: float,
-    C: float,
+    transformation_energy: float,
     chi: Array,
     w: Array,
     n: Array,
@@ -104,18 +113,18 @@ def non_monotone_energy(
     if not (np.abs(phase) <= 1).all():
         raise LawError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
-    x = non_monotone_drive(alpha, C, chi, w, n)
+    x = non_monotone_drive(alpha, transformation_energy, chi, w, n)
     elastic = np.sum(np.asarray(w, float) * _traction(lmbda, mu, alpha, chi, w, n, 0 * x), axis=-1) / 2
-    return np.asarray(elastic + phase_energy(x, C, g, np.asarray(phase, float)))
+    return np.asarray(elastic + phase_energy(x, transformation_energy, g, np.asarray(phase, float)))
 
 
-def non_monotone_drive(alpha: float, C: float, chi: Array, w: Array, n: Array) -> Array:
+def non_monotone_drive(alpha: float, transformation_energy: float, chi: Array, w: Array, n: Array) -> Array:
     """alpha chi_ij w_i n_j (...), energy per area: what phase 1 gains over phase 0, before its cost C."""
     chi, w, n = _orientation(chi), np.asarray(w, float), np.asarray(n, float)
     if n.shape != chi.shape[:1] or w.shape[-1:] != n.shape or not abs(n @ n - 1) < 1e-9:
         raise LawError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
-    if not (0 < alpha < math.inf and 0 < C < math.inf):
-        raise LawError(f"alpha = {alpha:g}, C = {C:g}; allowed: > 0")
+    if not (0 < alpha < math.inf and 0 < transformation_energy < math.inf):
+        raise LawError(f"alpha = {alpha:g}, transformation_energy = {transformation_energy:g}; allowed: > 0")
     return np.asarray(alpha * w @ _transformation(chi, n))
 
 
@@ -158,16 +167,16 @@ def require_pure(phase: int) -> None:
         raise LawError(f"phase is {phase!r}; allowed: -1, 0, 1")
 
 
-def fraction(x: Array, C: float, g: float) -> Array:
+def fraction(x: Array, transformation_energy: float, g: float) -> Array:
     """Signed phase fraction of least energy; without gain, g = 0, phases do not mix."""
-    excess = np.abs(x) - C
+    excess = np.abs(x) - transformation_energy
     return np.asarray(np.sign(x) * (np.clip(0.5 + excess / g, 0, 1) if g else excess > 0))
 
 
-def phase_energy(x: Array, C: float, g: float, phase: Array) -> Array:
+def phase_energy(x: Array, transformation_energy: float, g: float, phase: Array) -> Array:
     """What a signed phase fraction adds to the elastic energy at a drive x."""
     share = np.abs(phase)
-    return np.asarray(C * share - x * phase - share * (1 - share) * g / 2)
+    return np.asarray(transformation_energy * share - x * phase - share * (1 - share) * g / 2)
 
 
 def mixed_share(mixing: float) -> float:

@@ -19,6 +19,7 @@ import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
+from studies.measured import along_S
 from thinlayer import Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
@@ -84,7 +85,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
     record.parameters = {"eps_mm": EPS, "layer_per_mm": str(glue(0.0)), "h": H, "h_mm": coarse if quick else fine}
     table = Table()
     for name, reading in readings.items():
-        bar = Bar(record, name, reading, coarse if quick else fine)
+        bar = YieldingBar(record, name, reading, coarse if quick else fine)
         shown = {
             "interface law, h = 0": bar.solved(Structure.interface, 0.0),
             f"interface law, h = {H:g}": bar.solved(Structure.interface, H),
@@ -100,13 +101,13 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
         plotting.deformed(ends, save=picture, scale=reading.scale, unit="mm", title=title, zoom=window)
     record.write("table.csv", table)
     if "R1" in readings:
-        bar = Bar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
+        bar = YieldingBar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
         refine(record, bar, STEPS[: 3 if quick else None])
 
 
 def glue(h: float) -> MohrCoulomb:
     """The layer of Fig. 2, per mm."""
-    return MohrCoulomb(GLUE.lmbda, GLUE.mu, C=0.0, Omega=OMEGA, h=h)
+    return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=h)
 
 
 def meshed(sizes: tuple[float, float, float]) -> Joint:
@@ -114,7 +115,7 @@ def meshed(sizes: tuple[float, float, float]) -> Joint:
     return block(SIDE, SIDE, sizes[0], h_S=sizes[1], h_ends=sizes[2], cell="quadrilateral")
 
 
-class Bar:
+class YieldingBar:
     """The bar of Fig. 2 under one reading of the loads; sizes as in `meshed`."""
 
     def __init__(self, record: Record, name: str, loads: Loads, sizes: tuple[float, float, float]) -> None:
@@ -141,16 +142,19 @@ class Bar:
 
     def profile(self, state: State) -> list[dict[str, float | None]]:
         """h, displacement, traction and their tangential ratio along S; the ratio is empty where it is nearly 0/0."""
-        law, surface = state.model.layer_law, self.surface
+        law = state.model.layer_law
         assert law is not None
-        x, u = surface.profile(surface.frame(surface.jump(state)))
-        _, t = surface.profile(surface.frame(surface.traction(state)))
+        x, u, t = along_S(self.surface, state)
         columns = {"x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1], "t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1]}
         found = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
         rows: list[dict[str, float | None]] = []
         for k in range(len(x)):
             ratio = float(t[k, 0] / u[k, 0]) if found[k] else None
-            rows.append({"h": law.parameters()["h"]} | {n: float(c[k]) for n, c in columns.items()} | {"ratio": ratio})
+            rows.append(
+                {"h": law.parameters()["elastic_fraction"]}
+                | {n: float(c[k]) for n, c in columns.items()}
+                | {"ratio": ratio}
+            )
         return rows
 
     def shear_force(self, state: State) -> float:
@@ -179,7 +183,7 @@ class Bar:
         record.check("R4m: smallest t_T/u_T over mu", softest, high=0.99)
 
 
-def refine(record: Record, bar: Bar, counts: Sequence[int]) -> None:
+def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     """The pressure first, then the shear in more and more steps: the shear force depends on the path, not on the mesh."""
     forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
     table = Table()

@@ -8,6 +8,7 @@ import numpy as np
 
 from forms import BulkLaw, LinearElastic, Stack
 from geometry import block
+from studies.measured import along_S
 from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
@@ -34,7 +35,7 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
         quick: coarser mesh.
     """
     sizes = (4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)
-    bar = Bar(record, *sizes)
+    bar = StratifiedBar(record, *sizes)
     record.parameters = {"eps_mm": EPS, "K_T": K_T, "h_mm": sizes, "bar": str(BAR), "layer_per_mm": str(GLUE)}
     x, ratio_interface = bar.stiffness(bar.limit)
     full = bar.full(GLUE, EPS)
@@ -57,7 +58,7 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
         record.check(f"last observed order of the deviation at {PLACE:g} mm, moduli held", last, low=0.9, high=1.1)
 
 
-class Bar:
+class StratifiedBar:
     """The bar of Fig. 5 on any layer, and what its layer does along S."""
 
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
@@ -73,9 +74,7 @@ class Bar:
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """x and t_T/u_T at the vertices of S, both projected to degree 1; without the supported end, where it is 0/0."""
-        surface = self.surface
-        x, u = surface.profile(surface.frame(surface.jump(state)))
-        _, t = surface.profile(surface.frame(surface.traction(state)))
+        x, u, t = along_S(self.surface, state)
         free = np.abs(u[:, 0]) > 1e-9 * np.abs(u[:, 0]).max()
         return x[free, 0], t[free, 0] / u[free, 0]
 
@@ -85,7 +84,7 @@ class Bar:
         return float(np.interp(PLACE, x, ratio) / k_t - 1)
 
 
-def _deviation(record: Record, bar: Bar, eps: Sequence[float]) -> Table:
+def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
     """Deviations as eps -> 0: with moduli over thickness held (K_T fixed), and with the glue's own moduli (K_T ~ 1/eps)."""
     rows = []
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):

@@ -41,7 +41,7 @@ class Case:
     floor: float | None = None
 
 
-RETURN, DILATANT = MohrCoulombReturn(LMBDA, MU, C, OMEGA), MohrCoulombReturn(LMBDA, MU, C, OMEGA, psi=PSI)
+RETURN, DILATANT = MohrCoulombReturn(LMBDA, MU, C, OMEGA), MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=PSI)
 CASES = {
     "linear elastic": Case(LinearElastic(LMBDA, MU)),
     "monodirectional": Case(MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA)),

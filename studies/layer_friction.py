@@ -61,7 +61,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         f"{PLANES}, {HELD_JUMP}": drive(mono, opening_held(steps)),
     }
     for psi, name in DILATANT.items():
-        flowing = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, psi=psi)
+        flowing = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
         curves[name] = drive(flowing, stress_held(steps))
         curves[f"{name}, {HELD_JUMP}"] = drive(flowing, opening_held(steps))
     table = Table()
@@ -85,7 +85,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     }.items():
         record.check_near(f"lasting friction, {name}", ratio(history)[-1], np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCIES[:2]:
-        history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, psi=psi), stress_held(60, LASTING))
+        history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi), stress_held(60, LASTING))
         expected = limits.apparent_friction(OMEGA, psi)
         record.check_near(f"lasting friction, psi = {psi:g}", ratio(history)[-1], expected, 5e-7)
     record.check_near(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], tangent(), 1e-12)

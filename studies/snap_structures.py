@@ -84,14 +84,20 @@ def strip() -> Block:
     """The bar of section 6.2 in its limit."""
     joint = block(1.0, LIMIT.l, LIMIT.l, cell="quadrilateral", structured=True)
     mu, C = LIMIT.kbar / LIMIT.l / 2, LIMIT.l * LIMIT.cbar
-    layer = {"lmbda": 0.0, "mu": mu, "alpha": LIMIT.alpha, "C": C, "chi": np.diag([0.0, 1.0])}
+    layer = {"lmbda": 0.0, "mu": mu, "alpha": LIMIT.alpha, "transformation_energy": C, "chi": np.diag([0.0, 1.0])}
     return Block("strip", joint, LinearElastic(0.0, LIMIT.K / 2), layer, lambda x: 1 + 0 * x[0])
 
 
 def pulled_block(cells: int) -> Block:
     """A block, 2 x 1, on a layer that changes phase as it opens and is sheared; cells along S."""
     joint = block(2.0, 1.0, 2.0 / cells, cell="quadrilateral", structured=True)
-    layer = {"lmbda": 1.0, "mu": 1.0, "alpha": 1.2, "C": 0.9, "chi": np.array([[0.0, 0.3], [0.3, 1.0]])}
+    layer = {
+        "lmbda": 1.0,
+        "mu": 1.0,
+        "alpha": 1.2,
+        "transformation_energy": 0.9,
+        "chi": np.array([[0.0, 0.3], [0.3, 1.0]]),
+    }
     return Block("block", joint, LinearElastic.young(E=2.0, nu=0.3), layer, lambda x: 0.85 + 0.15 * x[0])
 
 

@@ -21,7 +21,7 @@ from thinlayer.running.record import Record
 MODULI = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0
 FRICTION = math.tan(math.radians(OMEGA))
-BAND = MohrCoulombMonodirectional(**MODULI, C=0.0, Omega=OMEGA, unilateral=True)
+BAND = MohrCoulombMonodirectional(**MODULI, cohesion=0.0, friction_angle=OMEGA, unilateral=True)
 HOLONOMIC = HolonomicCoulomb.of_layer(**MODULI, friction=FRICTION)
 INCREMENTAL = IncrementalCoulomb.of_layer(**MODULI, friction=FRICTION)
 ONCE = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
@@ -72,7 +72,7 @@ class Comparison:
 
 AT_ONCE = Comparison(ONCE, None, HOLONOMIC)
 CASES = {"": AT_ONCE, "history": Comparison(TO_AND_FRO, TIMES, INCREMENTAL)}
-FINER = replace(AT_ONCE, band=replace(BAND, h=FRACTION), cells=CELLS)
+FINER = replace(AT_ONCE, band=replace(BAND, elastic_fraction=FRACTION), cells=CELLS)
 SINE = replace(AT_ONCE, contact=replace(HOLONOMIC, friction=math.sin(math.radians(OMEGA))))
 
 
@@ -189,7 +189,7 @@ def _check_fraction(record: Record, h: float, eps: float) -> None:
     """What half the elastic fraction of four cells changes at one thickness."""
     rows = []
     for fraction in (FRACTION, FRACTION / 2):
-        sweep = replace(FINER, band=replace(BAND, h=fraction)).sweep(record, h, "cells")
+        sweep = replace(FINER, band=replace(BAND, elastic_fraction=fraction)).sweep(record, h, "cells")
         rows.append(compare(*map(solve, sweep.models(eps))))
     for name in ("traction", "jump"):
         one, half = (row[f"error_{name}"] for row in rows)

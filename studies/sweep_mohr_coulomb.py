@@ -18,17 +18,23 @@ from thinlayer import ThinLayer, plotting
 from thinlayer.running.record import Record
 
 LAYERS = {
-    "": MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02),
-    "dilatant": MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02, psi=10.0),
+    "": MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02),
+    "dilatant": MohrCoulomb(
+        60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02, dilatancy_angle=10.0
+    ),
 }
-COULOMB = MohrCoulombMonodirectional(60.0, 40.0, C=0.05, Omega=30.0, h=0.02)  # slips on S, as Coulomb's law does
+COULOMB = MohrCoulombMonodirectional(
+    60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02
+)  # slips on S, as Coulomb's law does
 FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors that it leaves, however thin the layer
 SHEAR = 5.0  # largest on the upper side, over the pressure there
 TIMES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 BARS: dict[str, Plastic] = {
     "bar": glue(0.02),
     "bar_less_elastic": glue(0.01),
-    "bar_monodirectional": MohrCoulombMonodirectional(GLUE.lmbda, GLUE.mu, C=0.0, Omega=OMEGA, h=0.01),
+    "bar_monodirectional": MohrCoulombMonodirectional(
+        GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=0.01
+    ),
 }
 MM = 32.0  # thickness of the bar's layer over that of the blocks'
 

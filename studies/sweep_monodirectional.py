@@ -12,9 +12,9 @@ from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
-SLIPPING = MohrCoulombMonodirectional(lmbda=60.0, mu=40.0, C=0.05, Omega=25.0)
+SLIPPING = MohrCoulombMonodirectional(lmbda=60.0, mu=40.0, cohesion=0.05, friction_angle=25.0)
 FRACTION, LESS = 0.01, 1e-4  # elastic, where there is no strength in shear or none along n
-OPENING = replace(SLIPPING, h=FRACTION, unilateral=True)
+OPENING = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
 STACK = Stack((0.4, LinearElastic(lmbda=90.0, mu=30.0)), (0.6, SLIPPING))
 PUSHED = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
 PULLED = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
@@ -23,8 +23,8 @@ CASES: dict[str, tuple[BulkLaw, dict[int, tuple[float, float, float]], str]] = {
     "": (SLIPPING, PUSHED, "bilateral"),
     "unilateral": (OPENING, PULLED, "unilateral, h = 0.01"),
     "stack": (STACK, PUSHED, "elastic, bilateral"),
-    "pulled": (replace(SLIPPING, h=FRACTION), PULLED, "pulled, h = 0.01"),
-    "pulled_less": (replace(SLIPPING, h=LESS), PULLED, "pulled, h = 1e-4"),
+    "pulled": (replace(SLIPPING, elastic_fraction=FRACTION), PULLED, "pulled, h = 0.01"),
+    "pulled_less": (replace(SLIPPING, elastic_fraction=LESS), PULLED, "pulled, h = 1e-4"),
 }
 
 

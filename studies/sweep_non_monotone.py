@@ -23,11 +23,15 @@ from thinlayer.running.record import Record
 OBLIQUE = np.array([[0.0, 0.3], [0.3, 0.5]])  # chi, in the axes t, n of S
 # law; amplitudes of shear and pull on the upper side
 CASES: dict[str, tuple[NonMonotone, float, float]] = {
-    "": (NonMonotone(60.0, 40.0, alpha=1.0, C=0.0031, chi=OBLIQUE), 4.0, 1.0),
-    "across": (NonMonotone(60.0, 40.0, alpha=0.7, C=0.003, chi=np.diag([0.0, 1.0])), 1.0, 1.2),
-    "along": (NonMonotone(60.0, 40.0, alpha=0.3, C=0.0004, chi=np.array([[0.0, 0.5], [0.5, 0.0]])), 4.0, 0.4),
+    "": (NonMonotone(60.0, 40.0, alpha=1.0, transformation_energy=0.0031, chi=OBLIQUE), 4.0, 1.0),
+    "across": (NonMonotone(60.0, 40.0, alpha=0.7, transformation_energy=0.003, chi=np.diag([0.0, 1.0])), 1.0, 1.2),
+    "along": (
+        NonMonotone(60.0, 40.0, alpha=0.3, transformation_energy=0.0004, chi=np.array([[0.0, 0.5], [0.5, 0.0]])),
+        4.0,
+        0.4,
+    ),
 }
-PURE = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, C=0.0025, chi=OBLIQUE)
+PURE = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, transformation_energy=0.0025, chi=OBLIQUE)
 MOVED, TIMES = (0.04, 0.03), (0.25, 0.5, 0.75, 1.0)
 COLUMNS = 16  # facets of S, each in one phase
 TITLES = {"": "oblique chi", "across": "n (x) n", "along": "sym(t (x) n)", "unrelaxed": "oblique chi, pure phases"}
@@ -59,8 +63,13 @@ class Formula(TractionLaw):
     @classmethod
     def of(cls, layer: NonMonotone, **changed: float) -> Formula:
         """The interface law of a layer, with some coefficients changed."""
-        same = {name: layer.parameters()[name] for name in ("mu", "alpha", "C", "G")}
-        same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
+        same = {name: layer.parameters()[name] for name in ("mu", "alpha", "G")}
+        same |= {
+            "C": layer.parameters()["transformation_energy"],
+            "K_N": layer.lmbda + 2 * layer.mu,
+            "chi_12": layer.chi[0, 1],
+            "chi_22": layer.chi[1, 1],
+        }
         return cls(**same | changed)
 
     def traction(self, step: JumpStep) -> Expr:
@@ -170,7 +179,9 @@ def unrelaxed(record: Record, eps: Sequence[float]) -> None:
         return phases(record, "unrelaxed", max(eps), full, limit) | snaps(full, limit)
 
     joint, setup = blocks(2 / COLUMNS, *MOVED, moved=True)
-    sweep = Sweep(record, joint, setup, partial(ThinLayer, PURE), times=TIMES, case="unrelaxed", more=more)
+    sweep = Sweep(
+        record, joint, setup, partial(ThinLayer, PURE), cells_through=2, times=TIMES, case="unrelaxed", more=more
+    )
     table = sweep.run(eps, (0.9, 1.1), title="non-monotone layer, pure phases")
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
     record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from forms import BulkLaw, Law
 from forms.kinematics import Expr
 from geometry import Joint
+from studies.problems import fourier
 from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
@@ -109,10 +111,39 @@ class Sweep:
         return table
 
 
+def sweep_in_time(
+    record: Record,
+    laws: Mapping[str, BulkLaw],
+    times: Mapping[str, Sequence[float]],
+    eps: Sequence[float],
+    h: float,
+    titles: Mapping[str, str],
+    more: Callable[[Solution, Solution], dict[str, Any]] | None = None,
+) -> dict[str, Table]:
+    """Sweep the Fourier problem under a sudden load that is held; both models take the same steps.
+
+    Args:
+        record: where to write.
+        laws: case -> the layer's law.
+        times: case -> ends of the steps.
+        eps: thicknesses.
+        h: cell size.
+        titles: case -> title of the picture.
+        more: as of `Sweep`.
+    """
+    joint, setup = fourier(h, cell="quadrilateral")
+    record.parameters = {"h": h, "layers": [str(law) for law in laws.values()], "times": times}
+    tables = {}
+    for case, law in laws.items():
+        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=times[case], more=more, case=case)
+        tables[case] = sweep.run(eps, (0.93, 1.07), title=f"{titles[case]}, t = {times[case][-1]:g}")
+    return tables
+
+
 def elastic_fraction(law: Law) -> dict[str, float]:
     """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
     laws = [one for _, one in law.sublayers]
-    fractions = [one.parameters()["h"] for one in laws if "h" in one.parameters()]
+    fractions = [one.parameters()["elastic_fraction"] for one in laws if "elastic_fraction" in one.parameters()]
     return {"h": max(fractions)} if fractions else {}
 
 

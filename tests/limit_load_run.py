@@ -9,19 +9,20 @@ from mpi4py import MPI
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block, sandwich
+from tests.own_laws import layer_of
 from thinlayer import Model, Structure, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad
 
 BODY = LinearElastic.young(100.0, 0.3)
-SLIDING = MohrCoulombMonodirectional(60.0, 40.0, C=0.1, Omega=30.0)
-FULL = MohrCoulomb(60.0, 40.0, C=0.1, Omega=30.0)
+SLIDING = MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.1, friction_angle=30.0)
+FULL = MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0)
 
 
 def sheared(kind: str, law=SLIDING, **data) -> Model:
     """A flat block on a layer on a rigid base, pressed by 1; at the time t it is sheared by t."""
     data = {"tractions": {"TOP": lambda x, t: (t, -1.0)}, "supports": {}} | data
     column = Structure(block(1.0, 0.25, 0.25, structured=True), body=BODY, element="P1", **data)
-    layer = ThinLayer(law, 1 / 16)
+    layer = layer_of(law, 1 / 16)
     return column.interface(layer) if kind == "S" else column.full(layer, cells_through=1)
 
 
@@ -43,7 +44,7 @@ def numbers() -> dict[str, float]:
             found |= {f"{kind} load {i}": force for i, force in enumerate(error.resultant)}
             found[f"{kind} run away"] = float(error.growth > 1e3)
             found[f"{kind} dissipated"] = float(error.history.table["dissipated"].sum())
-    law = MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02)
+    law = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)
     state = solve(dragged(law, far=0.06, eps=1 / 16), options={"snes_max_it": 4})
     found["continued u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
     found["eased"] = float(state.report.eased > 0)

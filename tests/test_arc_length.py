@@ -501,7 +501,10 @@ class Creeping(TractionLaw):
         (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on the strain rate, and t is no time on a path"),
         (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
-        (MohrCoulomb(60.0, 40.0, C=0.1, Omega=30.0), "MohrCoulomb bounds stresses: loads come to their limit"),
+        (
+            MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0),
+            "MohrCoulomb bounds stresses: loads come to their limit",
+        ),
     ],
 )
 def test_laws_that_have_no_path(law, message):

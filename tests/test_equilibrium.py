@@ -93,7 +93,7 @@ def test_an_eigenstrain_that_ends_without_stress(loads):
 
 # ---------------------------------------------------------------------------------- whoever says so
 def yielding():
-    law = MohrCoulomb(120.0, 80.0, C=0.2, Omega=35)
+    law = MohrCoulomb(120.0, 80.0, cohesion=0.2, friction_angle=35)
     body, supports = LinearElastic.young(E=20e3, nu=0.2), {"BOTTOM": 0, "TOP": {"y": -0.02}}
     return Structure(PLATES, body=body, supports=supports, tractions={"TOP": (0.9, 0)}).interface(ThinLayer(law, 1.0))
 

@@ -218,7 +218,7 @@ OURS = [
     Maxwell(L, M, CREEP, 0.6),
     forms.Norton(L, M, 1.5, 1.5),
     forms.Incompressible(M),
-    forms.MohrCoulomb(L, M, 0.4, 30, psi=10),
+    forms.MohrCoulomb(L, M, 0.4, 30, dilatancy_angle=10),
     forms.MohrCoulombMonodirectional(L, M, 0.4, 30, 0.1, unilateral=True),
     forms.NonMonotone(1.0, 10.0, 1.5, 0.15, CHI),
     forms.NonMonotoneUnrelaxed(1.0, 10.0, 1.5, 0.15, CHI),

@@ -67,7 +67,11 @@ def test_the_general_return_has_the_same_limit_and_eases():
     error, other = limit(sheared("S", law)), limit(sheared("S", FULL))
     assert (error.t, error.failed_at) == (other.t, other.failed_at)
     assert law.traits.eases
-    assert [law.eased(ease).h for ease in (0, 0.5, 1)] == [FULL.eased(ease).h for ease in (0, 0.5, 1)] != [FULL.h] * 3
+    assert (
+        [law.eased(ease).elastic_fraction for ease in (0, 0.5, 1)]
+        == [FULL.eased(ease).elastic_fraction for ease in (0, 0.5, 1)]
+        != [FULL.elastic_fraction] * 3
+    )
 
 
 def test_adaptive_steps_and_stacks():
@@ -93,7 +97,7 @@ def test_a_moved_block_passes_the_limit_and_stays_there():
 
 
 def test_an_elastic_fraction_has_no_limit():
-    law = MohrCoulombMonodirectional(60.0, 40.0, C=0.1, Omega=30.0, h=0.02)
+    law = MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.1, friction_angle=30.0, elastic_fraction=0.02)
     assert march(sheared("S", law), TIMES).last.t == TIMES[-1]
 
 
@@ -184,7 +188,7 @@ def test_newton_cut_short_is_no_limit(kind, law):
 
 def test_the_sign_scales_with_loads_and_lengths():
     """It is the same for loads and strengths a million times smaller, moduli as they are."""
-    small = MohrCoulombMonodirectional(60.0, 40.0, C=1e-7, Omega=30.0)
+    small = MohrCoulombMonodirectional(60.0, 40.0, cohesion=1e-7, friction_angle=30.0)
     tiny = limit(sheared("S", small, tractions={"TOP": lambda x, t: (1e-6 * t, -1e-6)}))
     error = limit(sheared("S"))
     assert (tiny.t, tiny.failed_at) == pytest.approx((error.t, error.failed_at), abs=1e-12)
@@ -225,7 +229,12 @@ def test_steps_that_fail_without_the_sign():
 @pytest.mark.parametrize("kind", ["S", "band"])
 def test_continuation_finds_what_newton_finds(kind):
     """Newton's method, allowed fewer steps than it needs, is helped by easier laws."""
-    model = dragged(MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02), far=0.06, eps=1 / 16, kind=kind)
+    model = dragged(
+        MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02),
+        far=0.06,
+        eps=1 / 16,
+        kind=kind,
+    )
     direct = solve(model)
     continued = solve(model, options={"snes_max_it": 3})
     assert direct.report.eased == 0 < continued.report.eased
@@ -238,7 +247,7 @@ def test_continuation_finds_what_newton_finds(kind):
 
 
 def test_continuation_finds_what_newton_does_not_find():
-    model = dragged(MohrCoulombMonodirectional(60.0, 40.0, C=0.0, Omega=30.0))
+    model = dragged(MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.0, friction_angle=30.0))
     with Solver(model) as solver:
         with pytest.raises(SolveError, match="Newton's method failed"):
             solver.step(solver.rest(0.0), 0.0, 1.0, False)

@@ -24,12 +24,14 @@ pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 
 BODY = LinearElastic.young(100.0, 0.3)
 LMBDA, MU = 60.0, 40.0
-FULL = MohrCoulomb(LMBDA, MU, C=0.1, Omega=30.0)
+FULL = MohrCoulomb(LMBDA, MU, cohesion=0.1, friction_angle=30.0)
 LAWS = {
     "psi = 0": FULL,
-    "edges": MohrCoulomb(30.0, MU, C=0.02, Omega=12.0),  # nu = 0.21 < (1 - sin(Omega))/2: s_33 is not between
-    "psi = 10": MohrCoulomb(LMBDA, MU, C=0.1, Omega=30.0, h=0.02, psi=10.0),
-    "monodirectional": MohrCoulombMonodirectional(LMBDA, MU, C=0.1, Omega=30.0),
+    "edges": MohrCoulomb(
+        30.0, MU, cohesion=0.02, friction_angle=12.0
+    ),  # nu = 0.21 < (1 - sin(Omega))/2: s_33 is not between
+    "psi = 10": MohrCoulomb(LMBDA, MU, cohesion=0.1, friction_angle=30.0, elastic_fraction=0.02, dilatancy_angle=10.0),
+    "monodirectional": MohrCoulombMonodirectional(LMBDA, MU, cohesion=0.1, friction_angle=30.0),
 }
 # jumps (w_T, w_N): pressed, sheared until it yields, unloaded, sheared back, opened beyond the apex, pressed again
 PATH = np.array(

@@ -112,7 +112,7 @@ def test_loop(mode, element, eps):
     K, compliance = STIFFNESS[mode], COMPLIANCE[mode]
     law = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.02, CHIS[mode])
     a = ALPHA * (CHIS[mode][1, 1] if mode == "normal" else CHIS[mode][0, 1])
-    up = law.C * (1 + compliance * K) / a
+    up = law.transformation_energy * (1 + compliance * K) / a
     down, far = up - a * compliance, 2 * up
     move = piecewise({0: 0, 1: far, 3: -far, 4: -0.1 * far})  # it turns within a step
     setup = tall_column(mode, move=move) | {"element": element}
@@ -295,7 +295,7 @@ def test_sublayer(eps):
     K, g = STIFFNESS["normal"], ALPHA**2 * law.G
 
     def share(d):
-        phase = lambda t: np.clip(0.5 + (a * (d - below * t) / 0.7 - law.C) / g, 0, 1)
+        phase = lambda t: np.clip(0.5 + (a * (d - below * t) / 0.7 - law.transformation_energy) / g, 0, 1)
         return phase(brentq(lambda t: t - K * (d - below * t) / 0.7 + a * phase(t), -100, 100))
 
     move = piecewise({0: 0, 1: 0.04, 2: -0.041})

@@ -7,7 +7,7 @@ import pytest
 import ufl
 
 from forms import Anisotropic
-from studies.fig6_stratified import EPS, GLUE, GLUE_MODULI, K_T, PLACE, Bar
+from studies.fig6_stratified import EPS, GLUE, GLUE_MODULI, K_T, PLACE, StratifiedBar
 from studies.limits import BONDED_JUMP, BONDED_TRACTION, SLIDING_JUMP, SLIDING_TRACTION
 from studies.problems import fourier
 from thinlayer import Structure, Surface, ThinLayer, observed_orders, solve
@@ -20,7 +20,7 @@ DISPLACEMENTS = {10.0: 2.67658075e-4, 20.0: 1.49923258e-4, 30.0: 6.87843475e-5} 
 
 @pytest.fixture(scope="module")
 def bar(tmp_path_factory):
-    return Bar(Record("test", tmp_path_factory.mktemp("bar"), {}), 4.0, 0.4, 0.04)
+    return StratifiedBar(Record("test", tmp_path_factory.mktemp("bar"), {}), 4.0, 0.4, 0.04)
 
 
 def test_tangential_stiffness_of_the_meshed_layer(bar):

@@ -33,6 +33,7 @@ from forms.traction import JumpStep
 from geometry import sandwich
 from tests.own_laws import Fragile, Hardening, Mises, Slipping, StandardSolid
 from thinlayer import Structure, ThinLayer, solve
+from thinlayer.discretisation.layer import real_law
 from thinlayer.pointwise.kernels import SIZES
 from thinlayer.pointwise.material import Material
 
@@ -796,7 +797,7 @@ def test_what_a_law_refuses(build, message):
 
 def test_jumps_know_no_plane():
     law = LAWS["traction"]
-    assert ThinLayer(law, 1.0).real_law("stress").parameters() == law.parameters()
+    assert real_law(law, "stress").parameters() == law.parameters()
 
 
 def test_a_traction_law_has_no_powers_of_eps():

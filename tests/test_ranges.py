@@ -455,7 +455,7 @@ def test_bodies_that_overlap():
     """A layer pressed to more than twice its thickness, on average; in a march at a time in between."""
     joint = sandwich(2.0, 0.5, 0.5, 0.25)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: -t * (1 + 0.5 * x[0])}}}
-    law = MohrCoulombMonodirectional(1.0, 1.0, C=100.0, Omega=30.0)
+    law = MohrCoulombMonodirectional(1.0, 1.0, cohesion=100.0, friction_angle=30.0)
     model = Structure(joint, **setup).interface(ThinLayer(law, 0.1))
     assert told(lambda: solve(model, t=0.13))[1] == []
     _, found = told(lambda: solve(model, t=0.14))
@@ -476,12 +476,12 @@ def test_bodies_that_overlap():
 ON_RANKS = """
 from forms import LinearElastic
 from geometry import sandwich
-from thinlayer import Model, ThinLayer, solve
+from thinlayer import Structure, ThinLayer, solve
 
 joint = sandwich(1.0, 0.5, 0.5, 0.25, h_S=0.125)
 layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 1 / 16)
 setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-solve(Structure.interface(joint, layer=layer, body=LinearElastic.young(1e5, 0.3), **setup))
+solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), **setup).interface(layer))
 """
 
 

@@ -106,7 +106,8 @@ def test_laws_of_the_documentation_work():
         "Mises": names["Mises"](kappa=80.0, mu=20.0, limit=0.6),
         "Cohesive": names["Cohesive"](k=20.0, w_0=1.0),
     }.items():
-        model = Structure(joint, body=body, supports=supports, tractions=pull).interface(ThinLayer(law, 0.05))
+        layer = law if law.traits.of_jumps else ThinLayer(law, 0.05)
+        model = Structure(joint, body=body, supports=supports, tractions=pull).interface(layer)
         surface = Surface(model)
         slip = {"slip": lambda state, s=surface: s.integral(s.jump(state)[0])}
         times = ArcLength(end=0.4, first=0.2) if law.traits.softens else [0.2, 0.4]

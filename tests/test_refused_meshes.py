@@ -248,8 +248,8 @@ def test_arguments_of_inflate():
     for data, message in (
         ({"eps": "thin"}, "eps is 'thin'; it must be > 0"),
         ({"eps": True}, "eps is True"),
-        ({"strata": "ab"}, "fractions .* must be numbers > 0"),
-        ({"layers": 0}, "layers is 0; the layer needs"),
+        ({"fractions": "ab"}, "fractions .* must be numbers > 0"),
+        ({"cells_through": 0}, "cells_through is 0; the layer needs"),
     ):
         with pytest.raises(GeometryError, match=message):
             inflate(joint, **{"eps": 0.1} | data)

@@ -35,7 +35,9 @@ SLIP_AND_OPENING = [[0.0, 0.3], [0.3, 1.0]]
 
 
 def pure(**changed: Any) -> NonMonotoneUnrelaxed:
-    return NonMonotoneUnrelaxed(**{"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "C": 0.3, "chi": SLIP_AND_OPENING, **changed})
+    return NonMonotoneUnrelaxed(
+        **{"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "transformation_energy": 0.3, "chi": SLIP_AND_OPENING, **changed}
+    )
 
 
 def model(law: BulkLaw, pull: float = 1.0) -> Model:
@@ -59,7 +61,10 @@ def refused(law: BulkLaw, message: str, tmp_path: Any) -> None:
         ({"T": lambda x, t: x[0] > 1}, r"T\(x, t\) fails .*it gives bool values"),
         ({"alpha": lambda T: 1 + 1j * T, "T": lambda x, t: x[0]}, r"alpha\(T\) fails .*it gives complex128 values"),
         ({"T": lambda x, t: 20 + 100 * t}, r"alpha\(T\): T is 120; the table knows 0 to 100"),
-        ({"C": lambda T: 0.5 - T, "T": lambda x, t: t + 0 * x[0]}, r"C at x = \(\S+, 0\), t = 0.5 is 0; allowed: > 0"),
+        (
+            {"transformation_energy": lambda T: 0.5 - T, "T": lambda x, t: t + 0 * x[0]},
+            r"transformation_energy at x = \(\S+, 0\), t = 0.5 is 0; allowed: > 0",
+        ),
     ],
     ids=["complex", "condition", "complex alpha", "later", "place"],
 )
@@ -67,7 +72,7 @@ def test_fields_that_are_no_temperatures(changed, message, tmp_path):
     refused(pure(**{"alpha": TABLE, **changed}), f"^NonMonotoneUnrelaxed: {message}", tmp_path)
 
 
-@pytest.mark.parametrize("name", ["alpha", "C", "T"])
+@pytest.mark.parametrize("name", ["alpha", "transformation_energy", "T"])
 def test_temperatures_in_ufl(name):
     mesh = ufl.Mesh(basix.ufl.element("Lagrange", "triangle", 1, shape=(2,)))
     space = ufl.FunctionSpace(mesh, basix.ufl.element("Lagrange", "triangle", 1))

@@ -33,7 +33,7 @@ def test_a_peak_between_two_times_is_met(law):
 REMEMBERING = {
     "rate": SLOW,
     "relaxing": SUDDEN,
-    "plastic": MohrCoulomb(60.0, 40.0, C=9.0, Omega=30.0),
+    "plastic": MohrCoulomb(60.0, 40.0, cohesion=9.0, friction_angle=30.0),
     "of one's own": Mises(60.0, 40.0, 9.0),
     "stacked": Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, SUDDEN)),
 }

@@ -68,7 +68,7 @@ CHI = [[0.2, 0.5], [0.5, 1.0]]
 
 
 def yielding(u, make=MohrCoulomb, **more):
-    return make(60.0 * u.stiffness, 40.0 * u.stiffness, 0.3 * u.stress * u.load, 30, h=0.05, **more)
+    return make(60.0 * u.stiffness, 40.0 * u.stiffness, 0.3 * u.stress * u.load, 30, elastic_fraction=0.05, **more)
 
 
 def phases(u, make, d=2):
@@ -84,7 +84,7 @@ LAWS = {
     "incompressible": lambda u: Incompressible(40.0 * u.stiffness),
     "Kelvin-Voigt": lambda u: KelvinVoigt(60.0 * u.stiffness, 40.0 * u.stiffness, 1.5 * u.time, 0.8 * u.time),
     "Maxwell": lambda u: Maxwell(60.0 * u.stiffness, 40.0 * u.stiffness, 2.0 * u.time, 3.0 * u.time),
-    "Mohr-Coulomb": lambda u: yielding(u, psi=5.0),
+    "Mohr-Coulomb": lambda u: yielding(u, dilatancy_angle=5.0),
     "monodirectional": lambda u: yielding(u, MohrCoulombMonodirectional),
     "non-monotone": lambda u: phases(u, NonMonotone),
     "pure phases": lambda u: phases(u, NonMonotoneUnrelaxed),

@@ -54,7 +54,7 @@ class ThinLayer:
                 f"{type(self.law).__name__} is a law on S and has no thickness: give it alone, structure.interface(law)"
             )
         if not isinstance(self.law, BulkLaw):
-            raise LawError(f"the layer's law is {self.law!r}; it must be a BulkLaw such as forms.LinearElastic")
+            raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
         require_declarations(self.law)
         if not (is_number(self.eps) and math.isfinite(self.eps) and self.eps > 0):
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")

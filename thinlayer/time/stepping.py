@@ -11,6 +11,7 @@ from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
 from thinlayer.files.progress import track
+from thinlayer.parallel.log import logger
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
@@ -157,6 +158,8 @@ class TimeStepping:
 
     def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
         if dt >= self._smallest and distinct(old.t, old.t + dt):
+            what = "step from t = %g to %g is shortened to %g: %s"
+            logger("march", self.solver.model.comm).info(what, old.t, end, dt, error)
             self._journal.pace.step = dt
             return
         if self.solver.yields and self._seek(old, end, error):
