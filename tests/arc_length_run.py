@@ -18,7 +18,8 @@ from mpi4py import MPI
 from forms import LinearElastic
 from forms.traction import TractionLaw
 from geometry import block
-from thinlayer import ArcLength, Structure, ThinLayer, march
+from tests.own_laws import layer_of
+from thinlayer import ArcLength, Structure, march
 
 E, HEIGHT, WIDTH = 2.3, 1.7, 0.85
 
@@ -104,7 +105,7 @@ def bar(law, support=lambda x, t: t, traction=None):
     if not traction:
         supports = {"TOP": {"y": support}} | supports
     body = LinearElastic.young(E, 0.0)
-    return Structure(strip, body=body, supports=supports, tractions=loads, element="Q1").interface(ThinLayer(law, 0.1))
+    return Structure(strip, body=body, supports=supports, tractions=loads, element="Q1").interface(layer_of(law, 0.1))
 
 
 def tilted(law, cells=8):
@@ -112,7 +113,7 @@ def tilted(law, cells=8):
     joint = block(1.0, 0.5, 1 / cells, cell="quadrilateral", structured=True)
     supports = {"TOP": {"x": 0.0, "y": lambda x, t: t * (1 + 0.6 * x[0])}}
     body = LinearElastic.young(E, 0.2)
-    return Structure(joint, body=body, supports=supports, element="Q1").interface(ThinLayer(law, 0.1))
+    return Structure(joint, body=body, supports=supports, element="Q1").interface(layer_of(law, 0.1))
 
 
 KINKED = Trilinear(k=70.0, fall=7.0, w_1=0.011, w_2=0.12, k_T=30.0)

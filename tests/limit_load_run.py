@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block, sandwich
+from tests.own_laws import layer_of
 from thinlayer import Model, Structure, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad
 
@@ -21,7 +22,7 @@ def sheared(kind: str, law=SLIDING, **data) -> Model:
     """A flat block on a layer on a rigid base, pressed by 1; at the time t it is sheared by t."""
     data = {"tractions": {"TOP": lambda x, t: (t, -1.0)}, "supports": {}} | data
     column = Structure(block(1.0, 0.25, 0.25, structured=True), body=BODY, element="P1", **data)
-    layer = ThinLayer(law, 1 / 16)
+    layer = layer_of(law, 1 / 16)
     return column.interface(layer) if kind == "S" else column.full(layer, cells_through=1)
 
 

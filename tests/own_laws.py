@@ -10,9 +10,15 @@ import ufl
 
 from forms.elastic import lame
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw
+from forms.law import BulkLaw, Law
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, isotropic_energy
+from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer
+
+
+def layer_of(law: Law, eps: float) -> Layer:
+    """A layer of a law: laws on S are layers by themselves, others have a thickness."""
+    return law if isinstance(law, LawOnS) else ThinLayer(law, eps)
 
 
 @dataclass(frozen=True)

@@ -349,9 +349,7 @@ def test_traction_law_in_time():
     law = Slipping(70.0, MU, MU * T1, 900.0)
     for mode, move in (("normal", 0.02), ("normal", -0.02), ("shear", 0.05)):
         setup = column(mode, move=move)
-        history = march(
-            Structure(joint(), **setup).interface(ThinLayer(law, 0.1)), np.linspace(0, 1, 21)[1:], theta=0.5
-        )
+        history = march(Structure(joint(), **setup).interface(law), np.linspace(0, 1, 21)[1:], theta=0.5)
         if mode == "shear":
             assert jump_of(history, mode) == pytest.approx(maxwell_moved(mode, 1.0), rel=1e-4)
         else:  # (d - w)/c = k_N w - closed w^2
@@ -361,7 +359,7 @@ def test_traction_law_in_time():
         assert np.isnan(history.table["imbalance"]).all()  # it declares no energy
         assert np.isfinite(history.table["supplied"]).all()
     with pytest.raises(ModelError, match="Slipping is a law of jump and traction: it has no meshed layer"):
-        Structure(joint(), **column("shear", load=0.5)).full(ThinLayer(law, 0.1))
+        Structure(joint(), **column("shear", load=0.5)).full(law)
 
 
 # ---------------------------------------------------------------- the first state

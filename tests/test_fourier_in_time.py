@@ -18,6 +18,7 @@ from forms.declarations import LawError
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
+from tests.own_laws import layer_of
 from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
 H = 1 / 8
@@ -314,7 +315,7 @@ def test_the_printed_law_of_maxwell_layers_is_refused():
     joint, setup = fourier(H, cell="quadrilateral")
     printed = Relaxing(E / (1 + NU), -E * NU / (1 - NU), 0.7, 0.7)
     with pytest.raises(LawError, match=r"the stiffness at rest is negative, .* is -44\.57"):
-        Structure(joint, **setup).interface(ThinLayer(printed, 0.1))
+        Structure(joint, **setup).interface(layer_of(printed, 0.1))
 
 
 def test_norton_viscosity_scaled_as_a_modulus():

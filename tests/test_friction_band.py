@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from forms import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulombMonodirectional, Stack
+from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulombMonodirectional, Stack
 from geometry import sandwich
 from studies import sweep_friction, sweep_monodirectional
 from studies.problems import pressed
+from tests.own_laws import layer_of
 from tests.test_parallel import mpirun
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.running.cli import main
@@ -136,8 +137,8 @@ def in_steps(values):
 def check_column(law, eps, moves=MOVES, angle=0.0, on_s=None):
     """Both models against the closed form at every step."""
     where, setup, times, tractions, jumps = column(law, moves, angle)
-    limit = march(Structure(where, **setup).interface(ThinLayer(on_s or law, eps)), times)
-    full = march(Structure(where, **setup).full(ThinLayer(law, eps)), times)
+    limit = march(Structure(where, **setup).interface(layer_of(on_s or law, eps)), times)
+    full = march(Structure(where, **setup).full(ThinLayer(law, eps), cells_through=1), times)
     surface = Surface(limit.model)
     assert np.abs(tractions).max() > 1
     for k, time in enumerate(times):
@@ -232,8 +233,7 @@ def errors(eps, band=BAND, on_s=None, cells=32):
     on_s = on_s or HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION)
     plates = Structure(where, **setup)
     full = solve(plates.full(ThinLayer(band, eps), cells_through=1))
-    on_s = on_s if isinstance(on_s, ContactLaw) else ThinLayer(on_s, eps)
-    return compare(full, solve(plates.interface(on_s)))
+    return compare(full, solve(plates.interface(layer_of(on_s, eps))))
 
 
 @cache

@@ -102,7 +102,7 @@ def test_sides_of_the_layer():
     supports, eps = {"LEFT": {"x": 0.0}, "BOTTOM": 0.0}, 0.2
     for name, height in (("RIGHT", 1.9), ("RIGHT/LAYER", eps), ("RIGHT/UPPER", 1.1)):
         model = Structure(joint, body=law, supports=supports, tractions={name: (0.0, 3.0)}).full(ThinLayer(law, eps))
-        load = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V)))
+        load = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
         assert load.x.array.sum() == pytest.approx(3 * height)
         x, y = model.V.tabulate_dof_coordinates()[np.unique(model.supports.held(model.V) // 2), :2].T
         assert ((x < 1e-12) & (np.abs(y) < 0.49 * eps)).sum() == 2 * 4 - 1

@@ -35,6 +35,7 @@ from tests.own_laws import (
     Mises,
     Slipping,
     StandardSolid,
+    layer_of,
 )
 from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise
 
@@ -49,7 +50,7 @@ ENDS = (0.5, 1.0, 1.5)
 
 def model(law, kind=Structure.interface, **change):
     setup = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": lambda x, t: (LOAD(x, t), 0.0)}} | change
-    return kind(Structure(JOINT, **setup), ThinLayer(law, 0.1))
+    return kind(Structure(JOINT, **setup), layer_of(law, 0.1))
 
 
 def path(one, parts, theta):

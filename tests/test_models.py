@@ -8,13 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms import Anisotropic, BulkLaw, LawError, LinearElastic, MohrCoulomb, Stack
+from forms.work import work
 from geometry import GeometryError, block, sandwich
 from tests.limit_load_run import dragged
-from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, solve
+from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.output.surface import nodal_forces
 from thinlayer.solving.solvers import Solver
@@ -111,7 +113,7 @@ def test_coordinates_of_loads_belong_to_the_bodies():
     """In kept geometry the meshed layer moves the bodies apart; loads stay on the same material points."""
     load = {"TOP": lambda x, t: (0.0, x[1] * x[0]), "RIGHT": lambda x, t: (ufl.exp(x[1]), 0.0)}
     states = [solve(build(structure(tractions=load), LAYER)) for build in (Structure.full, Structure.interface)]
-    work = [s.integral(s.model.external_work(ufl.as_vector([1.0, 2.0]))) for s in states]
+    work = [s.integral(s.model.external_work(ufl.as_vector([1.0, 2.0]), s.t)) for s in states]
     exact = (np.exp(0.7) - np.exp(-0.5)) + 2 * 0.7 * 0.5
     assert work == pytest.approx([exact, exact], rel=1e-6)  # quadrature of exp
 
@@ -353,10 +355,53 @@ def test_compare_on_a_part_of_s():
         assert sizes[0] + sizes[1] == pytest.approx(sizes[2], rel=1e-9)
 
 
+# ---------------------------------------------------------------- terms of one's own
+def test_a_term_beside_those_of_a_model():
+    """At the equilibrium of a model the forces that are added alone are left, by the model's measures and by plain ones."""
+    model = structure(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}).interface(LAYER)
+    u, v = solve(model).u, ufl.TestFunction(model.V)
+    x = ufl.SpatialCoordinate(model.domain.mesh)
+    own = work(model.terms, u, v) - model.external_work(v, 0.0)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.supports.on(model.V).held)
+    f, w = ufl.as_vector([x[0], 2.0]), model.sides.jump(v)
+    for term, alone in (
+        (ufl.inner(f, v) * model.dx, ufl.inner(f, v) * ufl.dx),
+        (ufl.inner(f, v) * model.ds, ufl.inner(f, v) * ufl.ds),
+        (ufl.inner(f, w) * model.dS, ufl.inner(f, w) * model.dS),
+    ):
+        expected = fem.assemble_vector(fem.form(alone)).array
+        for form in (fem.form(own + term), model.form(own + term), model.form(own + alone)):
+            found = fem.assemble_vector(form).array
+            assert found[free] == pytest.approx(expected[free], abs=1e-12 * np.abs(expected).max() + 1e-13)
+    everywhere = ufl.inner(ufl.jump(u), ufl.jump(u))
+    assert solve(model).integral(everywhere * ufl.dS) == pytest.approx(solve(model).integral(everywhere * model.dS))
+    with pytest.raises(ModelError, match=r"two measures dx with different tags; use model\.dx"):
+        model.form(own + ufl.inner(f, v) * ufl.dx(subdomain_data=model.domain.facet_tags))
+
+
+def test_a_form_keeps_the_time_it_was_taken_at():
+    """Of a load with a table, one that moves along the body, and one that is asked for another time."""
+    table = piecewise({0: (0.0, 1.0), 1: (2.0, 1.0), 3: (2.0, 5.0)})
+    pull = lambda x, t: [ufl.sin(t * x[0]) * a + b for a, b in zip(table(x, t), table(x, t / 2), strict=True)]
+    model = structure(tractions={"TOP": pull}, supports={"BOTTOM": {"x": 0.0, "y": lambda x, t: t * x[0]}}).full(LAYER)
+    times, v = (0.5, 2.0), ufl.as_vector([1.0, -3.0])
+    compiled = [model.form(model.external_work(v, t)) for t in times]
+    assert compiled[0].module.__file__ == compiled[1].module.__file__  # for all times one
+    solve(model, 1.0)
+    s = np.linspace(0, 1, 10001)
+    for t, form in zip(times, compiled, strict=True):
+        now, half = ([np.interp(at, [0, 1, 3], values) for values in ((0, 2, 2), (1, 1, 5))] for at in (t, t / 2))
+        expected = np.trapezoid(np.sin(t * s), s) * (now[0] - 3 * now[1]) + half[0] - 3 * half[1]
+        assert fem.assemble_scalar(form) == pytest.approx(expected, rel=1e-4)
+    moved = model.supports.on(model.V)
+    first, last = moved.at(0.5), moved.at(2.0)
+    assert (first.max(), last.max()) == pytest.approx((0.5, 2.0))
+
+
 # ---------------------------------------------------------------- loads on sides
 def total(model):
     """Sum of the nodal forces of its loads, (d,)."""
-    forces = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V)))
+    forces = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
     own = model.V.dofmap.index_map.size_local * model.joint.dim
     return forces.x.array[:own].reshape(-1, model.joint.dim).sum(axis=0)
 

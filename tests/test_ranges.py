@@ -476,12 +476,12 @@ def test_bodies_that_overlap():
 ON_RANKS = """
 from forms import LinearElastic
 from geometry import sandwich
-from thinlayer import Model, ThinLayer, solve
+from thinlayer import Structure, ThinLayer, solve
 
 joint = sandwich(1.0, 0.5, 0.5, 0.25, h_S=0.125)
 layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 1 / 16)
 setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-solve(Structure.interface(joint, layer=layer, body=LinearElastic.young(1e5, 0.3), **setup))
+solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), **setup).interface(layer))
 """
 
 

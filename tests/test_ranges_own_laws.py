@@ -26,7 +26,7 @@ from forms.elastic import lame
 from forms.tangent import tangent_at_rest, tangent_over
 from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
-from tests.own_laws import Mises, StandardSolid
+from tests.own_laws import Mises, StandardSolid, layer_of
 from thinlayer import Model, Structure, ThinLayer, march, solve
 from thinlayer.errors import RangeWarning
 
@@ -176,7 +176,7 @@ def test_incompressible_with_free_ends():
 # ---------------------------------------------------------------- negative stiffness
 def model_of(layer: BulkLaw, kind: Any = Structure.interface, body: BulkLaw = STIFF, **data: Any) -> Model:
     joint, setup = fourier(1 / 8, cell="quadrilateral")
-    return kind(Structure(joint, **setup | {"body": body} | data), ThinLayer(layer, 0.1))
+    return kind(Structure(joint, **setup | {"body": body} | data), layer_of(layer, 0.1))
 
 
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])

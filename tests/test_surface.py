@@ -67,11 +67,11 @@ def test_profile_of_an_arc():
 def test_fronts_around_a_circle():
     """Phases that grow with y on a closed S: more than half where y > .3, which is between neighbours in two places."""
     model = on(ring(0.8, RADIUS, 2.0, 0.3), PURE)
-    (quadrature,) = quadratures(model).values()
+    ((key, quadrature),) = quadratures(model).items()
     memory = np.zeros((quadrature.count, sum(int(np.prod(s)) for s in PURE.internal.values())))
     x = quadrature.columns.centres[quadrature.columns.of]
     memory[:, list(PURE.internal).index("phase")] = 0.5 + (x[:, 1] - 0.3) / 1.6
-    report = PhaseReport(State(model, None, 0.0, Report("newton", 0, 0.0, 0.0), memory=(memory,)))
+    report = PhaseReport(State(model, None, 0.0, Report("newton", 0, 0.0, 0.0), memory={key: memory}))
     places, phase = report.profile()
     assert (np.abs(np.diff(polar(places))) < 0.4).all()
     assert phase == pytest.approx(0.5 + (places[:, 1] - 0.3) / 1.6)

@@ -15,7 +15,7 @@ from forms import BulkLaw, KernelLaw, LawError, LinearElastic, TractionLaw
 from forms.elastic import lame
 from forms.trace import stress_key
 from geometry import sandwich
-from tests.own_laws import Slipping
+from tests.own_laws import Slipping, layer_of
 from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
 FACTOR, OF_NUMBA = 1.0, 1.0
@@ -100,7 +100,7 @@ def of_blocks(law: BulkLaw, **more) -> float:
     """Largest displacement of a pulled joint."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = {"body": LinearElastic(60.0, 40.0), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, 1.0)}}
-    model = Structure(joint, element="Q1", **setup | more).interface(ThinLayer(law, 0.1))
+    model = Structure(joint, element="Q1", **setup | more).interface(layer_of(law, 0.1))
     return float(np.abs(march(model, [1.0]).last.u.x.array).max())
 
 
@@ -353,7 +353,7 @@ def test_jump_laws_in_plane_stress():
 
 
 def test_a_profile_of_a_law_of_jumps():
-    with pytest.raises(LawError, match="Slipping has no thickness that could vary along S"):
+    with pytest.raises(LawError, match="Slipping is a law on S and has no thickness: give it alone"):
         ThinLayer(Slipping(70.0, 30.0, 12.0, 90.0), 0.1, profile=lambda x: 1 + x[0])
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
     from thinlayer.solving.options import OptionError
@@ -51,6 +52,7 @@ _NAMES = {
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.phases": ["PhaseReport"],
+    "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],
     "solving.solvers": ["solve"],

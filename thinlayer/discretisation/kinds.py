@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem
 
 from forms import work as forms
@@ -85,6 +86,7 @@ class InterfaceModel(Model):
     Attributes:
         layer: a thin layer, or a law of jumps or of nodes.
         sides: the two sides of S.
+        dS: the measure of S; values from either side are `sides.upper(f)` and `sides.lower(f)`.
     """
 
     name = "interface"
@@ -124,6 +126,11 @@ class InterfaceModel(Model):
             return forms.Interface.on_rigid_base(mesh, self.ds(self.domain.values(S)))
         measure, _ = interface_measure(self.comm, mesh, facets, self._colours)
         return forms.Interface.between_bodies(mesh, measure)
+
+    @property
+    def dS(self) -> ufl.Measure:
+        """The measure of S."""
+        return self.sides.measure
 
     def _layer_terms(self) -> list[forms.Term]:
         if self.contact:

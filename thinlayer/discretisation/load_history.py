@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -26,16 +25,14 @@ class LoadHistory:
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
-        self._work = fem.form(model.external_work(ufl.TestFunction(model.V)))
-        self._values = np.zeros(len(fem.Function(model.V).x.array))
+        self._moment = model.coordinates.moment(0.0)
+        self._work = fem.form(model.forces.work(ufl.TestFunction(model.V), self._moment))
+        self._prescribed = model.supports.on(model.V)
 
-    @cached_property
+    @property
     def held(self) -> npt.NDArray[np.int32]:
         """Displacements of this rank that supports prescribe."""
-        dofmap = self.model.V.dofmap
-        dofs = [bc.dof_indices()[0] for bc in self.model.conditions.bcs]
-        held = np.unique(np.concatenate([np.empty(0, np.int32), *dofs]))
-        return held[held < dofmap.index_map.size_local * dofmap.index_map_bs].astype(np.int32)
+        return self._prescribed.held
 
     def loads_at(self, t: float) -> PETSc.Vec:
         """Nodal forces of the loads at a time; whoever asks destroys them.
@@ -43,11 +40,11 @@ class LoadHistory:
         Raises:
             ModelError: loads that are not finite.
         """
-        self.model.coordinates.t.value = t
+        self._moment.set(t)
         b = dolfinx.fem.petsc.assemble_vector(self._work)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if not np.isfinite(b.norm()):
-            names = self.model.forces.not_finite()
+            names = self.model.forces.not_finite(t)
             raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *names]))
         return b
 
@@ -57,14 +54,10 @@ class LoadHistory:
         Raises:
             ModelError: one of them is not finite.
         """
-        self.model.coordinates.t.value = t
-        self.model.conditions.update()
-        for bc in self.model.conditions.bcs:
-            bc.set(self._values, None, 1.0)
-        prescribed = self._values[self.held]
+        prescribed = self._prescribed.at(t)
         if self.comm.allreduce(int(not np.isfinite(prescribed).all())):
             raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
-        return np.asarray(prescribed)
+        return prescribed
 
     def given_at(self, t: float) -> list[Array]:
         """Loads and prescribed displacements at a time, on this rank."""

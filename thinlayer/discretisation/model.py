@@ -24,6 +24,7 @@ from thinlayer.discretisation.broken import Colours, broken_space
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.layer import ThinLayer, constants, in_plane
 from thinlayer.discretisation.loads import Coordinates, Supports
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import require_support
 from thinlayer.discretisation.setup import Setup
@@ -45,14 +46,16 @@ class Model(ABC):
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
-        dx, ds: measures of the mesh, with its cell and facet tags; see `Domain.cell_values` and `Domain.values`.
+        dx, ds: measures of the mesh with its tags, for terms of one's own beside the model's: the residual at u is
+            `work(model.terms, u, v) - model.external_work(v, t) + term * model.dx`, unless laws act at points or nodes.
+            Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
+            Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
         bodies, layer_terms: where the laws act.
         supports: prescribed displacements.
-        conditions: their Dirichlet conditions in V.
         forces: tractions and body forces.
         parts: what is added to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for laws that act at points.
-        coordinates: the place and the time that loads depend on; `solve` sets the time.
+        coordinates: the place and the time that loads depend on.
         mark: stands for the data on several ranks, which all have the same.
         made_from: the data that it was built with, described as JSON; what changes later does not count.
     """
@@ -78,7 +81,6 @@ class Model(ABC):
             clamped = self._clamped if self.joint.rigid_base else ()
             self.supports = Supports(self.domain, structure.supports, self.coordinates, clamped)
             self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
-        self.conditions = self.supports.conditions(self.V)
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -164,9 +166,18 @@ class Model(ABC):
         """Times at which piecewise loads, supports and temperatures break."""
         return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
 
-    def external_work(self, v: Expr) -> Expr:
-        """Virtual work of the loads, a UFL form linear in v."""
-        return self.forces.work(v)
+    def external_work(self, v: Expr, t: float) -> Expr:
+        """Virtual work of the loads at a time, a UFL form linear in v, which stays that of this time."""
+        return self.forces.work(v, self.coordinates.moment(t))
+
+    @staticmethod
+    def form(form: Expr) -> fem.Form:
+        """Compile a form, in which plain dx, ds and dS may stand beside the model's measures.
+
+        Raises:
+            ModelError: measures of one kind with two sets of tags.
+        """
+        return compiled(form)
 
     def added_work(self, u: Expr, v: Expr) -> Expr:
         """Virtual work at displacements u of what is added to the model, a UFL form linear in v."""

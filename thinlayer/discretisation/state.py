@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from forms.work import Term, energy
 from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import carry
@@ -114,11 +115,11 @@ class State:
         """Value of a UFL form without arguments, summed over the ranks. Collective.
 
         Raises:
-            ModelError: a number in it is not finite.
+            ModelError: a number in it is not finite; measures of one kind with two sets of tags.
         """
         if isinstance(form, ufl.Form) and not all(has_finite_numbers(part.integrand()) for part in form.integrals()):
             raise ModelError(f"a form has a number that is not finite, or not real: {str(form)[:80]}")
-        return float(self.model.comm.allreduce(fem.assemble_scalar(fem.form(form))))
+        return float(self.model.comm.allreduce(fem.assemble_scalar(compiled(form))))
 
     def energies(self) -> dict[str, float]:
         """Stored energy of the bodies, of the layer, and of what was added to the model by its key; the work of the loads.
@@ -127,7 +128,6 @@ class State:
         the loads (Clapeyron). NaN where a law declares no energy. Collective.
         """
         model = self.model
-        model.coordinates.t.value = self.t
         added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts}
         remembered = sum(energy for key, energy in self.stored.items() if key not in added)
         in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
@@ -135,7 +135,7 @@ class State:
             "bodies": self._stored(model.bodies),
             "layer": remembered + self._stored(in_forms),
             **added,
-            "loads": self.integral(model.external_work(self.u)),
+            "loads": self.integral(model.external_work(self.u, self.t)),
         }
 
     def _stored(self, points: Sequence[Term]) -> float:

@@ -20,7 +20,7 @@ class Structure(Setup):
         body_force: (d,) force per volume in the bodies, likewise, or region name -> force.
         plane: "strain" or "stress" (linear elastic laws only).
         element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
-        parts: what is added to the balance of forces: `UflPart`, or an `Addition` of one's own.
+        parts: what is added to the balance of forces: `Springs`, `UflPart`, or an `Addition` of one's own.
         comm: MPI communicator (default: the world).
 
     Raises:

@@ -180,11 +180,10 @@ class ContactReport:
 def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: Array) -> tuple[float, float]:
     """Sum of the forces on free nodes and the work balance, relative. Collective."""
     model, comm, d = state.model, nodes.comm, nodes.dim
-    model.coordinates.t.value = state.t
     v = ufl.TestFunction(model.V)
     stresses, loads = (
         nodal_forces(model.V, work(model.bodies, state.u, v) + model.added_work(state.u, v)),
-        nodal_forces(model.V, model.external_work(v)),
+        nodal_forces(model.V, model.external_work(v, state.t)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec
     on_s = inner.duplicate()

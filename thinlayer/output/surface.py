@@ -39,10 +39,10 @@ def reaction(state: State) -> fem.Function:
     the end of S: what the layer (or the other body) exerts.
     """
     model = state.model
-    model.coordinates.t.value = state.t
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    return nodal_forces(W, work(model.bodies, state.u, v) + model.added_work(state.u, v) - model.external_work(v))
+    forces = work(model.bodies, state.u, v) + model.added_work(state.u, v)
+    return nodal_forces(W, forces - model.external_work(v, state.t))
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
