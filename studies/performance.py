@@ -15,10 +15,9 @@ from studies.problems import sliding_bar
 from thinlayer import SolveError, Structure, plotting
 from thinlayer.contact.blocks import faster_products
 from thinlayer.contact.problem import ContactProblem
-from thinlayer.contact.solver import contact_problem, scheme
+from thinlayer.contact.solver import SCHEMES
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
-from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
 from thinlayer.solving.equations import Equations
@@ -102,10 +101,8 @@ class Bench:
         self.n, self.model = n, Structure(joint, **setup).interface(law)
         self.solver = Solver(self.model, method="newton")
         self.equations: Equations = self.solver.equations
-        self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
-        (contact,) = self.equations.of_kind(ContactPart)
-        nodes = contact.nodes
-        self.problem: ContactProblem = contact_problem(nodes, self.equations.K, self.equations.held)
+        self.problem = ContactProblem(self.equations)
+        nodes = self.problem.nodes
         self.dim, self.dofs = joint.dim, self.problem.A.getSize()[0]
         self.load(1.0)
         springs = nodes.stiffness(law.bonded(len(nodes.upper), self.dim))
@@ -119,10 +116,9 @@ class Bench:
 
     def load(self, sideways: float) -> None:
         """Set the loads, the one that pushes along x times a factor."""
-        loads = self.equations.loads.copy()
-        loads.array[:: self.dim] *= sideways
-        self.problem.begin(loads, self.equations.prescribed, self.problem.slip)
-        loads.destroy()
+        self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
+        self.equations.loads.array[:: self.dim] *= sideways
+        self.problem.begin()
 
     @property
     def method(self) -> str:
@@ -132,12 +128,11 @@ class Bench:
     def ours(self, start: np.ndarray | None = None) -> tuple[float, np.ndarray, int]:
         """Processor time, jumps at the nodes and Newton steps of our solver."""
         begin = time.process_time()
-        solver = scheme(self.method, self.problem)
+        solver = SCHEMES[self.method](self.problem)
         u, steps, _ = solver.solve(start)
         seconds = time.process_time() - begin
         jumps = self.problem.nodes.jump(u)
         solver.close()
-        u.destroy()
         return seconds, jumps, steps
 
     def linear(self, kind: str) -> float:
@@ -202,11 +197,10 @@ class Bench:
         def solve() -> None:
             nonlocal seconds, sweeps
             begin = time.process_time()
-            solver = scheme("relaxation", self.problem)
+            solver = SCHEMES["relaxation"](self.problem)
             try:
                 with defaults({"relaxation_tolerance": 1e-10, "relaxation_omega": 1.7}):
-                    u, sweeps, _ = solver.solve(None)
-                u.destroy()
+                    _, sweeps, _ = solver.solve(None)
             except SolveError as error:
                 sweeps = len(error.residuals)
             seconds = time.process_time() - begin

@@ -13,7 +13,7 @@ from forms import Anisotropic, BulkLaw, HolonomicCoulomb, LinearElastic, MohrCou
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
-from thinlayer.contact.solver import ContactSolver
+from thinlayer.contact.solver import ContactFinder
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.linear_solvers import solve_linear
 from thinlayer.solving.uniqueness import pieces
@@ -133,14 +133,14 @@ def test_options_do_not_weaken_the_check(make, method, options):
 @pytest.mark.parametrize("solver", ["linear", "newton", "condensed", "multigrid", "relaxation", "contact newton"])
 def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
     """Whoever finds the unknowns: a thousandth more of them is no equilibrium."""
-    for finder in (Equilibrium, ContactSolver):
+    for finder in (Equilibrium, ContactFinder):
 
-        def advance(self, *given, real=finder.advance):
-            x, steps, residual = real(self, *given)
-            x.scale(1.001)
-            return x, steps, residual
+        def find(self, *given, real=finder.find):
+            found = real(self, *given)
+            found.x.scale(1.001)
+            return found
 
-        monkeypatch.setattr(finder, "advance", advance)
+        monkeypatch.setattr(finder, "find", find)
     model = linear() if solver == "linear" else yielding() if solver == "newton" else contact()
     with pytest.raises(SolveError, match="no equilibrium"):
         solve(model, method=solver.removeprefix("contact "))

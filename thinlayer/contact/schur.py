@@ -1,8 +1,8 @@
 """A sparse symmetric matrix condensed to a few unknowns: MUMPS's Cholesky factor with Schur complement, through PETSc.
 
 What was measured on the bar of `performance`, over the time of a contact solve: the triangle copied in C saves 13 %
-against scipy.sparse and 10 % against PETSc's own permutation, right-hand sides declared as sparse save 6 %, the order of
-nodes 10 % with 128 squares and 30 % with 256.
+against scipy.sparse and 10 % against PETSc's own permutation, 3 % of them by reading ahead; right-hand sides declared as
+sparse save 6 %, the order of nodes 10 % with 128 squares and 30 % with 256.
 """
 
 from __future__ import annotations

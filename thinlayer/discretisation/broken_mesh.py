@@ -49,8 +49,8 @@ class BrokenMesh:
 
     Attributes:
         mesh, bodies, facet_tags: as given.
-        dS: measure of the facets between bodies, dS(value); "+" is the upper side. UFL allows one set of tags for all
-            integrals dS of a form: use this measure for other terms on facets of S in it, too.
+        dS: measure of the facets between bodies, dS(value); "+" is the upper side. DOLFINx allows one set of tags
+            for all integrals dS of a form: use this measure for other terms on facets of S in it, too.
 
     Raises:
         ModelError: cells without a body, bodies that meet outside S, facets of S inside a body, facets whose sides the rule

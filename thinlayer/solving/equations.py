@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cached_property, reduce
 from operator import or_
 from typing import TypeVar
@@ -19,11 +18,11 @@ from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.parts.making import parts_of
 from thinlayer.parts.part import DISPLACEMENTS, Block, Interval, Part, PartTraits
 from thinlayer.solving.balance import free_norm, require_equilibrium
+from thinlayer.solving.force_scale import ForceScale
 from thinlayer.solving.layout import Layout
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
-ROUNDING = 1e-8  # times 1e-6, the largest residual: stiffness times displacement is rounded to 1e-14
 Kind = TypeVar("Kind", bound=Part)
 
 
@@ -42,11 +41,7 @@ class Equations:
         mean_stiffness: mean size of the diagonal entries of K.
         failed: number of points where parts failed in the last residual.
         eased: ease of the parts, 0: themselves.
-        scale: size of the forces in the last residual: of the parts that tell, of the loads, of what was out of balance at
-            the start of the step, or of what rounding leaves of the stresses of stiff bodies that supports move.
-        unbalanced: forces out of balance at the start of the step, if `start` was asked; they may be all the forces there
-            are, as where an eigenstrain ends in a state without stress.
-        least_residual: what rounding leaves of the forces of stiff bodies that supports move.
+        scale: what residuals are measured by; the forces of stresses are those of the parts that tell.
     """
 
     def __init__(self, model: Model) -> None:
@@ -62,10 +57,10 @@ class Equations:
         self._matrix = TangentMatrix(self.comm, self._layout.sizes)
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
         diagonal = self.K.getDiagonal()
-        self._stiffness = float(diagonal.norm())
+        cancelling = max(part.cancelling for part in self.parts)
+        self.scale = ForceScale(float(diagonal.norm()), cancelling)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
-        self._cancelling = max(part.cancelling for part in self.parts)
         self._tangent: PETSc.Mat | None = None
         self._forces, self.loads = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
         self.failed, self.eased, self._lack = 0, 0.0, 0.0
@@ -103,7 +98,7 @@ class Equations:
     # ---------------------------------------------------------------- uniqueness
     @cached_property
     def _rigid(self) -> RigidMotions:
-        return RigidMotions(self.model, self.held, self._stiffness)
+        return RigidMotions(self.model, self.held, self.scale.stiffness)
 
     def require_unique(self) -> None:
         """Raise SolveError if a piece of a body can move freely: by the last tangent, or what parts resist at the last u.
@@ -142,27 +137,14 @@ class Equations:
         self.prescribed = self.history.prescribed_at(interval.t)
         farthest = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
-        self._rounding = ROUNDING * self._stiffness * max(farthest, moved)
-        self.least_residual = np.finfo(float).eps * self._stiffness * farthest
-        self.unbalanced = 0.0
+        self.scale.begin(float(self.loads.norm()), farthest, moved)
         for part in self.parts:
             part.begin(interval)
 
-    def rounding_at(self, x: PETSc.Vec) -> float:
-        """What rounding leaves of the forces at unknowns x, about."""
-        stiffness = max(self._stiffness, self._cancelling)
-        return float(np.finfo(float).eps * stiffness * x.norm(PETSc.NormType.INFINITY))
-
-    @property
-    def least_scale(self) -> float:
-        """Size of the loads, of what a step has to balance, or of what rounding leaves where supports move stiff bodies."""
-        return max(float(self.loads.norm()), self.unbalanced, self._rounding)
-
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """The residual at the displacements before the step, to which `unbalanced` is set."""
+        """The residual at the displacements before the step, as what is out of balance at its start."""
         self.residual(x, out)
-        size = free_norm(self, out)
-        self.unbalanced = size if math.isfinite(size) else 0.0
+        self.scale.start(free_norm(self, out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads, then the parts' own residuals. NaN where a part failed."""
@@ -173,17 +155,18 @@ class Equations:
         mid.axpy(1 - theta, self.interval.old.u.x.petsc_vec)
         self._mid.x.scatter_forward()
         self._forces.set(0.0)
-        self.scale = self.least_scale
+        sizes = []
         for part in self.parts:
             part.evaluate(self.u, self._mid)
-            self.scale = max(self.scale, part.add_forces(self._forces))
+            sizes.append(part.add_forces(self._forces))
+        self.scale.see(*sizes)
         self._forces.axpy(-1.0, self.loads)
         self.failed = sum(part.failed for part in self.parts)
         rows = self._layout.split(out.array)
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
         for part in self._with_own:
             rows[part.key][:] = part.own_residual()
-        self._lack = free_norm(self, out) / max(self.scale, 1e-300) if self.traits.singular else 0.0
+        self._lack = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
 
     def failure(self) -> str:
         """What failed in the last residual, and where; "" if nothing did."""

@@ -7,8 +7,9 @@ import math
 from petsc4py import PETSc
 
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import LARGEST_RESIDUAL
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.finder import Found
+from thinlayer.solving.force_scale import ALLOWED
 from thinlayer.solving.linear_solvers import mark, tell_multigrid
 from thinlayer.solving.newton import newton, reason_name
 from thinlayer.solving.options import PREFIX
@@ -17,16 +18,15 @@ REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov m
 WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
 UNDETERMINED = 1e-3  # of the displacements, that rounding may change after a direct solve
 OVERSHOOT = 10.0  # residual of a first step over the forces
-FARTHEST = 1e4  # displacements of a first step over the old ones
+UNRESISTED = 1e4  # displacements of a first step over the old ones: where all yields, nothing resists
 
 
 class Equilibrium:
-    """Finds the unknowns at the end of a step; keeps a factor as long as the matrix stays the same.
+    """Finds the unknowns at the end of a step: a `Finder` that keeps a factor as long as the matrix stays the same.
 
     Attributes:
         equations: of the model, which know the step.
         curved: whether Newton's method follows the linear step.
-        x: the unknowns found last.
         reused: whether the last step took the factor of an earlier one.
     """
 
@@ -37,30 +37,30 @@ class Equilibrium:
         self._factored: tuple[float, float] | None = None
         self.reused = False
         self._vectors = [equations.vector() for _ in range(4)]
-        self.x = self._vectors[0]
 
-    def drop_factor(self) -> None:
-        """Forget the factor of the last matrix."""
+    def forget(self) -> bool:
+        """Drop the factor of the last matrix; whether the last step took that of an earlier one."""
         if self._ksp is not None:
             self._ksp.destroy()
         self._ksp = self._factored = None
-        self.reused = False
+        was_reused, self.reused = self.reused, False
+        return was_reused
 
     def close(self) -> None:
         """Free vectors and factor."""
-        self.drop_factor()
+        self.forget()
         for vector in self._vectors:
             vector.destroy()
 
-    def advance(self, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
-        """Unknowns at the end of the step, iterations, residual; with `begin`, Newton's method starts there.
+    def find(self, start: PETSc.Vec | None = None) -> Found:
+        """Unknowns at the end of the step; with `start`, Newton's method begins there.
 
         Errors as in `solve`.
         """
         equations = self.equations
         x, r, d, move = self._vectors
-        if begin is not None:
-            begin.copy(x)
+        if start is not None:
+            start.copy(x)
             equations.residual(x, r)
             return self._newton(x, r)
         held = equations.held
@@ -75,7 +75,7 @@ class Equilibrium:
             equations.start(x, r)
         if equations.failed:
             raise SolveError(f"at the start of the step {equations.failure()}")
-        forces = equations.scale
+        forces = equations.scale.forces
         if self.curved:
             self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
@@ -85,7 +85,7 @@ class Equilibrium:
         else:
             self._prepare(move, r)
         iterations = self._solve_linear(r, d)
-        if self._yields and x.norm() > 0 and not d.norm() <= FARTHEST * x.norm():  # where all yields nothing resists
+        if self._yields and x.norm() > 0 and not d.norm() <= UNRESISTED * x.norm():
             self._elastic_step(x, r, d, move)
         if self.curved and not math.isfinite(d.norm()):
             raise SolveError(
@@ -100,7 +100,7 @@ class Equilibrium:
         if self.curved:
             self._retreat(x, r, d, move, forces)
             return self._newton(x, r)
-        return x, iterations, self._refine(x, r, d)
+        return Found(x, iterations, self._refine(x, r, d))
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
@@ -140,7 +140,7 @@ class Equilibrium:
         else:
             equations.require_unique()
         mark(A, equations.model, saddle=equations.traits.saddle)
-        self.drop_factor()
+        self.forget()
         self._ksp = ksp = PETSc.KSP().create(equations.comm)
         ksp.setOptionsPrefix(PREFIX)
         ksp.setOperators(A)
@@ -173,9 +173,8 @@ class Equilibrium:
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             ksp.solve(r, d)
-            size = max(
-                x.norm(), equations.interval.old.u.x.petsc_vec.norm()
-            )  # loads that end at zero leave displacements that are rounding
+            old = equations.interval.old.u.x.petsc_vec  # loads that end at zero leave displacements that are rounding
+            size = max(x.norm(), old.norm())
             if first and direct and d.norm() > UNDETERMINED * size:
                 raise SolveError(
                     "no unique solution: rounding of the forces changes the displacements by "
@@ -191,12 +190,12 @@ class Equilibrium:
                     x.axpy(-1.0, d)
                 break
             residual = refined
-        if not residual < LARGEST_RESIDUAL:
+        if not residual < ALLOWED:
             equations.put_state(equations.interval.old, d)
             equations.start(d, r)
             equations.residual(x, r)
             residual = self._relative(r)
-        if not residual < LARGEST_RESIDUAL:
+        if not residual < ALLOWED:
             hints = "".join(f", or {part.hint}" for part in equations.parts if part.hint)
             raise SolveError(
                 f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
@@ -207,16 +206,16 @@ class Equilibrium:
 
     def _relative(self, r: PETSc.Vec) -> float:
         """Residual where nothing is held, over the forces."""
-        return self._free_norm(r) / max(self.equations.scale, 1e-300)
+        return self.equations.scale.relative(self._free_norm(r))
 
     def _free_norm(self, r: PETSc.Vec) -> float:
         r.array[self.equations.held] = 0.0
         return float(r.norm())
 
-    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
+    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> Found:
         steps, residual = newton(
             self.equations, x, r, own_test=self._own_test, hopeless=self._yields, advice=self._advice
         )
         if not self.equations.traits.releases:
             self.equations.require_unique()
-        return x, steps + 1, residual
+        return Found(x, steps + 1, residual)

@@ -27,7 +27,7 @@ FIRST, LEAST = 1.0, 1e-12  # stiffness of the springs, over the mean one of the 
 SOFTER = 10.0  # stiffness over that of the next springs
 NEAR = 1.3  # growth of the distance with SOFTER springs near an equilibrium
 FAR = 30.0  # distance over that of an elastic layer: laws that flow at a limit go farther, others do not come so far
-FARTHEST = 1e6  # there is no need to go on
+FAR_ENOUGH = 1e6  # distance over that of an elastic layer, from which on it is known that they run away
 TOLERANCE = 1e-3  # residual over the forces of the springs: their solution is only on the way
 ITERATIONS, CUTS = 40, 6  # of Newton's method, and of a step of it
 MEMORY = 6  # steps over the largest of whose residuals a new one may not grow
@@ -75,7 +75,7 @@ class Restraint:
         self._start(step)
         distance, softer, settled = 0.0, SOFTER, False
         self._stiffness = FIRST * self._unit
-        while self._stiffness > LEAST * self._unit and distance < FARTHEST * elastic:
+        while self._stiffness > LEAST * self._unit and distance < FAR_ENOUGH * elastic:
             if not self._solve():
                 if softer < SOFTER or not distance:
                     break

@@ -36,7 +36,7 @@ class ErrorEstimate:
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(halves.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
-        least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale])
+        least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale.forces])
         sizes = np.maximum(sizes, least)
         share = np.divide(apart, sizes, out=np.zeros(3), where=sizes > 0)
         return float(share.max()) / (2**order - 1)

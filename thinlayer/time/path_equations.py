@@ -70,7 +70,7 @@ class PathEquations:
         self._require_law()
         self.r.array[held] = 0.0
         size = float(self.r.norm())
-        return size / max(equations.scale, 1e-300) if size <= aim(equations, self.x) else None
+        return equations.scale.relative(size) if size <= aim(equations, self.x) else None
 
     def _begin(self, last: State, t: float) -> None:
         try:
