@@ -48,23 +48,14 @@ class ContactLaw(Law):
     def check(self) -> None:
         positive(self, "K_N", "K_T")
 
-    @property
-    def in_series(self) -> bool:
-        return False
+    def _told_by_methods(self) -> dict[str, bool]:
+        return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
 
     def per_thickness(self, eps: float) -> Self:
         raise LawError(
             f"{type(self).__name__} has no thickness: K_N and K_T are per length already; "
             f"of a layer of thickness eps: {type(self).__name__}.of_layer(lmbda / eps, mu / eps, ...)"
         )
-
-    def plane_stress(self) -> Self:
-        """The law itself: jumps and tractions know no plane."""
-        return self
-
-    @property
-    def has_energy(self) -> bool:
-        return self.memory
 
     def threshold(self, p: Array) -> Array:
         """Largest |t_T| at a pressure."""

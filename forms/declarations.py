@@ -8,20 +8,20 @@ import math
 import sys
 import warnings
 from collections.abc import Mapping
-from numbers import Real
 from typing import Any
 
-OURS = ("forms", "geometry", "thinlayer")  # packages
-DEFAULTS = ("forms.law", "forms.traction", "forms.kernel", "forms.contact")  # modules of the base classes
+from thinlayer_base import PACKAGES, InputError, is_number
+
+DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))  # of the base classes
 ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
 CHANGES = ("advance", "evolve")  # of its memory
 OF_ANSWERS = ("stiffness", "gradient", "plane_stress", "otherwise", "energetic")  # what is written for one stress alone
 ENERGIES = ("energy", "dissipation", "dissipated")
-SHAPES = ((), (3,), (3, 3))  # of internal variables
+SIZES = {(): 1, (3,): 3, (3, 3): 6}  # numbers in an internal variable of a shape
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
-class LawError(ValueError):
+class LawError(InputError):
     """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
 
 
@@ -33,7 +33,7 @@ def warn_of_range(message: str) -> None:
     """Issue a RangeWarning, at the line that called this package."""
     show_warnings()
     level, frame = 1, sys._getframe()
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OURS:
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
         level, frame = level + 1, frame.f_back
     warnings.warn(message, RangeWarning, stacklevel=level)
 
@@ -43,11 +43,6 @@ def show_warnings() -> None:
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value is a real number; True and False are none."""
-    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def require_dataclass(kind: type) -> None:
@@ -68,12 +63,12 @@ def take_back(kind: Any) -> None:
         if _is_of_another(kind, name, ANSWERS + CHANGES):
             _reset(kind, name)
     written = [name for name in ENERGIES if _own(kind, name)]
-    unchecked = kind.rate or kind.internal or not kind.symmetric
+    unchecked = getattr(kind, "rate", False) or kind.internal or not getattr(kind, "symmetric", True)
     if unchecked and all(_is_of_another(kind, name, ANSWERS) for name in written):
         for name in written:
             _reset(kind, name)
     if _own(kind, "quadratic") and _place(kind, "energy") < _place(kind, "quadratic"):
-        _reset(kind, "quadratic")
+        kind.quadratic = False
 
 
 def _is_of_another(kind: Any, name: str, answers: tuple[str, ...]) -> bool:
@@ -101,9 +96,8 @@ def _place(kind: Any, name: str) -> int:
 
 def _reset(kind: Any, name: str) -> None:
     """Give a class the default of all laws."""
-    setattr(
-        kind, name, next(vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULTS and name in vars(one))
-    )
+    defaults = (vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULTS and name in vars(one))
+    setattr(kind, name, next(defaults, None))
 
 
 def require_declarations(law: Any) -> None:
@@ -123,8 +117,8 @@ def require_declarations(law: Any) -> None:
                 f"{kind.__name__}: parameters() gives a function for {name}; it must give a number, NaN where it varies"
             )
     for name, shape in law.internal.items():
-        if shape not in SHAPES:
-            allowed = ", ".join(map(str, SHAPES))
+        if shape not in SIZES:
+            allowed = ", ".join(map(str, SIZES))
             raise LawError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
     _require_phases(law)
     _require_asked(law)
@@ -137,8 +131,8 @@ def _require_asked(law: Any) -> None:
     for one in kind.ignored:
         if _own(kind, one) and _place(kind, one) < answering:
             raise LawError(
-                f"{name} has a method {one} that is never asked: the answers are the kernel, the source or the sublayers "
-                f"of {kind.__mro__[answering].__name__}; change those, or write a Law"
+                f"{name} has a method {one} that is never asked: the answers are the kernel, the source, the sublayers or "
+                f"the traction of {kind.__mro__[answering].__name__}; change those, or write a BulkLaw"
             )
     if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
         raise LawError(
@@ -149,11 +143,11 @@ def _require_asked(law: Any) -> None:
         raise LawError(
             f"{name} has a method {advancing[0]} and no internal variables; write internal = {{name: shape}}"
         )
-    if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.has_energy:
+    if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
         raise LawError(f"{name} declares a dissipation and no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
         raise LawError(f"{name} has a method at, and says that no parameters vary; write varies = True in the class")
-    if _own(kind, "otherwise") and kind.otherwise is not None and not law.pointwise:
+    if _own(kind, "otherwise") and kind.otherwise is not None and not law.traits.compiled:
         raise LawError(f"{name} has a law otherwise, and holds everywhere; write a method holds(step), a UFL condition")
 
 
@@ -167,11 +161,11 @@ def _own(kind: Any, name: str) -> bool:
 
 def _require_phases(law: Any) -> None:
     kind, name = type(law), type(law).__name__
-    if kind.phases is True and law.internal.get("phase") != ():
+    if getattr(kind, "phases", False) is True and law.internal.get("phase") != ():
         raise LawError(f"{name} has phases = True; it needs an internal variable 'phase' of shape (), a UFL law")
-    if kind.switches is not True:
+    if getattr(kind, "switches", False) is not True:
         return
-    if kind.phases is not True or any(law.internal.get(one) != () for one in SWITCHED):
+    if getattr(kind, "phases", False) is not True or any(law.internal.get(one) != () for one in SWITCHED):
         raise LawError(f"{name} has switches = True; it needs phases = True and the scalars {SWITCHED} in internal")
     for method in ("excess", "switched"):
         if not callable(getattr(law, method, None)):

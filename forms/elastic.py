@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from scipy.spatial.transform import Rotation
 
-from forms.declarations import is_number
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame, lift
-from forms.law import Law, LawError, Step, require
+from forms.law import BulkLaw, LawError, Step, choice, require
+from thinlayer_base import is_number
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 OUT_OF_PLANE = [2, 3, 4]
@@ -25,21 +25,21 @@ def lame(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
 
 
-def require_moduli(law: Law, lmbda: float, mu: float) -> None:
+def require_moduli(law: BulkLaw, lmbda: float, mu: float) -> None:
     """Raise LawError unless mu > 0 and lmbda + 2 mu/3 > 0."""
     require(math.isfinite(mu) and mu > 0, law, "mu", mu, "> 0")
     bound = -2 / 3 * mu
     require(math.isfinite(lmbda) and lmbda > bound, law, "lmbda", lmbda, f"> -2 mu/3 = {bound:g}")
 
 
-def isotropic_stiffness(law: Law, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(6, 6) in Mandel's order, of the parameters lmbda and mu: `Law.stiffness` of laws that are isotropic at rest."""
+def isotropic_stiffness(law: BulkLaw, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(6, 6) in Mandel's order, of the parameters lmbda and mu: `BulkLaw.stiffness` of laws that are isotropic at rest."""
     named = law.parameters()
     identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     return float(named["lmbda"]) * np.outer(identity, identity) + 2 * float(named["mu"]) * np.eye(6)
 
 
-class LinearLaw(Law):
+class LinearLaw(BulkLaw):
     """A law with a constant stiffness tensor."""
 
     linear = True
@@ -123,7 +123,7 @@ class Anisotropic(LinearLaw):
     """
 
     C: npt.NDArray[np.float64]
-    frame: str = "global"
+    frame: str = choice("global")
     powers: ClassVar = {"C": 1}
 
     def check(self) -> None:
@@ -146,9 +146,6 @@ class Anisotropic(LinearLaw):
             if not (math.isfinite(value) and (value > 0 or (value == 0 and name == "K_T"))):
                 raise LawError(f"Anisotropic.springs: {name} is {value}; allowed: {allowed}")
         return cls(np.diag([0, K_N, 0, K_T, 0, K_T]), "layer")
-
-    def parameters(self) -> dict[str, Any]:
-        return {"C": self.C}
 
     def stress(self, step: Step) -> Expr:
         if self.frame == "layer" and step.n is None:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
-from forms.law import Law
+from forms.law import BulkLaw, LawError
 
 
-class KernelLaw(Law):
+class KernelLaw(BulkLaw):
     """A law for what UFL cannot express: an implicit update, a return mapping.
 
     Subclasses are frozen dataclasses like other laws, with their parameters as fields, and give `kernel`: a function of one
@@ -42,10 +42,8 @@ class KernelLaw(Law):
     kernel: ClassVar[Callable[..., bool]]
     source: ClassVar[Path | None] = None
 
-    @property
-    def pointwise(self) -> bool:
-        return True
-
-    @property
-    def has_energy(self) -> bool:
-        return self.energetic
+    def _told_by_methods(self) -> dict[str, bool]:
+        if not isinstance(self.memory, int) or self.memory < 0:
+            raise LawError(f"{type(self).__name__}: memory is {self.memory!r}; allowed: a whole number >= 0")
+        told = {"compiled": True, "in_ufl": False, "has_energy": bool(self.energetic), "remembers": self.memory > 0}
+        return super()._told_by_methods() | told

@@ -5,18 +5,24 @@ from __future__ import annotations
 import copy
 import inspect
 import math
+import sys
+import typing
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, NamedTuple, Self
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, fields
+from functools import cache, cached_property
+from types import SimpleNamespace, UnionType
+from typing import Any, ClassVar, NamedTuple, Self, get_args, get_origin
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.declarations import SIZES, require_dataclass, require_declarations, take_back
 from forms.declarations import LawError as LawError
-from forms.declarations import is_number, require_dataclass, require_declarations, take_back
 from forms.kinematics import Expr
+from forms.traits import Traits
+from thinlayer_base import is_number
 
 
 class Step(NamedTuple):
@@ -26,7 +32,7 @@ class Step(NamedTuple):
         e: strain at the end of the step, (3, 3). Laws without rate and internal variables are told of no step: for their
             stress and `holds`, in a body, in the layer, on S and in a `Stack`, it is the strain at t + theta dt.
         n: director of the layer: unit, from the lower to the upper body. None inside a body. (3,) for laws that act at
-            points (`Law.pointwise`, and in a `Stack`), in 2D with a zero; (d,) for those whose stress is a part of a form.
+            points (`Traits.compiled`), in 2D with a zero; (d,) for those whose stress is a part of a form.
             `forms.kinematics.lift(n)` is (3,) in both.
         e_old: strain at the beginning. None where there is no time, and for laws without rate and internal variables.
         q: internal variables at the beginning, by name.
@@ -70,47 +76,29 @@ class _NoRate(Step):
         raise LawError("a law that asks for step.rate must declare rate = True")
 
 
+def choice(default: Any) -> Any:
+    """A field of a law that is no number: it chooses among equations, and each of its values is compiled by itself."""
+    return field(default=default, metadata={"choice": True})
+
+
 @dataclass(frozen=True, eq=False)  # laws without an == of their own are equal to themselves alone
 class Law:
-    """Base of the laws: a frozen dataclass whose fields are its parameters.
+    """Base of the three contracts of laws: a frozen dataclass whose fields are its parameters.
 
-    A law is written for real moduli. Its parameters in a layer are given *per thickness*: the real value of a parameter
-    in a layer of thickness eps is value * eps**power, with the power declared here (0 if not named).
+    Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class says what its laws
+    are like by the attributes that `Traits` lists, `linear = True`.
 
     Attributes:
-        powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
-        linear: whether the stress is linear in the strain (affine in the strain at the end of a step).
-        symmetric: whether the tangent is symmetric (there is an energy); checked where the solver relies on it.
-        rate: whether the stress depends on the strain rate. Such a law lets no strain jump in time: it has no
-            instantaneous response, the others answer a sudden load at once.
+        powers: parameter -> power of eps; of a `BulkLaw` alone.
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
-        quadratic: whether the stored energy is a quadratic function of strain and internal variables.
-        constrained: whether the strain's trace is held to zero by a pressure that is a field of its own.
-        yields: whether stresses are bounded in some direction, so that loads may have a limit.
-        otherwise: a law with the same parameters and internal values, for all points in three dimensions and for those in
-            plane strain where this one does not hold (`holds`). Without one such points fail, and steps are shortened.
         functions: parameters that may be given as functions; `parameters` gives numbers for them, NaN where they vary, and
             `at` their values.
-        phases: whether a scalar internal variable "phase" in [-1, 1] says how much of the layer is in phase 1, or -1.
-        switches: whether phases are pure, one for each column of the layer, held in a solve and switched after it: by the
-            methods `excess` and `switched`, from "phase" and the internal variables "drive" and "bound".
-        flat: whether the tangent of a law with an energy may vanish along some strains.
         ignored: methods that are never asked, as others give the answers.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
-    linear: ClassVar[bool] = False
-    symmetric: ClassVar[bool] = True
-    rate: ClassVar[bool] = False
     internal: ClassVar[Mapping[str, tuple[int, ...]]] = {}
-    quadratic: ClassVar[bool] = False
-    constrained: ClassVar[bool] = False
-    yields: ClassVar[bool] = False
-    otherwise: ClassVar[Law | None] = None
     functions: ClassVar[tuple[str, ...]] = ()
-    phases: ClassVar[bool] = False
-    switches: ClassVar[bool] = False
-    flat: ClassVar[bool] = False
     ignored: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -128,13 +116,17 @@ class Law:
 
     def __post_init__(self) -> None:
         for f in fields(self):
+            own = any(f.name in vars(one) for one in type(self).__mro__ if one.__module__ == __name__)
+            require(not own, self, f"the parameter {f.name!r}", "a name that all laws use", "another one")
             allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
             require(
                 not isinstance(getattr(self, f.name), ufl.core.expr.Expr), self, f.name, "a UFL expression", allowed
             )
+        kind: Any = type(self)
         for f in fields(self):
-            self._check_number(f.name, getattr(self, f.name), f.default is None, _of_numbers(f.type))
+            self._check_number(f.name, getattr(self, f.name), f.default is None, f.name in scalars(kind))
         self.check()
+        _ = self.traits  # errors in what the class declares
         require_declarations(self)
 
     def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
@@ -157,20 +149,27 @@ class Law:
     def check_dimension(self, d: int) -> None:
         """Raise LawError if the law cannot serve in a model of dimension d."""
 
-    @property
-    def softens(self) -> bool:
-        """Whether stresses fall as strains grow, so that a meshed layer would localise and steps in time may snap."""
-        return False
+    @cached_property
+    def traits(self) -> Traits:
+        """What the law is like. It is that of a law with numbers, also when symbols or other numbers replace them."""
+        return Traits.of(self, **self._told_by_methods())
+
+    def _told_by_methods(self) -> dict[str, bool]:
+        """The traits that follow from what a class defines."""
+        return {"remembers": bool(self.internal)}
+
+    def of_strains(self) -> BulkLaw:
+        """The law as one of strains, which terms and compiled code take.
+
+        Raises:
+            LawError: a law that acts at nodes.
+        """
+        raise LawError(f"{type(self).__name__} is no law of strains or jumps; derive laws from BulkLaw or TractionLaw")
 
     @property
-    def plateau(self) -> bool:
-        """Whether strains across the layer may grow at constant stress, so that they need not be uniform through it."""
-        return False
-
-    @property
-    def varies(self) -> bool:
-        """Whether parameters vary along the layer or in time; `at` gives those that do."""
-        return False
+    def sublayers(self) -> tuple[tuple[float, Law], ...]:
+        """(fraction of the thickness, law) from the lower to the upper face; of a law that is no Stack itself alone."""
+        return ((1.0, self),)
 
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
         """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
@@ -181,27 +180,79 @@ class Law:
         return {}
 
     @property
-    def in_series(self) -> bool:
-        """Whether the law can be a sublayer of a `Stack`."""
-        return not self.constrained
+    def break_times(self) -> set[float]:
+        """Times at which functions that are given as parameters break, see `thinlayer.piecewise`."""
+        return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
+
+    def parameters(self) -> dict[str, Any]:
+        """Name -> value (number or array) of every parameter; a field that is a `choice` is none."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if "choice" not in f.metadata}
+
+    def choices(self) -> tuple[tuple[str, Any], ...]:
+        """Name and value of every field that is no parameter."""
+        known = self.parameters()
+        return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in known)
+
+    def parameter_values(self) -> npt.NDArray[np.float64]:
+        """The parameters one after the other, (k,)."""
+        values = [np.ravel(np.asarray(value, float)) for value in self.parameters().values()]
+        return np.concatenate([np.empty(0), *values])
+
+    def with_parameters(self, values: Mapping[str, Any]) -> Self:
+        """The same law with other values (numbers or UFL), unchecked."""
+        law = copy.copy(self)
+        object.__setattr__(law, "traits", self.traits)
+        for name, value in values.items():
+            object.__setattr__(law, name, value)
+        return law
+
+    def mapped(self, change: Callable[[Any, float], Any]) -> Self:
+        """The same law with each parameter replaced by change(value, power), unchecked."""
+        changed = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
+        return self.with_parameters(changed)
+
+
+class BulkLaw(Law):
+    """A law of strains, for the material of a layer, and of bodies if it has no rate and no memory.
+
+    A law is written for real moduli. Its parameters in a layer are given *per thickness*: the real value of a parameter
+    in a layer of thickness eps is value * eps**power, with the power declared here (0 if not named).
+
+    A law gives `stress(step)`, and `advance(step)` if it has internal variables; all else is optional. Strains,
+    stresses and tensors are (3, 3), UFL, in a body, in the meshed layer, on S and in a `Stack`.
+
+    Attributes:
+        powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
+        otherwise: a law with the same parameters and internal values, for all points in three dimensions and for those in
+            plane strain where this one does not hold (`holds`). Without one such points fail, and steps are shortened.
+        methods: names of what gives stress and new internal values, for messages.
+    """
+
+    otherwise: ClassVar[BulkLaw | None] = None
+    methods: ClassVar[tuple[str, str]] = ("stress", "advance")
+
+    def _told_by_methods(self) -> dict[str, bool]:
+        kind, said = type(self), Traits.of(self)
+        return super()._told_by_methods() | {
+            "has_energy": kind.energy is not BulkLaw.energy,
+            "eases": kind.eased is not BulkLaw.eased,
+            "relaxes": kind.gradient is not BulkLaw.gradient,
+            "in_series": not (said.constrained or said.switches),
+            "in_ufl": True,
+            "compiled": said.rate or bool(self.internal) or said.varies or kind.holds is not BulkLaw.holds,
+        }
+
+    def of_strains(self) -> BulkLaw:
+        return self
 
     @property
-    def has_energy(self) -> bool:
-        """Whether the law declares its stored energy (and so its dissipation)."""
-        return type(self).energy is not Law.energy
+    def sublayers(self) -> tuple[tuple[float, BulkLaw], ...]:
+        return ((1.0, self),)
 
-    @property
-    def pointwise(self) -> bool:
-        """Whether the law acts on arrays of points, step by step; otherwise its stress is a part of a UFL form."""
-        return self.rate or bool(self.internal) or self.varies or type(self).holds is not Law.holds
-
+    # ---------------------------------------------------------------- equations, UFL
     def stress(self, step: Step) -> Expr:
         """Stress at t + theta dt, (3, 3), symmetric, UFL."""
         raise LawError(f"{type(self).__name__} gives no stress; a law needs a method stress(step)")
-
-    def told(self, step: Step) -> Step:
-        """What the stress is asked with: of laws without rate and internal variables the strain at t + theta dt alone."""
-        return step if self.rate or self.internal else Step(step.mid, step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         """Internal variables at the end of the step, by name, UFL."""
@@ -223,14 +274,20 @@ class Law:
         """Where the law holds, a UFL condition (ufl.lt, ufl.And, ...); `otherwise` answers at the other points."""
         return None
 
-    def eased(self, ease: float) -> Law:
-        """A law between this one (ease = 0) and one whose equilibrium is easily found (1), for continuation."""
-        return self
+    def gradient(self, e: Expr, n: Expr) -> Expr:
+        """How the strain grows through a layer under an interface law of order 1, (3, 3): across its whole thickness.
 
-    @property
-    def can_ease(self) -> bool:
-        """Whether there are such laws."""
-        return type(self).eased is not Law.eased
+        Without this method the layer is held to displacements that are linear through it.
+
+        Args:
+            e: what a layer whose displacements are linear through its thickness would have, sym(grad_S [u]), (3, 3).
+            n: director, (d,).
+        """
+        return e
+
+    def told(self, step: Step) -> Step:
+        """What the stress is asked with: of laws without rate and internal variables the strain at t + theta dt alone."""
+        return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def remainder(self, step: Step) -> Expr:
         """What the time scheme adds to the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
@@ -239,25 +296,17 @@ class Law:
         energies it is the difference itself. Where parameters vary the model takes the difference, whatever this gives.
         """
         new = self.advance(step)
-        if self.quadratic:
+        if self.traits.quadratic:
             increments = {name: new[name] - step.q[name] for name in new}
             return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
         stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
         return ufl.inner(self.stress(self.told(step)), step.e - step.e_old) - stored - self.dissipated(step)
 
-    def gradient(self, e: Expr, n: Expr) -> Expr:
-        """How the strain grows through a layer under an interface law of order 1, (3, 3): across its whole thickness.
-
-        Args:
-            e: what a layer whose displacements are linear through its thickness would have, sym(grad_S [u]), (3, 3).
-            n: director, (d,).
-        """
-        return e
-
+    # ---------------------------------------------------------------- numbers
     @property
-    def relaxes(self) -> bool:
-        """Whether the law gives this gradient itself; else the layer is held to displacements linear through it."""
-        return type(self).gradient is not Law.gradient
+    def memory(self) -> int:
+        """Number of internal values at a point."""
+        return sum(SIZES[shape] for shape in self.internal.values())
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
         """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not say.
@@ -266,28 +315,25 @@ class Law:
         """
         return None
 
-    def plane_stress(self) -> Law:
+    def trial_strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """A strain (3, 3) that the law may be told, made of any matrix a (3, 3) and the director n (3,), to try it."""
+        return (a + a.T) / 2
+
+    # ---------------------------------------------------------------- other laws of the same kind
+    def eased(self, ease: float) -> BulkLaw:
+        """A law between this one (ease = 0) and one whose equilibrium is easily found (1), for continuation."""
+        return self
+
+    def plane_stress(self) -> BulkLaw:
         """The law of in-plane strains whose out-of-plane stresses are zero."""
         raise LawError(
             f"plane stress is not defined for {type(self).__name__}; use plane='strain', or write a method plane_stress "
             "beside its stress"
         )
 
-    def parameters(self) -> dict[str, Any]:
-        """Name -> value (number or array) of every parameter."""
-        return {f.name: getattr(self, f.name) for f in fields(self)}
-
-    def with_parameters(self, values: Mapping[str, Any]) -> Self:
-        """The same law with other values (numbers or UFL), unchecked."""
-        law = copy.copy(self)
-        for name, value in values.items():
-            object.__setattr__(law, name, value)
-        return law
-
-    def mapped(self, change: Callable[[Any, float], Any]) -> Self:
-        """The same law with each parameter replaced by change(value, power), unchecked."""
-        changed = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
-        return self.with_parameters(changed)
+    def in_layer(self, eps: float) -> Self:
+        """The law in a layer of thickness eps (a length > 0), with real parameters, value * eps**power."""
+        return self.mapped(lambda value, power: np.asarray(value, float) * eps**power)
 
     def per_thickness(self, eps: float) -> Self:
         """The law whose real parameters, in a layer of thickness eps (a length > 0), are this law's."""
@@ -297,10 +343,23 @@ class Law:
         return self.mapped(lambda value, power: value * thickness**-power)
 
 
-def _of_numbers(annotation: Any) -> bool:
-    """Whether a field is annotated as a number: "float", float, float | None, also where annotations are no texts."""
-    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
-    return text.removeprefix("typing.").removeprefix("Optional[").startswith(("float", "int"))
+@cache
+def scalars(kind: Any) -> frozenset[str]:
+    """Names of a dataclass's fields that are annotated as one number: float, int, also beside None and functions.
+
+    An annotation that is a text is read in the class's module; one whose names are not there says nothing.
+    """
+    found = set()
+    for f in fields(kind):
+        with suppress(NameError, AttributeError, TypeError, SyntaxError):
+            module = next(one.__module__ for one in kind.__mro__ if f.name in inspect.get_annotations(one))
+            holder = SimpleNamespace(__annotations__={f.name: f.type})
+            hint = typing.get_type_hints(holder, vars(typing) | vars(sys.modules[module]))[f.name]
+            one_of = get_args(hint) if get_origin(hint) in (typing.Union, UnionType) else (hint,)
+            kinds = [get_origin(one) or one for one in one_of]
+            if {float, int}.intersection(kinds) and not {np.ndarray, list, tuple}.intersection(kinds):
+                found.add(f.name)
+    return frozenset(found)
 
 
 def require(condition: bool, law: Law, name: str, value: object, allowed: str) -> None:

@@ -4,7 +4,7 @@ from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tres
 from forms.elastic import Anisotropic, LinearElastic
 from forms.incompressible import Incompressible
 from forms.kernel import KernelLaw
-from forms.law import Law, LawError, Step
+from forms.law import BulkLaw, Law, LawError, Step, choice
 from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
 from forms.series import Stack
@@ -14,6 +14,7 @@ from forms.viscous import KelvinVoigt, Maxwell, Norton
 
 __all__ = [
     "Anisotropic",
+    "BulkLaw",
     "ContactLaw",
     "HolonomicCoulomb",
     "Incompressible",
@@ -36,4 +37,5 @@ __all__ = [
     "Tabulated",
     "TractionLaw",
     "Tresca",
+    "choice",
 ]

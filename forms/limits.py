@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from forms.declarations import LawError
 from forms.limits_bar import Bar as Bar
 from forms.limits_non_monotone import lamination as lamination
 from forms.limits_non_monotone import non_monotone as non_monotone
@@ -149,7 +150,7 @@ def stack_creep(fractions: Sequence[float], jumps: Sequence[Array]) -> Array:
 
 # ---------------------------------------------------------------- Mohr-Coulomb; angles in degrees, (T, N): frame of S
 def mohr_coulomb(
-    lmbda: float, mu: float, C: float, Omega: float, w: Array, w_old: Array, s_old: Array
+    lmbda: float, mu: float, cohesion: float, friction_angle: float, w: Array, w_old: Array, s_old: Array
 ) -> tuple[Array, Array]:
     """Traction (t_T, t_N) and in-plane deviator s = (s_T, s_N) after a step of backward Euler of the full law, psi = 0.
 
@@ -159,27 +160,35 @@ def mohr_coulomb(
     (`mohr_coulomb_holds`). All arguments may be arrays (..., 2); from rest s_old = w_old = 0.
     """
     w, w_old = np.asarray(w, float), np.asarray(w_old, float)
-    angle = np.radians(Omega)
+    angle = np.radians(friction_angle)
     p = (lmbda + mu) * w[..., 1]
     trial = np.asarray(s_old, float) + mu * (w - w_old)
-    R, size = C * np.cos(angle) - p * np.sin(angle), np.linalg.norm(trial, axis=-1)
+    R, size = cohesion * np.cos(angle) - p * np.sin(angle), np.linalg.norm(trial, axis=-1)
     s = trial * np.where(size > R, R / np.where(size > 0, size, 1.0), 1.0)[..., None]
     return s + np.stack([0 * p, p], axis=-1), s
 
 
-def mohr_coulomb_holds(lmbda: float, mu: float, C: float, Omega: float, w_N: Array) -> npt.NDArray[np.bool_]:
+def mohr_coulomb_holds(
+    lmbda: float, mu: float, cohesion: float, friction_angle: float, w_N: Array
+) -> npt.NDArray[np.bool_]:
     """Whether s_33 is the intermediate principal stress where the layer yields at a normal jump: |p| (1 - 2 nu) <= R.
 
     In compression with C = 0 this is nu >= (1 - sin(Omega))/2, in tension p <= C cos(Omega)/(1 - 2 nu + sin(Omega)).
     Beyond, edges or the apex of the yield surface answer, and there is no closed form.
     """
-    angle, p = np.radians(Omega), (lmbda + mu) * np.asarray(w_N, float)
+    angle, p = np.radians(friction_angle), (lmbda + mu) * np.asarray(w_N, float)
     nu = lmbda / (2 * (lmbda + mu))
-    return np.asarray(np.abs(p) * (1 - 2 * nu) <= C * np.cos(angle) - p * np.sin(angle))
+    return np.asarray(np.abs(p) * (1 - 2 * nu) <= cohesion * np.cos(angle) - p * np.sin(angle))
 
 
 def mohr_coulomb_fixed_opening(
-    lmbda: float, mu: float, C: float, Omega: float, w_N: float, w_T: Array, s: tuple[float, float] | None = None
+    lmbda: float,
+    mu: float,
+    cohesion: float,
+    friction_angle: float,
+    w_N: float,
+    w_T: Array,
+    s: tuple[float, float] | None = None,
 ) -> Array:
     """Tractions (..., 2) of the full law, psi = 0, under a shear w_T that grows from a state at fixed w_N. Exact in time.
 
@@ -188,19 +197,19 @@ def mohr_coulomb_fixed_opening(
     to R = C cos(Omega) - p sin(Omega), not to the C - t_N tan(Omega) of Eqs. (34)-(37).
 
     Args:
-        lmbda, mu, C, Omega: of the law.
+        lmbda, mu, cohesion, friction_angle: of the law; C and Omega in the formulas, Omega in degrees.
         w_N: the jump held.
         w_T: shear since the start, all of one sign, monotone.
         s: (s_T, s_N) at the start; default: (0, mu w_N), elastic compression.
 
     Raises:
-        ValueError: a start beyond the yield surface.
+        LawError: a start beyond the yield surface.
     """
-    angle, p, x = np.radians(Omega), (lmbda + mu) * w_N, np.asarray(w_T, float)
-    R = C * np.cos(angle) - p * np.sin(angle)
+    angle, p, x = np.radians(friction_angle), (lmbda + mu) * w_N, np.asarray(w_T, float)
+    R = cohesion * np.cos(angle) - p * np.sin(angle)
     s_T, s_N = (0.0, mu * w_N) if s is None else s
     if not (R > 0 and np.hypot(s_T, s_N) <= R * (1 + 1e-12)):
-        raise ValueError(f"|s| = {np.hypot(s_T, s_N):g} at the start exceeds R = {R:g}")
+        raise LawError(f"|s| = {np.hypot(s_T, s_N):g} at the start exceeds R = {R:g}")
     sign = -1.0 if np.any(x < 0) else 1.0
     first = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
     beyond = (s_T + mu * x - first) / R  # from first yield on
@@ -211,53 +220,69 @@ def mohr_coulomb_fixed_opening(
     return np.stack([t_T, p + np.where(yields, np.sign(s_N) * R / np.cosh(np.minimum(np.abs(angle_y), 300)), s_N)], -1)
 
 
-def first_yield_ratio(nu: float, Omega: float) -> float:
+def first_yield_ratio(nu: float, friction_angle: float) -> float:
     """t_T/|t_N| of the full law at first yield under shear, after elastic compression; C = 0.
 
     sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)); 0 where compression alone makes the layer yield, which it does for
     nu <= (1 - sin(Omega))/2.
     """
-    return float(np.sqrt(max(np.sin(np.radians(Omega)) ** 2 - (1 - 2 * nu) ** 2, 0.0)) / (2 * (1 - nu)))
+    return float(np.sqrt(max(np.sin(np.radians(friction_angle)) ** 2 - (1 - 2 * nu) ** 2, 0.0)) / (2 * (1 - nu)))
 
 
-def apparent_friction(Omega: float, psi: float) -> float:
+def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
     """t_T/|t_N| that lasting shear of the full law tends to for C = 0: sin(Omega) cos(psi)/(1 - sin(Omega) sin(psi)).
 
     Davis' friction coefficient: sin(Omega) for psi = 0, and tan(Omega), the coefficient of Eq. (37), for psi = Omega alone.
     """
-    Omega, psi = np.radians(Omega), np.radians(psi)
-    return float(np.sin(Omega) * np.cos(psi) / (1 - np.sin(Omega) * np.sin(psi)))
+    friction_angle, dilatancy_angle = np.radians(friction_angle), np.radians(dilatancy_angle)
+    return float(
+        np.sin(friction_angle) * np.cos(dilatancy_angle) / (1 - np.sin(friction_angle) * np.sin(dilatancy_angle))
+    )
 
 
 def penalised_coulomb(
-    lmbda: float, mu: float, C: float, Omega: float, w: Array, slip: Array, n: Array, *, unilateral: bool = False
+    lmbda: float,
+    mu: float,
+    cohesion: float,
+    friction_angle: float,
+    w: Array,
+    slip: Array,
+    n: Array,
+    *,
+    unilateral: bool = False,
 ) -> tuple[Array, Array]:
     """Traction and new slip w^p of the monodirectional law, one step: t = K_L (w - w^p), |t_T| <= C - tan(Omega) t_N.
 
     Equations (36)-(38) with the elastic strain, the moduli per thickness, t_T = stress n in place of tau_i, and slip along
     t_T whatever its sign. Where t_N > C cot(Omega) no shear is left. Unilateral: t_N <= 0.
     """
-    return _coulomb(elastic_stiffness(lmbda, mu, n), C, Omega, w, slip, n, unilateral)
+    return _coulomb(elastic_stiffness(lmbda, mu, n), cohesion, friction_angle, w, slip, n, unilateral)
 
 
 def stratified_coulomb(
-    fractions: Sequence[float], stiffnesses: Sequence[Array], C: float, Omega: float, w: Array, slip: Array, n: Array
+    fractions: Sequence[float],
+    stiffnesses: Sequence[Array],
+    cohesion: float,
+    friction_angle: float,
+    w: Array,
+    slip: Array,
+    n: Array,
 ) -> tuple[Array, Array]:
     """Traction and new slip of isotropic sublayers of which one is monodirectional, one step: t = K (w - w^p).
 
     Equations (54)-(55), with the sign of t_T in the flow and K = `stratified`; the threshold is on the common traction
     and w^p is the jump of the plastic sublayer, its fraction of the thickness times that of `penalised_coulomb`.
     """
-    return _coulomb(stratified(fractions, stiffnesses), C, Omega, w, slip, n, False)
+    return _coulomb(stratified(fractions, stiffnesses), cohesion, friction_angle, w, slip, n, False)
 
 
 def _coulomb(
-    K: Array, C: float, Omega: float, w: Array, slip: Array, n: Array, unilateral: bool
+    K: Array, cohesion: float, friction_angle: float, w: Array, slip: Array, n: Array, unilateral: bool
 ) -> tuple[Array, Array]:
     n, slip = np.asarray(n, float), np.asarray(slip, float)
     trial = K @ (np.asarray(w, float) - slip)
     t_N = min(float(trial @ n), 0.0) if unilateral else float(trial @ n)
     shear = trial - (trial @ n) * n
-    bound, size = max(C - np.tan(np.radians(Omega)) * t_N, 0.0), np.linalg.norm(shear)
+    bound, size = max(cohesion - np.tan(np.radians(friction_angle)) * t_N, 0.0), np.linalg.norm(shear)
     t_T = shear * min(1.0, bound / size) if size else shear
     return t_N * n + t_T, slip + np.linalg.solve(K, shear - t_T)

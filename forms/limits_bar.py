@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from forms.declarations import is_number
+from forms.declarations import LawError
 from forms.limits_non_monotone import ROUNDING, Array, fraction, mixed_share, phase_energy, require_pure
+from thinlayer_base import is_number
 
 
 class Response(NamedTuple):
@@ -59,7 +60,7 @@ class Bar:
         eps: share of the layer in the length, 0 <= eps < 1.
 
     Raises:
-        ValueError: a parameter out of range.
+        LawError: a parameter out of range.
     """
 
     l: float  # noqa: E741
@@ -74,10 +75,10 @@ class Bar:
             value, allowed = getattr(self, name), "0 <= eps < 1" if name == "eps" else "> 0"
             number = float(value) if is_number(value) else math.nan
             if not (0 <= number < 1 if name == "eps" else 0 < number < math.inf):
-                raise ValueError(f"Bar: {name} is {value!r}; allowed: {allowed}")
+                raise LawError(f"Bar: {name} is {value!r}; allowed: {allowed}")
         bound = self.alpha**2 / (2 * self.kbar)
         if self.cbar < bound * (1 - ROUNDING):
-            raise ValueError(f"Bar: cbar is {self.cbar!r}; allowed: >= alpha^2/(2 kbar) = {bound:g}")
+            raise LawError(f"Bar: cbar is {self.cbar!r}; allowed: >= alpha^2/(2 kbar) = {bound:g}")
 
     @property
     def sigma_m(self) -> float:
@@ -171,7 +172,7 @@ class Bar:
         """
         x, delta = np.broadcast_arrays(np.asarray(x, float), np.asarray(delta, float))
         if not ((x >= 0) & (x <= self.l)).all():
-            raise ValueError(f"x is in [{x.min():g}, {x.max():g}]; allowed: [0, {self.l:g}]")
+            raise LawError(f"x is in [{x.min():g}, {x.max():g}]; allowed: [0, {self.l:g}]")
         state, thickness = self._response(delta, self.phase(delta)), self.eps * self.l
         body = delta + state.sigma / self.K * (x - self.l)
         if not self.eps:
@@ -192,7 +193,7 @@ class Bar:
         `Response.least` is the global minimiser of n elements; its energy tends to `energy` from above like n^-2.
         """
         if not (isinstance(n, (int, np.integer)) and n >= 1):
-            raise ValueError(f"n is {n!r}; allowed: an integer >= 1")
+            raise LawError(f"n is {n!r}; allowed: an integer >= 1")
         delta = np.asarray(delta, float)[..., None]
         return self._response(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
 
@@ -224,10 +225,10 @@ class Bar:
         d_up = l R (k c/alpha - r alpha/2), d_down = l R (k c/alpha - alpha + r alpha/2) + eps l alpha/k, r = mixing.
 
         Raises:
-            ValueError: mixing not in [0, snap_free[.
+            LawError: mixing not in [0, snap_free[.
         """
         if not mixed_share(mixing) < self.snap_free:
-            raise ValueError(f"mixing = {mixing:g}: no snap; allowed: < (1 - eps)/(K R) = {self.snap_free:g}")
+            raise LawError(f"mixing = {mixing:g}: no snap; allowed: < (1 - eps)/(K R) = {self.snap_free:g}")
         vertices = self.path(mixing)
         return float(vertices[1, 0]), float(vertices[2, 0])
 
@@ -242,5 +243,5 @@ class Bar:
         delta = self.l * self.R * sigma + np.array([0, 0, self.free_elongation])
         last = 2 * delta.max() if end is None else end
         if not last >= delta[2]:
-            raise ValueError(f"end is {end}; allowed: >= {delta[2]:g}, where the layer has changed")
+            raise LawError(f"end is {end}; allowed: >= {delta[2]:g}, where the layer has changed")
         return np.column_stack([[*delta, last], [*sigma, (last - self.free_elongation) / (self.l * self.R)]])

@@ -12,7 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from forms.declarations import is_number
+from forms.declarations import LawError
+from thinlayer_base import is_number
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # relative, of bounds that parameters may meet exactly
@@ -31,7 +32,7 @@ def lamination(lmbda: float, mu: float, chi: Array) -> float:
         chi: symmetric, not zero; (2, 2) in plane strain (k in the plane) or (3, 3).
 
     Raises:
-        ValueError: a modulus or chi out of range.
+        LawError: a modulus or chi out of range.
     """
     _require_moduli(lmbda, mu)
     c = np.linalg.eigvalsh(_orientation(chi))
@@ -41,7 +42,14 @@ def lamination(lmbda: float, mu: float, chi: Array) -> float:
 
 
 def non_monotone(
-    lmbda: float, mu: float, alpha: float, C: float, chi: Array, w: Array, n: Array, mixing: float = 1.0
+    lmbda: float,
+    mu: float,
+    alpha: float,
+    transformation_energy: float,
+    chi: Array,
+    w: Array,
+    n: Array,
+    mixing: float = 1.0,
 ) -> tuple[Array, Array]:
     """Traction (..., d) of jumps w (..., d) and signed phase fraction (...): t = K_L w - phase alpha chi n.
 
@@ -53,25 +61,27 @@ def non_monotone(
     Args:
         lmbda, mu: Lame moduli, stress per thickness.
         alpha: transformation stress, > 0.
-        C: energy per area of the transformed layer, >= g/2 (below, phases 1 and -1 would mix).
+        transformation_energy: C, energy per area of the transformed layer, >= g/2 (below, phases 1 and -1 would mix).
         chi: symmetric (d, d) in the layer's axes: the second is n, the first in 2D (n_2, -n_1).
         w, n: jump, and the unit normal (d,).
         mixing: share of the gain, 0 < mixing <= 1.
 
     Raises:
-        ValueError: a parameter out of range.
+        LawError: a parameter out of range.
     """
     if not mixed_share(mixing) > 0:
-        raise ValueError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
+        raise LawError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
-    if not g / 2 * (1 - ROUNDING) <= C:
-        raise ValueError(f"C = {C:g}; allowed: >= {g / 2:g}, half the gain of mixing")
-    phase = fraction(non_monotone_drive(alpha, C, chi, w, n), C, g)
+    if not g / 2 * (1 - ROUNDING) <= transformation_energy:
+        raise LawError(
+            f"transformation_energy = {transformation_energy:g}; allowed: >= {g / 2:g}, half the gain of mixing"
+        )
+    phase = fraction(non_monotone_drive(alpha, transformation_energy, chi, w, n), transformation_energy, g)
     return _traction(lmbda, mu, alpha, chi, w, n, phase), phase
 
 
 def non_monotone_branch(
-    lmbda: float, mu: float, alpha: float, C: float, chi: Array, w: Array, n: Array, phase: int
+    lmbda: float, mu: float, alpha: float, transformation_energy: float, chi: Array, w: Array, n: Array, phase: int
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Traction (..., d) of a layer all in one phase z = -1, 0 or 1, and whether the phase holds at this jump.
 
@@ -79,8 +89,8 @@ def non_monotone_branch(
     [u_2]. With x = alpha (chi n).w, phase 0 holds for |x| <= C, phases z = -1, 1 for z x >= C.
     """
     require_pure(phase)
-    x = non_monotone_drive(alpha, C, chi, w, n)
-    holds = phase * x >= C if phase else np.abs(x) <= C
+    x = non_monotone_drive(alpha, transformation_energy, chi, w, n)
+    holds = phase * x >= transformation_energy if phase else np.abs(x) <= transformation_energy
     return _traction(lmbda, mu, alpha, chi, w, n, np.full(x.shape, float(phase))), np.asarray(holds)
 
 
@@ -88,7 +98,7 @@ def non_monotone_energy(
     lmbda: float,
     mu: float,
     alpha: float,
-    C: float,
+    transformation_energy: float,
     chi: Array,
     w: Array,
     n: Array,
@@ -101,20 +111,20 @@ def non_monotone_energy(
     """
     mixed_share(mixing)
     if not (np.abs(phase) <= 1).all():
-        raise ValueError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
+        raise LawError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
     g = mixing * alpha**2 * lamination(lmbda, mu, chi)
-    x = non_monotone_drive(alpha, C, chi, w, n)
+    x = non_monotone_drive(alpha, transformation_energy, chi, w, n)
     elastic = np.sum(np.asarray(w, float) * _traction(lmbda, mu, alpha, chi, w, n, 0 * x), axis=-1) / 2
-    return np.asarray(elastic + phase_energy(x, C, g, np.asarray(phase, float)))
+    return np.asarray(elastic + phase_energy(x, transformation_energy, g, np.asarray(phase, float)))
 
 
-def non_monotone_drive(alpha: float, C: float, chi: Array, w: Array, n: Array) -> Array:
+def non_monotone_drive(alpha: float, transformation_energy: float, chi: Array, w: Array, n: Array) -> Array:
     """alpha chi_ij w_i n_j (...), energy per area: what phase 1 gains over phase 0, before its cost C."""
     chi, w, n = _orientation(chi), np.asarray(w, float), np.asarray(n, float)
     if n.shape != chi.shape[:1] or w.shape[-1:] != n.shape or not abs(n @ n - 1) < 1e-9:
-        raise ValueError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
-    if not (0 < alpha < math.inf and 0 < C < math.inf):
-        raise ValueError(f"alpha = {alpha:g}, C = {C:g}; allowed: > 0")
+        raise LawError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
+    if not (0 < alpha < math.inf and 0 < transformation_energy < math.inf):
+        raise LawError(f"alpha = {alpha:g}, transformation_energy = {transformation_energy:g}; allowed: > 0")
     return np.asarray(alpha * w @ _transformation(chi, n))
 
 
@@ -139,38 +149,38 @@ def _transformation(chi: Array, n: Array) -> Array:
 
 def _require_moduli(lmbda: float, mu: float) -> None:
     if not (0 < mu < math.inf and -2 / 3 * mu < lmbda < math.inf):
-        raise ValueError(f"lmbda = {lmbda:g}, mu = {mu:g}; allowed: mu > 0, lmbda > -2 mu/3")
+        raise LawError(f"lmbda = {lmbda:g}, mu = {mu:g}; allowed: mu > 0, lmbda > -2 mu/3")
 
 
 def _orientation(chi: Array) -> Array:
     chi = np.asarray(chi, float)
     if chi.shape not in ((2, 2), (3, 3)) or not np.isfinite(chi).all() or not chi.any():
-        raise ValueError(f"chi is {chi.tolist()}; allowed: (2, 2) or (3, 3), finite, not zero")
+        raise LawError(f"chi is {chi.tolist()}; allowed: (2, 2) or (3, 3), finite, not zero")
     if not np.allclose(chi, chi.T, rtol=1e-10, atol=0):
-        raise ValueError(f"chi is {chi.tolist()}; allowed: symmetric")
+        raise LawError(f"chi is {chi.tolist()}; allowed: symmetric")
     return chi
 
 
 def require_pure(phase: int) -> None:
-    """Raise ValueError unless a phase is one of the three."""
+    """Raise LawError unless a phase is one of the three."""
     if phase not in (-1, 0, 1):
-        raise ValueError(f"phase is {phase!r}; allowed: -1, 0, 1")
+        raise LawError(f"phase is {phase!r}; allowed: -1, 0, 1")
 
 
-def fraction(x: Array, C: float, g: float) -> Array:
+def fraction(x: Array, transformation_energy: float, g: float) -> Array:
     """Signed phase fraction of least energy; without gain, g = 0, phases do not mix."""
-    excess = np.abs(x) - C
+    excess = np.abs(x) - transformation_energy
     return np.asarray(np.sign(x) * (np.clip(0.5 + excess / g, 0, 1) if g else excess > 0))
 
 
-def phase_energy(x: Array, C: float, g: float, phase: Array) -> Array:
+def phase_energy(x: Array, transformation_energy: float, g: float, phase: Array) -> Array:
     """What a signed phase fraction adds to the elastic energy at a drive x."""
     share = np.abs(phase)
-    return np.asarray(C * share - x * phase - share * (1 - share) * g / 2)
+    return np.asarray(transformation_energy * share - x * phase - share * (1 - share) * g / 2)
 
 
 def mixed_share(mixing: float) -> float:
-    """The share itself; raises ValueError unless it is in [0, 1]."""
+    """The share itself; raises LawError unless it is in [0, 1]."""
     if not (is_number(mixing) and 0 <= mixing <= 1):
-        raise ValueError(f"mixing = {mixing!r}; allowed: 0 <= mixing <= 1")
+        raise LawError(f"mixing = {mixing!r}; allowed: 0 <= mixing <= 1")
     return mixing

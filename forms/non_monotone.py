@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.declarations import is_number
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
-from forms.law import Law, LawError, Step, require
+from forms.law import BulkLaw, LawError, Step, require
 from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
 from forms.viscous import isotropic_energy
+from thinlayer_base import is_number
 
 Array = npt.NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Phases(Law):
+class Phases(BulkLaw):
     """Base of the non-monotone laws: phases z = -1, 0, 1 of equal moduli, and what tells one from the other.
 
     A phase has the energy e:C:e/2 - z alpha chi:e + C |z| per volume, stress C:e - z alpha chi; Eq. (39).
@@ -48,12 +48,12 @@ class Phases(Law):
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
         alpha: transformation stress, also in a layer (it does not scale with eps), > 0; or a function of T, in numpy.
-        C: energy of transformation, energy per volume (in a layer: per area, C = real value * eps: the real one is C/eps;
-            section 6.1 prints one power of eps for alpha and C), > 0; or a function of T.
+        transformation_energy: C in the formulas, energy per volume (in a layer: per area, C = real value * eps: the real
+            one is C/eps; section 6.1 prints one power of eps for alpha and C), > 0; or a function of T.
         chi: orientation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D: its second axis is n
             (`forms.kinematics.layer_frame`). chi_22 acts across S, chi_12 along it.
-        T: temperature, where alpha or C depend on it: a number, or a numpy function (x, t) of places (d, n), in the joint
-            before inflating, and the time.
+        T: temperature, where alpha or the transformation energy depend on it: a number, or a numpy function (x, t) of
+            places (d, n), in the joint before inflating, and the time.
 
     Raises:
         LawError: a parameter out of range, a function without a temperature.
@@ -62,11 +62,11 @@ class Phases(Law):
     lmbda: float
     mu: float
     alpha: float | OfTemperature
-    C: float | OfTemperature
+    transformation_energy: float | OfTemperature
     chi: npt.NDArray[np.float64]
     T: float | Field | None = None
-    powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1, "C": -1}
-    functions: ClassVar = ("alpha", "C", "T")
+    powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1, "transformation_energy": -1}
+    functions: ClassVar = ("alpha", "transformation_energy", "T")
     phases: ClassVar = True
     stiffness = isotropic_stiffness
 
@@ -85,7 +85,7 @@ class Phases(Law):
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
     def _check_temperature(self) -> None:
-        for name in ("alpha", "C"):
+        for name in ("alpha", "transformation_energy"):
             if callable(getattr(self, name)) and self.T is None:
                 raise LawError(
                     f"{type(self).__name__}: {name} is a function of T; give T, a number or a function (x, t)"
@@ -94,14 +94,14 @@ class Phases(Law):
             require(is_number(self.T) and math.isfinite(self.T), self, "T", repr(self.T), "a number, a function")
         if not self.varies:
             numbers = self.parameters()
-            self._check_phases(numbers["alpha"], numbers["C"], lambda k: "")
+            self._check_phases(numbers["alpha"], numbers["transformation_energy"], lambda k: "")
 
     def check_dimension(self, d: int) -> None:
         require(len(self.chi) == d, self, "shape of chi", self.chi.shape, f"({d}, {d}) in a model of dimension {d}")
 
-    def _check_phases(self, alpha: Any, C: Any, where: Callable[[int], str]) -> None:
+    def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
         """Raise LawError unless these values, (n,) or numbers, are in range; `where` tells the place of the k-th."""
-        for name, values in {"alpha": alpha, "C": C}.items():
+        for name, values in {"alpha": alpha, "transformation_energy": transformation_energy}.items():
             values = np.ravel(values).astype(float)
             bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
             for k in bad[np.argsort(values[bad])][:1]:
@@ -114,20 +114,23 @@ class Phases(Law):
     def parameters(self) -> dict[str, Any]:
         values = super().parameters()
         if self.varies:
-            return values | dict.fromkeys(("alpha", "C", "T"), math.nan)
+            return values | dict.fromkeys(("alpha", "transformation_energy", "T"), math.nan)
         if self.T is None:
             return values | {"T": 0.0}
         if not is_number(self.T):
             return values
-        functions, T = [name for name in ("alpha", "C") if callable(values[name])], np.array([self.T], float)
+        functions, T = (
+            [name for name in ("alpha", "transformation_energy") if callable(values[name])],
+            np.array([self.T], float),
+        )
         return values | {name: float(evaluated(self, name, values[name], T)[0]) for name in functions}
 
     def at(self, x: Array, t: float) -> dict[str, Array]:
         if not self.varies:
             return {}
         T = temperatures(self, self.T, x, t)  # type: ignore[arg-type]
-        values = {name: evaluated(self, name, getattr(self, name), T) for name in ("alpha", "C")}
-        self._check_phases(values["alpha"], values["C"], lambda k: place(x, t, k))
+        values = {name: evaluated(self, name, getattr(self, name), T) for name in ("alpha", "transformation_energy")}
+        self._check_phases(values["alpha"], values["transformation_energy"], lambda k: place(x, t, k))
         return values | {"T": T}
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Phases:
@@ -135,7 +138,7 @@ class Phases(Law):
         if not self.varies:
             return law.with_parameters({"T": None})
         return law.with_parameters(
-            {name: self._mapped_function(name, change) for name in ("alpha", "C")} | {"T": self.T}
+            {name: self._mapped_function(name, change) for name in ("alpha", "transformation_energy")} | {"T": self.T}
         )
 
     def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | OfTemperature:
@@ -185,9 +188,9 @@ class NonMonotone(Phases):
 
     mixing: float = 1.0
     G: float = field(init=False, repr=False, default=0.0)
-    powers: ClassVar = {"lmbda": 1, "mu": 1, "C": -1, "G": -1}
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "transformation_energy": -1, "G": -1}
     internal: ClassVar = {"phase": (), "stored": ()}
-    flat: ClassVar = True
+    singular: ClassVar = True
 
     def check(self) -> None:
         require(0 < self.mixing <= 1, self, "mixing", self.mixing, "0 < mixing <= 1")
@@ -195,12 +198,14 @@ class NonMonotone(Phases):
         object.__setattr__(self, "G", lamination_gain(self.lmbda, self.mu, self.chi))
         self._check_temperature()
 
-    def _check_phases(self, alpha: Any, C: Any, where: Callable[[int], str]) -> None:
-        super()._check_phases(alpha, C, where)
-        values, least = map(np.ravel, np.broadcast_arrays(C, self.mixing * self.G * np.square(alpha) / 2))
+    def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
+        super()._check_phases(alpha, transformation_energy, where)
+        values, least = map(
+            np.ravel, np.broadcast_arrays(transformation_energy, self.mixing * self.G * np.square(alpha) / 2)
+        )
         for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
             allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
-            require(False, self, f"C{where(k)}", f"{values[k]:g}", allowed)
+            require(False, self, f"transformation_energy{where(k)}", f"{values[k]:g}", allowed)
 
     @property
     def softens(self) -> bool:
@@ -219,7 +224,7 @@ class NonMonotone(Phases):
 
     def _fraction(self, m: Expr) -> Expr:
         """Fraction of the phase that the drive m favours."""
-        return ufl.min_value(ufl.max_value((abs(m) - self.C) / self._gain + 0.5, 0.0), 1.0)
+        return ufl.min_value(ufl.max_value((abs(m) - self.transformation_energy) / self._gain + 0.5, 0.0), 1.0)
 
     def _phase(self, m: Expr) -> Expr:
         return ufl.conditional(ufl.lt(m, 0), -1.0, 1.0) * self._fraction(m)
@@ -235,7 +240,7 @@ class NonMonotone(Phases):
     def energy(self, step: Step) -> Expr:
         m = self._drive(step.e, step.n)
         theta, g = self._fraction(m), self._gain
-        mixed = theta * (abs(m) - self.C) + theta * (1 - theta) * g / 2
+        mixed = theta * (abs(m) - self.transformation_energy) + theta * (1 - theta) * g / 2
         return isotropic_energy(self.lmbda, self.mu, step.e) - mixed
 
 
@@ -258,20 +263,25 @@ class NonMonotoneUnrelaxed(Phases):
     internal: ClassVar = {"phase": (), "stored": (), "drive": (), "bound": ()}
     switches: ClassVar = True
 
-    @property
-    def in_series(self) -> bool:
-        return False
-
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid) - step.q["phase"] * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         drive = self._drive(step.e, step.n)
-        return {"phase": step.q["phase"], "stored": self.energy(step), "drive": drive, "bound": ufl.as_ufl(self.C)}
+        return {
+            "phase": step.q["phase"],
+            "stored": self.energy(step),
+            "drive": drive,
+            "bound": ufl.as_ufl(self.transformation_energy),
+        }
 
     def energy(self, step: Step) -> Expr:
         z = step.q["phase"]
-        return isotropic_energy(self.lmbda, self.mu, step.e) - z * self._drive(step.e, step.n) + abs(z) * self.C
+        return (
+            isotropic_energy(self.lmbda, self.mu, step.e)
+            - z * self._drive(step.e, step.n)
+            + abs(z) * self.transformation_energy
+        )
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
         """By how much the energy of another phase is lower, over C; (n,), <= 0 where none is."""

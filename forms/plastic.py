@@ -9,30 +9,32 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.declarations import is_number, warn_of_range
+from forms.declarations import warn_of_range
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
-from forms.law import Law, LawError, Step, require
+from forms.law import BulkLaw, LawError, Step, choice, require
 from forms.viscous import isotropic_energy
+from thinlayer_base import is_number
 
 RADIANS = 1.6  # degrees: smaller friction angles look like radians, which end at pi/2
 LEAST_FRACTION = 1e-6  # that continuation takes before none at all
 
 
 @dataclass(frozen=True)
-class Plastic(Law):
+class Plastic(BulkLaw):
     """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear meets its bound.
 
-    A fraction h of the layer stays elastic beside the rest, stress = (1 - h) stress_plastic + h (lmbda tr(e) I + 2 mu e).
+    A fraction h, `elastic_fraction`, of the layer stays elastic beside the rest, stress = (1 - h) stress_plastic +
+    h (lmbda tr(e) I + 2 mu e).
     It makes problems well posed that ideal plasticity leaves without a solution (a layer without cohesion has no strength
     at its free ends), and belongs to the law: the meshed layer and S have the same.
 
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
-        C: cohesion, stress, also in a layer (C and the angles do not scale with its thickness); >= 0.
-        Omega: friction angle in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
-        h: elastic fraction, 0 <= h < 1.
+        cohesion: C in the formulas, stress, also in a layer (it and the angles do not scale with its thickness); >= 0.
+        friction_angle: Omega in the formulas, in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
+        elastic_fraction: 0 <= elastic_fraction < 1.
 
     Raises:
         LawError: a parameter out of range.
@@ -40,33 +42,54 @@ class Plastic(Law):
 
     lmbda: float
     mu: float
-    C: float
-    Omega: float
-    h: float = 0.0
+    cohesion: float
+    friction_angle: float
+    elastic_fraction: float = 0.0
     powers: ClassVar = {"lmbda": 1, "mu": 1}
     symmetric: ClassVar = False
     internal: ClassVar = {"plastic": (3, 3)}
     quadratic: ClassVar = True
-    yields: ClassVar = True
+    bounded: ClassVar = True
     stiffness = isotropic_stiffness
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
-        require(math.isfinite(self.C) and self.C >= 0, self, "C", self.C, ">= 0, finite")
-        require(0 <= self.Omega < 90, self, "Omega", self.Omega, "0 <= Omega < 90 degrees")
-        if 0 < self.Omega < RADIANS:
+        require(math.isfinite(self.cohesion) and self.cohesion >= 0, self, "cohesion", self.cohesion, ">= 0, finite")
+        require(
+            0 <= self.friction_angle < 90,
+            self,
+            "friction_angle",
+            self.friction_angle,
+            "0 <= friction_angle < 90 degrees",
+        )
+        if 0 < self.friction_angle < RADIANS:
+            angle = self.friction_angle
             warn_of_range(
-                f"{type(self).__name__}: Omega is {self.Omega:g} degrees, next to no friction; angles are in degrees: "
-                f"{self.Omega:g} radians would be Omega = {math.degrees(self.Omega):.4g}",
+                f"{type(self).__name__}: friction_angle is {angle:g} degrees, next to no friction; angles are in degrees: "
+                f"{angle:g} radians would be friction_angle = {math.degrees(angle):.4g}",
             )
-        require(self.C > 0 or self.Omega > 0, self, "C", self.C, "> 0 where Omega = 0: nothing would resist shear")
-        require(0 <= self.h < 1, self, "h", self.h, "0 <= h < 1")
+        require(
+            self.cohesion > 0 or self.friction_angle > 0,
+            self,
+            "cohesion",
+            self.cohesion,
+            "> 0 where friction_angle = 0: nothing would resist shear",
+        )
+        require(
+            0 <= self.elastic_fraction < 1, self, "elastic_fraction", self.elastic_fraction, "0 <= elastic_fraction < 1"
+        )
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
         if not (is_number(ease) and 0 <= ease <= 1):
             raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
-        return self.with_parameters({"h": max(self.h, LEAST_FRACTION) ** (1 - ease) if ease else self.h})
+        return self.with_parameters(
+            {
+                "elastic_fraction": max(self.elastic_fraction, LEAST_FRACTION) ** (1 - ease)
+                if ease
+                else self.elastic_fraction
+            }
+        )
 
     # ---------------------------------------------------------------- of a step, UFL
     def _elastic_strain(self, e: Expr, q: Any) -> Expr:
@@ -82,19 +105,21 @@ class Plastic(Law):
 
     def stress(self, step: Step) -> Expr:
         plastic = self._trial(step) - 2 * self.mu * self._flow(step)
-        return (1 - self.h) * plastic + self.h * lame(self.lmbda, self.mu, step.mid)
+        return (1 - self.elastic_fraction) * plastic + self.elastic_fraction * lame(self.lmbda, self.mu, step.mid)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         return {"plastic": step.q["plastic"] + self._flow(step) / step.theta}
 
     def energy(self, step: Step) -> Expr:
         stored = isotropic_energy(self.lmbda, self.mu, self._elastic_strain(step.e, step.q))
-        return (1 - self.h) * stored + self.h * isotropic_energy(self.lmbda, self.mu, step.e)
+        return (1 - self.elastic_fraction) * stored + self.elastic_fraction * isotropic_energy(
+            self.lmbda, self.mu, step.e
+        )
 
     def dissipated(self, step: Step) -> Expr:
         flow = self._flow(step)
         stress = self._trial(step) - 2 * self.mu * flow
-        return (1 - self.h) * ufl.inner(stress, flow) / step.theta
+        return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta
 
 
 @dataclass(frozen=True)
@@ -123,14 +148,20 @@ class MohrCoulomb(Plastic):
     only when the volume gained is pressed out again. For psi > 0 that happens by itself.
 
     Attributes:
-        psi: dilatancy angle in degrees, 0 <= psi <= Omega.
+        dilatancy_angle: psi in the formulas, in degrees, 0 <= psi <= Omega.
     """
 
-    psi: float = 0.0
+    dilatancy_angle: float = 0.0
 
     def check(self) -> None:
         super().check()
-        require(0 <= self.psi <= self.Omega, self, "psi", self.psi, f"0 <= psi <= Omega = {self.Omega:g} degrees")
+        require(
+            0 <= self.dilatancy_angle <= self.friction_angle,
+            self,
+            "dilatancy_angle",
+            self.dilatancy_angle,
+            f"0 <= dilatancy_angle <= friction_angle = {self.friction_angle:g} degrees",
+        )
 
     @property
     def otherwise(self) -> MohrCoulombReturn:  # type: ignore[override]
@@ -141,14 +172,14 @@ class MohrCoulomb(Plastic):
         centre, radius2, bound = self._circle(trial)
         in_plane = ufl.And(ufl.eq(trial[0, 2], 0), ufl.eq(trial[1, 2], 0))
         between = ufl.le((trial[2, 2] - centre) ** 2, ufl.min_value(radius2, bound**2))
-        return ufl.And(ufl.And(in_plane, between), ufl.And(ufl.ge(bound, 0), ufl.eq(self.psi, 0)))
+        return ufl.And(ufl.And(in_plane, between), ufl.And(ufl.ge(bound, 0), ufl.eq(self.dilatancy_angle, 0)))
 
     def _circle(self, trial: Expr) -> tuple[Expr, Expr, Expr]:
         """Centre and squared radius of the in-plane circle of a trial stress, and the bound of the radius."""
-        angle = ufl.pi / 180 * self.Omega
+        angle = ufl.pi / 180 * self.friction_angle
         centre = (trial[0, 0] + trial[1, 1]) / 2
         radius2 = (trial[0, 0] - trial[1, 1]) ** 2 / 4 + trial[0, 1] ** 2
-        return centre, radius2, self.C * ufl.cos(angle) - centre * ufl.sin(angle)
+        return centre, radius2, self.cohesion * ufl.cos(angle) - centre * ufl.sin(angle)
 
     def _flow(self, step: Step) -> Expr:
         trial = self._trial(step)
@@ -188,10 +219,7 @@ class MohrCoulombMonodirectional(Plastic):
         unilateral: whether the layer can only push.
     """
 
-    unilateral: bool = False
-
-    def parameters(self) -> dict[str, Any]:
-        return {name: value for name, value in super().parameters().items() if name != "unilateral"}
+    unilateral: bool = choice(False)
 
     @property
     def quadratic(self) -> bool:  # type: ignore[override]
@@ -218,7 +246,9 @@ class MohrCoulombMonodirectional(Plastic):
         stored = isotropic_energy(self.lmbda, self.mu, e)
         if self.unilateral:
             stored -= self._tension(e, lift(step.n)) ** 2 / (2 * (self.lmbda + 2 * self.mu))
-        return (1 - self.h) * stored + self.h * isotropic_energy(self.lmbda, self.mu, step.e)
+        return (1 - self.elastic_fraction) * stored + self.elastic_fraction * isotropic_energy(
+            self.lmbda, self.mu, step.e
+        )
 
     def _flow(self, step: Step) -> Expr:
         n = lift(step.n)
@@ -226,7 +256,7 @@ class MohrCoulombMonodirectional(Plastic):
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
-        bound = ufl.max_value(self.C - ufl.tan(ufl.pi / 180 * self.Omega) * t_N, 0)
+        bound = ufl.max_value(self.cohesion - ufl.tan(ufl.pi / 180 * self.friction_angle) * t_N, 0)
         size2 = ufl.inner(t_T, t_T)
         beyond = ufl.gt(size2, bound**2)
         excess = ufl.conditional(beyond, 1 - bound / ufl.sqrt(size2), 0)

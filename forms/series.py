@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
-from forms.declarations import is_number, require_declarations
-from forms.law import Law, LawError, require
+import numpy as np
+import numpy.typing as npt
+
+from forms.declarations import require_declarations
+from forms.law import BulkLaw, LawError, require
+from forms.traits import Traits
+from thinlayer_base import is_number
 
 
 def _fraction(a: Any) -> float:
@@ -16,13 +22,8 @@ def _fraction(a: Any) -> float:
     return float(a)
 
 
-def parts(law: Law) -> tuple[Law, ...]:
-    """The laws of a Stack, from the lower to the upper face; of another law itself alone."""
-    return law.laws if isinstance(law, Stack) else (law,)
-
-
 @dataclass(frozen=True)
-class Stack(Law):
+class Stack(BulkLaw):
     """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.
 
     The meshed layer has a stratum for each sublayer. On S each point solves for the sublayers' shares g_i of the jump,
@@ -32,100 +33,70 @@ class Stack(Law):
     of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.
 
     Attributes:
-        sublayers: (fraction, law) of each sublayer; fractions of the layer's thickness, > 0, adding up to 1. A Stack
-            among them is taken apart.
+        fractions: of the layer's thickness, > 0, adding up to 1.
+        laws: of the sublayers. A Stack among them is taken apart.
 
     Raises:
         LawError: fractions out of range, a law that a stack cannot hold.
     """
 
-    sublayers: tuple[tuple[float, Law], ...]
+    fractions: tuple[float, ...]
+    laws: tuple[BulkLaw, ...]
     ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
 
-    def __init__(self, *sublayers: tuple[float, Law]) -> None:
+    def __init__(self, *sublayers: tuple[float, BulkLaw]) -> None:
         try:
             given = [(_fraction(a), law) for a, law in sublayers]
         except (TypeError, ValueError) as error:
             raise LawError(f"Stack needs pairs (fraction, law): {error}") from error
-        flat: list[tuple[float, Law]] = []
-        for a, law in given:
-            flat += [(a * b, part) for b, part in law.sublayers] if isinstance(law, Stack) else [(a, law)]
-        object.__setattr__(self, "sublayers", tuple(flat))
+        one_by_one = [(a * b, one) for a, law in given for b, one in getattr(law, "sublayers", ((1.0, law),))]
+        object.__setattr__(self, "fractions", tuple(a for a, _ in one_by_one))
+        object.__setattr__(self, "laws", tuple(law for _, law in one_by_one))
         self.check()
         require_declarations(self)
 
     def check(self) -> None:
-        require(len(self.sublayers) > 0, self, "number of sublayers", 0, ">= 1")
+        require(len(self.laws) > 0, self, "number of sublayers", 0, ">= 1")
         require(min(self.fractions) > 0, self, "fractions", self.fractions, "each > 0")
         total = sum(self.fractions)
         require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
         for law in self.laws:
             allowed = "laws that give a stress for a strain, at each point by itself"
-            require(isinstance(law, Law) and law.in_series, self, "a sublayer", law, allowed)
+            require(isinstance(law, BulkLaw) and law.traits.in_series, self, "a sublayer", law, allowed)
 
     @property
-    def fractions(self) -> tuple[float, ...]:
-        """Thickness fractions, from the lower to the upper face."""
-        return tuple(a for a, _ in self.sublayers)
+    def sublayers(self) -> tuple[tuple[float, BulkLaw], ...]:
+        return tuple(zip(self.fractions, self.laws, strict=True))
 
     @property
-    def laws(self) -> tuple[Law, ...]:
-        """Laws, from the lower to the upper face."""
-        return tuple(law for _, law in self.sublayers)
+    def break_times(self) -> set[float]:
+        return set().union(*(law.break_times for law in self.laws))
 
     @property
-    def pointwise(self) -> bool:
-        return True
+    def memory(self) -> int:
+        shares = 3 * len(self.laws) if len(self.laws) > 1 else 0
+        return shares + sum(law.memory for law in self.laws)
 
-    @property
-    def has_energy(self) -> bool:
-        return all(law.has_energy for law in self.laws)
-
-    @property
-    def linear(self) -> bool:  # type: ignore[override]
-        return all(law.linear for law in self.laws)
-
-    @property
-    def symmetric(self) -> bool:  # type: ignore[override]
-        return all(law.symmetric for law in self.laws)
-
-    @property
-    def rate(self) -> bool:  # type: ignore[override]
-        return any(law.rate for law in self.laws)
-
-    @property
-    def yields(self) -> bool:  # type: ignore[override]
-        return any(law.yields for law in self.laws)
-
-    @property
-    def can_ease(self) -> bool:
-        return any(law.can_ease for law in self.laws)
+    @cached_property
+    def traits(self) -> Traits:
+        return Traits.of_series(law.traits for law in self.laws)
 
     def eased(self, ease: float) -> Stack:
         return self.with_laws([law.eased(ease) for law in self.laws])
 
-    def with_laws(self, laws: Sequence[Law]) -> Stack:
+    def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """The same fractions with other laws, unchecked."""
-        return self.with_parameters({"sublayers": tuple(zip(self.fractions, laws, strict=True))})
+        return self.with_parameters({"laws": tuple(laws)})
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])
 
-    @property
-    def softens(self) -> bool:
-        return any(law.softens for law in self.laws)
+    def parameters(self) -> dict[str, Any]:
+        """Those of the sublayers, "0.mu" that of the lowest one."""
+        return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 
-    @property
-    def phases(self) -> bool:  # type: ignore[override]
-        return any(law.phases for law in self.laws)
-
-    @property
-    def flat(self) -> bool:  # type: ignore[override]
-        return any(law.flat for law in self.laws)
-
-    @property
-    def varies(self) -> bool:
-        return any(law.varies for law in self.laws)
+    def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
+        return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.at(x, t).items()}
 
     def check_dimension(self, d: int) -> None:
         for law in self.laws:

@@ -19,9 +19,8 @@ import ufl
 from ufl.algorithms import expand_derivatives
 
 from forms.kinematics import Expr
-from forms.law import Law, LawError, Step
+from forms.law import BulkLaw, LawError, Step
 from forms.trace import named
-from forms.traction import TractionLaw
 
 Array = npt.NDArray[np.float64]
 STRESS, TANGENT = 1e-10, 1e-5  # relative differences: rounding, and divided differences
@@ -41,7 +40,7 @@ NOT_LINEAR = (
 )
 
 
-def require_declared_stress(law: Law, key: int) -> None:
+def require_declared_stress(law: BulkLaw, key: int) -> None:
     """Raise LawError unless what a law in UFL computes is what it declares; silent if it cannot be evaluated.
 
     Stress and internal tensors are symmetric; the stress is affine in the strain if the law says `linear`; of a law that
@@ -51,16 +50,16 @@ def require_declared_stress(law: Law, key: int) -> None:
         law: with the numbers of this run.
         key: of what it computes from any numbers, see `forms.trace`.
     """
-    _for_all_numbers(law, ("stress", key, law.linear, law.symmetric), _is_declared)
+    _for_all_numbers(law, ("stress", key, law.traits.linear, law.traits.symmetric), _is_declared)
 
 
-def require_symmetric_tangent(law: Law, key: int) -> None:
+def require_symmetric_tangent(law: BulkLaw, key: int) -> None:
     """Raise LawError if a law in UFL says `symmetric`, and its tangent is not; arguments as above."""
-    if law.symmetric:
+    if law.traits.symmetric:
         _for_all_numbers(law, ("tangent", key), _tangent_is_symmetric)
 
 
-def _for_all_numbers(law: Law, key: tuple[Any, ...], require: Callable[[Law], None]) -> None:
+def _for_all_numbers(law: BulkLaw, key: tuple[Any, ...], require: Callable[[BulkLaw], None]) -> None:
     """Require something of a law with its numbers, unless it has been seen to hold with other ones too."""
     given = law.mapped(lambda value, _: _number(value))
     arrays = [value for value in given.parameters().values() if isinstance(value, np.ndarray)]
@@ -76,7 +75,7 @@ def _for_all_numbers(law: Law, key: tuple[Any, ...], require: Callable[[Law], No
     _FOUND.add(key)
 
 
-def _is_declared(law: Law) -> None:
+def _is_declared(law: BulkLaw) -> None:
     for size in SIZES:
         sample = Sample(law, size)
         _stress_is_symmetric(sample)
@@ -88,9 +87,9 @@ def keeps_its_word(sample: Sample) -> None:
     """Raise LawError unless internal tensors are symmetric, and the stress is as linear and elastic as a law says."""
     law = sample.law
     _memory_is_symmetric(sample)
-    if law.linear:
+    if law.traits.linear:
         _stress_is_linear(sample)
-    if law.has_energy and law.symmetric and not (law.rate or law.internal):
+    if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
         _stress_is_of_energy(sample)
 
 
@@ -110,7 +109,7 @@ def _stress_is_symmetric(sample: Sample) -> None:
 
 
 def _memory_is_symmetric(sample: Sample) -> None:
-    told = "evolve" if isinstance(sample.law, TractionLaw) else "advance"
+    told = sample.law.methods[1]
     for name, tensor in sample.tensors().items():
         if skew := _skew(tensor):
             raise LawError(
@@ -123,7 +122,7 @@ def _stress_is_linear(sample: Sample) -> None:
     """Second differences vanish, also across no strain."""
     middle = sample.stress()
     mid = THETA * sample.e + (1 - THETA) * sample.e_old
-    across = [2 / THETA * mid, 2 * sample.e] if sample.law.rate or sample.law.internal else [2 / THETA * mid]
+    across = [2 / THETA * mid, 2 * sample.e] if sample.law.traits.rate or sample.law.internal else [2 / THETA * mid]
     for change in (sample.random_strain(), *across):
         up, down = sample.stress(change), sample.stress(-change)
         if middle is None or up is None or down is None:
@@ -157,7 +156,7 @@ def _without_energy(sample: Sample, stress: Array, change: Array) -> float:
     return float(rest / (size or abs(rest))) if lost else 0.0
 
 
-def _tangent_is_symmetric(law: Law) -> None:
+def _tangent_is_symmetric(law: BulkLaw) -> None:
     for size in SIZES:
         sample = Sample(law, size)
         one, other = (sample.random_strain() for _ in range(2))
@@ -172,7 +171,7 @@ def _tangent_is_symmetric(law: Law) -> None:
 class Sample:
     """A law at one point, with numbers that no axis or plane prefers."""
 
-    def __init__(self, law: Law, size: float) -> None:
+    def __init__(self, law: BulkLaw, size: float) -> None:
         self.law, self.random, self.size = law, np.random.default_rng(3), size
         self.n = self.random.normal(size=3)
         self.n /= np.linalg.norm(self.n)
@@ -186,11 +185,7 @@ class Sample:
         }
 
     def random_strain(self) -> Array:
-        """Of a law of jumps sym(w (x) n)."""
-        a = self.random.normal(size=(3, 3))
-        if isinstance(self.law, TractionLaw):
-            a = np.outer(a[0], self.n)
-        return np.asarray(self.size * (a + a.T) / 2)
+        return self.size * self.law.trial_strain(self.random.normal(size=(3, 3)), self.n)
 
     def _step(self, change: Array | float) -> Step:
         n = ufl.as_vector(self.n.tolist())

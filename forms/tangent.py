@@ -11,11 +11,9 @@ import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.utils.stacks import StackDict
 
-from forms.kernel import KernelLaw
 from forms.kinematics import MANDEL, ROOT2
-from forms.law import Law, LawError, Step
+from forms.law import BulkLaw, LawError, Step
 from forms.trace import symbolic
-from forms.traction import TractionLaw
 
 Array = npt.NDArray[np.float64]
 SMALL = 1e-6  # strain of the divided differences: far from yielding, and far from their rounding
@@ -26,7 +24,7 @@ SCALES = np.array([1.0 if i == j else ROOT2 for i, j in MANDEL])  # of a compone
 LONG = 1e30  # time step in which what depends on rates has come to rest
 
 
-def tangent_at_rest(law: Law, n: Array) -> Array | None:
+def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     """d stress/d strain of a law for small strains from rest, (6, 6) in Mandel's order; None if it cannot be evaluated.
 
     A law with memory answers at once, as to a sudden load; of a law with a rate it is what remains when all is at rest.
@@ -40,10 +38,10 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     declared = law.stiffness(n)
     if declared is not None:
         return declared
-    if law.pointwise:
+    if law.traits.compiled:
         n = np.pad(n, (0, 3 - len(n)))
-    if isinstance(law, KernelLaw):
-        return _of_kernel(law, n, LONG if law.rate else 0.0)
+    if not law.traits.in_ufl:
+        return _of_kernel(law, n, LONG if law.traits.rate else 0.0)
     columns = []
     for i, j in MANDEL:
         e = np.zeros((3, 3))
@@ -56,7 +54,7 @@ def tangent_at_rest(law: Law, n: Array) -> Array | None:
     return C if np.isfinite(C).all() else None
 
 
-def tangent_over(law: Law, n: Array, dt: float) -> Array | None:
+def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """d stress/d strain, (6, 6), of a linear law over one step of length dt from rest, at its end.
 
     That is how far a law that creeps or relaxes has given way to loads that last as long. None if the law is not linear, or
@@ -67,15 +65,15 @@ def tangent_over(law: Law, n: Array, dt: float) -> Array | None:
         n: director, (d,).
         dt: time > 0.
     """
-    if not law.linear:
+    if not law.traits.linear:
         return None
     n = np.pad(n, (0, 3 - len(n)))
-    if isinstance(law, KernelLaw):
+    if not law.traits.in_ufl:
         return _of_kernel(law, n, dt)
     try:
         point = symbolic(law)
         stress: Any = expand_derivatives(ufl.as_ufl(point.law.stress(point.step)))
-        told = np.concatenate([n, [dt, 1.0], *(np.ravel(np.asarray(v, float)) for v in law.parameters().values())])
+        told = np.concatenate([n, [dt, 1.0], law.parameter_values()])
         before = np.zeros(point.numbers.ufl_shape[0] - 6 - len(told))
         found = []
         for e in np.eye(7, 6):  # the last is no strain
@@ -87,13 +85,12 @@ def tangent_over(law: Law, n: Array, dt: float) -> Array | None:
     return C if np.isfinite(C).all() else None
 
 
-def _of_kernel(law: KernelLaw, n: Array, dt: float) -> Array | None:
+def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:
     """Tangent that a function of a point, not compiled, fills in a step from rest; None if it is written in C or fails."""
     if law.source is not None:
         return None
     tangent, zero, memory = np.zeros((6, 6)), np.zeros(6), np.zeros(law.memory)
-    values = [np.ravel(np.asarray(value, float)) for value in law.parameters().values()]
-    given = zero, zero.copy(), memory, dt, 1.0, n, np.concatenate([np.empty(0), *values])
+    given = zero, zero.copy(), memory, dt, 1.0, n, law.parameter_values()
     try:
         with np.errstate(all="ignore"):
             type(law).kernel(*given, np.zeros(6), tangent, memory.copy(), np.zeros(3))
@@ -102,12 +99,12 @@ def _of_kernel(law: KernelLaw, n: Array, dt: float) -> Array | None:
     return tangent if np.isfinite(tangent).all() else None
 
 
-def _stress(law: Law, e: Array, n: Array) -> Array | None:
+def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
     """Stress (6,) of a strain after rest; None if the law is not written in UFL, or has no number there."""
     zero = ufl.as_matrix(np.zeros((3, 3)).tolist())
     shapes: dict[tuple[int, ...], Any] = {(): ufl.as_ufl(0.0), (3,): ufl.as_vector([0.0] * 3)}
     q = {name: shapes.get(shape, zero) for name, shape in law.internal.items()}
-    dt = ufl.as_ufl(LONG if law.rate else 0.0)
+    dt = ufl.as_ufl(LONG if law.traits.rate else 0.0)
     try:
         named = law.mapped(lambda value, _: ufl.as_tensor(value.tolist()) if np.ndim(value) else float(value))
         step = Step(ufl.as_matrix(e.tolist()), ufl.as_vector(n.tolist()), zero, q, dt, 1.0)
@@ -119,17 +116,17 @@ def _stress(law: Law, e: Array, n: Array) -> Array | None:
         return None
 
 
-def held_along(law: Law, n: Array) -> npt.NDArray[np.bool_] | None:
+def held_along(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
     """(d,) along which axes the traction of a layer's law is zero while the jump has no component along them.
 
     None if the law has a traction where nothing jumps, parameters that vary, or cannot be evaluated. A law with memory is
     asked from rest, one with a rate in the end; an incompressible one has its pressure along n.
     """
-    if law.varies or isinstance(law, KernelLaw):
+    if law.traits.varies or not law.traits.in_ufl:
         return None
-    director = np.pad(n, (0, 3 - len(n))) if law.pointwise else n
+    director = np.pad(n, (0, 3 - len(n))) if law.traits.compiled else n
     N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
-    coupled = law.constrained & (np.abs(n) > UNCOUPLED)
+    coupled = law.traits.constrained & (np.abs(n) > UNCOUPLED)
     for size in (0.0, *SIZES):
         for b, axis in enumerate(np.eye(len(n))):
             e = np.zeros((3, 3))
@@ -142,13 +139,15 @@ def held_along(law: Law, n: Array) -> npt.NDArray[np.bool_] | None:
     return np.asarray(~coupled)
 
 
-def rests_by_itself(law: Law) -> bool:
+def rests_by_itself(law: BulkLaw) -> bool:
     """Whether a layer's law must not push its faces apart as they part or slip, for what `tangent_at_rest` says of it.
 
     Not asked of laws that say `softens`, nor where divided differences do not answer: of laws that remember and have a
     rate, and of laws of jumps that are not linear (what a small jump is they alone know).
     """
-    return not (law.softens or (law.rate and law.internal) or (isinstance(law, TractionLaw) and not law.linear))
+    return not (
+        law.traits.softens or (law.traits.rate and law.internal) or (law.traits.of_jumps and not law.traits.linear)
+    )
 
 
 def across(C: Array, n: Array) -> Array:
@@ -157,20 +156,20 @@ def across(C: Array, n: Array) -> Array:
     return np.asarray(N @ C @ N.T)
 
 
-def require_stable_layer(law: Law, C: Array | None, n: Array) -> None:
+def require_stable_layer(law: BulkLaw, C: Array | None, n: Array) -> None:
     """Raise LawError if n.C.n of a layer's tangent at rest has a negative eigenvalue; silent if it is not known."""
     if C is not None and np.isfinite(C).all():
         _require_stable(law, "across the layer (of n.C.n)", across(C, n), C)
 
 
-def require_stable_body(law: Law, C: Array | None, d: int) -> None:
+def require_stable_body(law: BulkLaw, C: Array | None, d: int) -> None:
     """Raise LawError if a body's tangent at rest has a negative eigenvalue, among strains of dimension d; likewise."""
     slots = [k for k, (_, j) in enumerate(MANDEL) if j < d]
     if C is not None and np.isfinite(C).all():
         _require_stable(law, "(of C)", C[np.ix_(slots, slots)], C)
 
 
-def _require_stable(law: Law, what: str, A: Array, C: Array) -> None:
+def _require_stable(law: BulkLaw, what: str, A: Array, C: Array) -> None:
     """Eigenvalues: the symmetric part alone of a law without an energy may be negative."""
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -NEGATIVE * size:

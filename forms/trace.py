@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -19,11 +19,10 @@ import ufl
 from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue, Zero
 from ufl.core.expr import Expr as Node
 
+from forms.declarations import SIZES
 from forms.kinematics import Expr, from_mandel
-from forms.law import Law, LawError, Step, explained, shaped
-from forms.traction import TractionLaw
+from forms.law import BulkLaw, LawError, Step, explained, shaped
 
-SIZES = {(): 1, (3,): 3, (3, 3): 6}  # of an internal variable
 _DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need one
 _KNOWN: dict[tuple[Any, ...], int] = {}  # parts of expressions that were met, numbered
 _STRESSES: dict[tuple[Any, int | None], int] = {}  # keys of this package's laws
@@ -40,7 +39,7 @@ class Symbolic:
         numbers: all inputs: e (6), e_old (6), internal values, n (3), dt, theta, parameters; in Mandel's order.
     """
 
-    law: Law
+    law: BulkLaw
     step: Step
     strain: Expr
     numbers: Expr
@@ -51,11 +50,10 @@ def _symbols(length: int) -> Expr:
     return ufl.Constant(_DOMAIN, shape=(length,))
 
 
-def symbolic(law: Law) -> Symbolic:
+def symbolic(law: BulkLaw) -> Symbolic:
     """A law at a point, in a step."""
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
-    memory = sum(SIZES[shape] for shape in law.internal.values())
-    length = 6 + 6 + memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
+    length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
     numbers = _symbols(length)
     inputs = iter(numbers[i] for i in range(length))
 
@@ -68,7 +66,7 @@ def symbolic(law: Law) -> Symbolic:
     q = {name: _unpacked(take((SIZES[shape],)), shape) for name, shape in law.internal.items()}
     n, dt, theta = take((3,)), take(()), take(())
     step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta)
-    step = step if law.rate or isinstance(law, TractionLaw) else step.without_rate()
+    step = step if law.traits.rate else step.without_rate()
     return Symbolic(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
 
 
@@ -77,16 +75,14 @@ def _shape(value: Any) -> tuple[int, ...]:
     return tuple(value.ufl_shape) if isinstance(value, Node) else np.shape(value)
 
 
-def named(law: Law) -> tuple[Any, ...] | None:
+def named(law: BulkLaw) -> tuple[Any, ...] | None:
     """What tells a law of this package from any other, whatever its numbers; None for laws that may read what changes."""
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
-    parameters = law.parameters()
-    choices = [(f.name, getattr(law, f.name)) for f in fields(law) if f.name not in parameters]
-    return (type(law), repr(choices), *map(_shape, parameters.values()))
+    return (type(law), repr(law.choices()), *map(_shape, law.parameters().values()))
 
 
-def stress_key(law: Law, d: int | None) -> int:
+def stress_key(law: BulkLaw, d: int | None) -> int:
     """Key of the stress, and the energy if there is one, of a law that is a part of a form.
 
     Args:
@@ -104,7 +100,7 @@ def stress_key(law: Law, d: int | None) -> int:
     return _STRESSES[known, d]
 
 
-def _stress_key(law: Law, d: int | None) -> int:
+def _stress_key(law: BulkLaw, d: int | None) -> int:
     point = symbolic(law)
     director: Expr = point.step.n
     n = None if d is None else ufl.as_vector([director[i] for i in range(d)])
@@ -115,7 +111,7 @@ def _stress_key(law: Law, d: int | None) -> int:
         raise LawError(
             f"{type(law).__name__}.stress is zero, whatever the strain; a law of this kind needs a stiffness"
         )
-    if not law.has_energy:
+    if not law.traits.has_energy:
         return key([stress])
     with explained(law, "energy"), undecided(law, "energy"):
         return key([stress, shaped(law, "energy", point.law.energy(step), ())])
@@ -132,7 +128,7 @@ def asked_by_ufl() -> bool:
 
 
 @contextmanager
-def undecided(law: Law, method: str) -> Iterator[None]:
+def undecided(law: BulkLaw, method: str) -> Iterator[None]:
     """Make ==, != and truth of symbols a LawError in what a law does; UFL itself goes on comparing expressions.
 
     Python would compare how expressions are written, which is False for every number: a branch is never taken.
@@ -194,7 +190,7 @@ def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
     return (repr(node.value()) if isinstance(node, ScalarValue) else repr(node),)
 
 
-def require_numbers_alone(law: Law, numbers: Expr, expressions: Iterable[Expr]) -> None:
+def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
     """Raise LawError if expressions contain something else than what the law is told."""
     seen: set[int] = set()
     stack = list(expressions)

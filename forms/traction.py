@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, ClassVar, NamedTuple, Self
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 
 from forms.kinematics import Expr
-from forms.law import Law, LawError, Step, shaped
+from forms.law import BulkLaw, Law, LawError, Step, shaped
+from forms.traits import Traits
 
 
 class JumpStep(NamedTuple):
@@ -56,21 +61,27 @@ class TractionLaw(Law):
 
     Subclasses are frozen dataclasses with their parameters as fields (per jump: nothing is multiplied by eps). They give
     `traction(step)`, UFL, (3,), and with internal variables (shape (), (3,) or (3, 3)) `evolve(step)`, of a `JumpStep`.
+    One that has an energy may give `energy(step)`, and `dissipation(step)` beside it.
     One whose tangent is not symmetric says `symmetric = False`, as any law.
     """
+
+    ignored: ClassVar = (
+        *("stress", "advance", "dissipated", "holds", "otherwise", "eased", "gradient", "stiffness", "plane_stress"),
+    )
 
     def __post_init__(self) -> None:
         if self.powers:
             raise LawError(f"{type(self).__name__}: a traction law has no powers of eps")
         super().__post_init__()
 
-    @property
-    def pointwise(self) -> bool:
-        return True
+    def _told_by_methods(self) -> dict[str, bool]:
+        has_energy = type(self).energy is not TractionLaw.energy
+        told = {"has_energy": has_energy, "in_ufl": True, "of_jumps": True, "compiled": True}
+        return super()._told_by_methods() | told
 
-    @property
-    def in_series(self) -> bool:
-        return False
+    def of_strains(self) -> BulkLaw:
+        kind: Any = type(self)
+        return _of_jumps(kind)(self)
 
     def traction(self, step: JumpStep) -> Expr:
         """Traction at t + theta dt, (3,)."""
@@ -81,17 +92,75 @@ class TractionLaw(Law):
         known = ", ".join(self.internal)
         raise LawError(f"{type(self).__name__} gives no new {known}; a law with internal needs a method evolve(step)")
 
-    def stress(self, step: Step) -> Expr:
-        """The symmetric tensor T with T n = t and T : sym(v (x) n) = t . v."""
-        t, n = shaped(self, "traction", self.traction(self._jumps(step)), (3,)), step.n
-        return ufl.outer(t, n) + ufl.outer(n, t) - ufl.dot(t, n) * ufl.outer(n, n)
+    def energy(self, step: JumpStep) -> Expr:
+        """Stored energy per unit area of the jump step.w and the internal variables step.q, UFL."""
+        raise LawError(f"{type(self).__name__} declares no energy; a traction law needs a method energy(step) for it")
 
-    def advance(self, step: Step) -> dict[str, Expr]:
-        return self.evolve(self._jumps(step)) if self.internal else {}
+    def dissipation(self, step: JumpStep) -> Expr:
+        """Dissipated power per unit area over the step, UFL."""
+        return ufl.as_ufl(0.0)
 
-    def plane_stress(self) -> TractionLaw:
+
+@dataclass(frozen=True, eq=False)
+class OfJumps(BulkLaw):
+    """A traction law as a law of strains sym(w (x) n): its stress is the T with T n = t and T : sym(v (x) n) = t . v.
+
+    Attributes:
+        law: the traction law.
+    """
+
+    law: TractionLaw
+    methods: ClassVar = ("traction", "evolve")
+
+    @cached_property
+    def traits(self) -> Traits:
+        return self.law.traits
+
+    @property
+    def internal(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
+        return self.law.internal
+
+    @property
+    def break_times(self) -> set[float]:
+        return self.law.break_times
+
+    def parameters(self) -> dict[str, Any]:
+        return self.law.parameters()
+
+    def choices(self) -> tuple[tuple[str, Any], ...]:
+        return self.law.choices()
+
+    def with_parameters(self, values: Mapping[str, Any]) -> Self:
+        return type(self)(self.law.with_parameters(values))
+
+    def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
+        return self.law.at(x, t)
+
+    def trial_strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return super().trial_strain(np.outer(a[0], n), n)
+
+    def plane_stress(self) -> Self:
         """The law itself: jumps and tractions know no plane."""
         return self
 
+    def stress(self, step: Step) -> Expr:
+        t, n = shaped(self, "traction", self.law.traction(self._jumps(step)), (3,)), step.n
+        return ufl.outer(t, n) + ufl.outer(n, t) - ufl.dot(t, n) * ufl.outer(n, n)
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        return self.law.evolve(self._jumps(step)) if self.internal else {}
+
+    def energy(self, step: Step) -> Expr:
+        return self.law.energy(self._jumps(step))
+
+    def dissipation(self, step: Step) -> Expr:
+        return self.law.dissipation(self._jumps(step))
+
     def _jumps(self, step: Step) -> JumpStep:
-        return JumpStep.of(step) if self.rate else _NoRate(*JumpStep.of(step))
+        return JumpStep.of(step) if self.traits.rate else _NoRate(*JumpStep.of(step))
+
+
+@cache
+def _of_jumps(kind: Any) -> type[OfJumps]:
+    """The laws of strains that stand for those of a class: of its name and module, which messages and keys tell."""
+    return type(kind.__name__, (OfJumps,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})

@@ -11,7 +11,7 @@ import ufl
 
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr
-from forms.law import Law, Step, positive, require
+from forms.law import BulkLaw, Step, positive, require
 
 STIFFEST, REST = 1e6, 1e-12  # of a power-law dashpot in a step: times its spring, or below this strain it is linear
 
@@ -21,7 +21,7 @@ def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
-class SpringBesideDashpot(Law):
+class SpringBesideDashpot(BulkLaw):
     """An elastic spring and a dashpot in parallel; subclasses have lmbda, mu and give the dashpot's stress."""
 
     lmbda: float
@@ -77,7 +77,7 @@ class KelvinVoigt(SpringBesideDashpot):
 
 
 @dataclass(frozen=True)
-class Maxwell(Law):
+class Maxwell(BulkLaw):
     """Elastic spring and viscous dashpot in series, E rate = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
 
     Equation (18) prints strains on the left for strain rates; s is the three-dimensional stress, s_33 included. The

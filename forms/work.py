@@ -10,8 +10,7 @@ import ufl
 from ufl.classes import Zero
 
 from forms.kinematics import Expr, jump_strain, lift, strain
-from forms.law import Law, Step, explained, shaped
-from forms.traction import TractionLaw
+from forms.law import BulkLaw, Step, explained, shaped
 
 GAUSS = (-(12**-0.5), 12**-0.5)  # places through a thickness from -1/2 to 1/2
 
@@ -28,7 +27,7 @@ class Term:
         n: director, (d,), or None in a body.
     """
 
-    law: Law
+    law: BulkLaw
     strain: Callable[[Expr], Expr]
     weight: Any
     measure: ufl.Measure
@@ -41,7 +40,7 @@ class Term:
     @property
     def proportional(self) -> bool:
         """Whether the law is linear and has no stress without strain (no eigenstrain): its form is bilinear."""
-        if not self.law.linear:
+        if not self.law.traits.linear:
             return False
         with explained(self.law, "stress"):
             unstrained = shaped(self.law, "stress", self.law.stress(Step(ufl.zero(3, 3), self.n)), (3, 3))
@@ -78,31 +77,33 @@ class Interface:
         return self.upper(v) - self.lower(v)
 
 
-def body(law: Law, measure: ufl.Measure) -> Term:
+def body(law: BulkLaw, measure: ufl.Measure) -> Term:
     """A law in the volume of a body."""
     return Term(law, strain, 1, measure)
 
 
-def band(law: Law, measure: ufl.Measure, n: Expr) -> Term:
+def band(law: BulkLaw, measure: ufl.Measure, n: Expr) -> Term:
     """A layer's law in the meshed layer (or in one of its sublayers)."""
     return Term(law, strain, 1, measure, n)
 
 
-def surface(law: Law, sides: Interface, eps: Expr, order: int = 0) -> list[Term]:
+def of_jumps(law: BulkLaw, sides: Interface) -> Term:
+    """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
+    return Term(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)
+
+
+def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0) -> list[Term]:
     """A layer's law on S.
 
-    A traction law acts on the jump itself: strain sym([u] (x) n), weight 1. Of other laws, order 0: strain
-    sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the thickness of the layer,
+    Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
     e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
-    e1 = sym(grad_S [u]), or what `Law.gradient` makes of it. For an energy quadratic in the strain that is the thickness
-    integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    e1 = sym(grad_S [u]), or what `BulkLaw.gradient` makes of it. For an energy quadratic in the strain that is the
+    thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
     """
 
     def jump_part(u: Expr) -> Expr:
         return jump_strain(sides.jump(u), sides.n) / eps
 
-    if isinstance(law, TractionLaw):
-        return [Term(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)]
     if order == 0:
         return [Term(law, jump_part, eps, sides.measure, sides.n)]
     tangential = ufl.Identity(len(sides.n)) - ufl.outer(sides.n, sides.n)

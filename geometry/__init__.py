@@ -2,8 +2,9 @@
 
 from geometry.builders import block, disc, ring, sandwich
 from geometry.domain import Domain
+from geometry.gathering import from_dolfinx
 from geometry.inflation import inflate
 from geometry.joint import GeometryError, Joint
 from geometry.reading import read
 
-__all__ = ["Domain", "GeometryError", "Joint", "block", "disc", "inflate", "read", "ring", "sandwich"]
+__all__ = ["Domain", "GeometryError", "Joint", "block", "disc", "from_dolfinx", "inflate", "read", "ring", "sandwich"]

@@ -25,7 +25,10 @@ def _partitioner() -> Callable[..., Any]:
 
 
 def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str) -> dolfinx.mesh.Mesh:
-    """Distribute cells given by their nodes on rank 0 (other ranks: any value). Collective."""
+    """Distribute cells given by their nodes on rank 0 (other ranks: any value). Collective.
+
+    One rank has all cells anyway: it needs neither a partitioner, which would take as long as the mesh, nor ghosts.
+    """
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     if comm.rank:
         points, cells = np.empty((0, dim)), np.empty((0, cells.shape[1]), np.int64)
@@ -33,20 +36,10 @@ def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_t
     order = list(inspect.signature(dolfinx.mesh.create_mesh).parameters)
     arguments = {"comm": comm, "cells": cells, "x": np.ascontiguousarray(points), "e": element}
     positional = [arguments[name] for name in order[:4]]
-    return dolfinx.mesh.create_mesh(*positional, partitioner=_partitioner())
+    return dolfinx.mesh.create_mesh(*positional, partitioner=_partitioner() if comm.size > 1 else None)
 
 
-def create_tags(
-    mesh: dolfinx.mesh.Mesh, dim: int, entities: IntArray, values: npt.NDArray[np.int32]
-) -> dolfinx.mesh.MeshTags:
-    """Tags of entities given by their nodes' original numbers on rank 0 (other ranks: any value). Collective."""
-    if mesh.comm.rank:
-        entities, values = np.empty((0, entities.shape[1]), np.int64), np.empty(0, np.int32)
-    mesh.topology.create_entities(dim)
-    mesh.topology.create_connectivity(dim, 0)
-    mesh.topology.create_connectivity(dim, mesh.topology.dim)
-    local, tags = dolfinx.io.utils.distribute_entity_data(
-        mesh, dim, np.ascontiguousarray(entities, np.int64), np.ascontiguousarray(values, np.int32)
-    )
-    adjacency = dolfinx.graph.adjacencylist(local)
-    return dolfinx.mesh.meshtags_from_entities(mesh, dim, adjacency, tags.astype(np.int32, copy=False))
+def cell_nodes(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
+    """Nodes of the geometry of each cell of this rank, (cells, nodes)."""
+    maps = getattr(mesh.geometry, "dofmaps", None)
+    return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])

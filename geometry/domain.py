@@ -1,19 +1,27 @@
-"""Domain: a joint distributed over MPI ranks, with its names."""
+"""Domain: a joint distributed over MPI ranks, with its names.
+
+The joint is whole on every rank, the mesh is not. `Domain` alone relates the two: through `original_cells`,
+`original_points`, `numbers` and `on_cells` others take what the joint knows to the cells, points and facets of a rank.
+"""
 
 from __future__ import annotations
 
 import gc
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import dolfinx
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.compat import create_mesh, create_tags
+from geometry.compat import create_mesh
+from geometry.facets import facets_of_cells, vertices_of_facets
 from geometry.joint import BASE, BONDED, LAYER, GeometryError, Joint, S, unknown
 from geometry.topology import IntArray
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -49,11 +57,30 @@ class Domain:
         if comm.size > 1:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
         mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type)
-        cell_tags = create_tags(mesh, joint.dim, joint.cells, (joint.region + 1).astype(np.int32))
-        facets, combination, values = _name_combinations(joint)
-        facet_tags = create_tags(mesh, joint.dim - 1, facets, combination)
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
+        numbers = np.arange(len(original), dtype=np.int32)
+        cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, numbers, (joint.region[original] + 1).astype(np.int32))
+        rows, combination, values = _name_combinations(joint)
+        facets, which = _local_facets(joint, mesh, original, rows)
+        facet_tags = dolfinx.mesh.meshtags(mesh, joint.dim - 1, facets, combination[which])
         return cls(joint, mesh, cell_tags, facet_tags, values, original, comm)
+
+    @property
+    def original_points(self) -> IntArray:
+        """(n,) number in `joint.points` of each local node of the mesh's geometry."""
+        return np.asarray(self.mesh.geometry.input_global_indices, np.int64)
+
+    def numbers(self, dim: int, entities: npt.NDArray[np.int32]) -> IntArray:
+        """(n,) numbers in the joint of local cells (dim: the joint's), or rows of `joint.table` of local facets."""
+        joint = self.joint
+        if dim == joint.dim:
+            return self.original_cells[entities]
+        corners = self.on_cells(joint.corners)
+        return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, corners))
+
+    def on_cells(self, values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+        """Values of the joint's cells, (n_cells, ...), at the local cells (ghosts included)."""
+        return values[self.original_cells]
 
     def cell_values(self, *regions: str) -> tuple[int, ...]:
         """Values of `cell_tags` of regions."""
@@ -101,7 +128,26 @@ class Domain:
         topology.create_connectivity(0, joint.dim)
         local = np.arange(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, dtype=np.int32)
         nodes = dolfinx.mesh.entities_to_geometry(self.mesh, 0, local).ravel()
-        return local[np.isin(np.asarray(self.mesh.geometry.input_global_indices)[nodes], copies)]
+        return local[np.isin(self.original_points[nodes], copies)]
+
+
+def _local_facets(
+    joint: Joint, mesh: dolfinx.mesh.Mesh, original: IntArray, rows: IntArray
+) -> tuple[npt.NDArray[np.int32], IntArray]:
+    """Local facets (ghosts included), ascending, of some rows of joint.table, and the position of each in `rows`.
+
+    A cell of the mesh has its vertices in the order of the joint's cell, and so its facets.
+    """
+    table, of_cells = joint.table, facets_of_cells(mesh, joint.cell_type)
+    here = np.full(len(joint.cells), -1, np.int32)
+    here[original] = np.arange(len(original))
+    found = np.full(len(rows), -1, np.int32)
+    for cell, local in zip(table.cells[rows].T, table.local[rows].T, strict=True):
+        there = (cell >= 0) & (here[cell] >= 0)
+        found[there] = of_cells[here[cell[there]], local[there]]
+    which = np.flatnonzero(found >= 0)
+    which = which[np.argsort(found[which])]
+    return found[which], which
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
@@ -121,7 +167,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, npt.NDArray[np.int32], dict[str, tuple[int, ...]]]:
-    """Facets with a name (vertices), the number of the combination of names of each, and name -> combinations."""
+    """Facets with a name (rows of joint.table), the number of the combination of names of each, name -> combinations."""
     sets = [*_named_sets(joint), (BONDED, joint.bonded)]
     names, rows = [name for name, _ in sets], [row for _, row in sets]
     tagged = np.unique(np.concatenate(rows))
@@ -130,4 +176,4 @@ def _name_combinations(joint: Joint) -> tuple[IntArray, npt.NDArray[np.int32], d
         member[np.searchsorted(tagged, row), column] = True
     kinds, combination = np.unique(member, axis=0, return_inverse=True)
     values = {name: tuple(int(v) + 1 for v in np.flatnonzero(kinds[:, k])) for k, name in enumerate(names)}
-    return joint.table.vertices[tagged], (combination.ravel() + 1).astype(np.int32), values
+    return tagged, (combination.ravel() + 1).astype(np.int32), values

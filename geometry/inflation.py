@@ -20,7 +20,6 @@ from geometry.joint import (
     Joint,
     Profile,
     S,
-    is_number,
     place,
     unknown,
 )
@@ -34,6 +33,7 @@ from geometry.topology import (
     lagrange,
     node_jacobians,
 )
+from thinlayer_base import is_finite
 
 WAYS = ("kept", "extended")
 NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
@@ -76,8 +76,8 @@ def inflate(
     eps: float,
     *,
     profile: Profile | None = None,
-    layers: int = 4,
-    strata: Sequence[float] = (),
+    cells_through: int = 4,
+    fractions: Sequence[float] = (),
     bodies: str = "kept",
 ) -> Joint:
     """Open S into a meshed layer.
@@ -87,8 +87,8 @@ def inflate(
         eps: thickness of the layer, a length > 0.
         profile: function of coordinates (d, n) that returns n numbers > 0: the thickness at the vertices of S is eps times
             these, and linear in between. None: uniform.
-        layers: number of cells through the thickness, at least 1 (each stratum gets at least one).
-        strata: thickness fractions of sublayers, from the lower to the upper face, adding up to 1; () for one layer.
+        cells_through: number of cells through the thickness, at least 1 (each sublayer gets at least one).
+        fractions: shares of the thickness of sublayers, from the lower to the upper face, adding up to 1; () for one layer.
         bodies: "kept": the bodies keep their shape and are moved apart by eps (on a rigid base the layer grows below
             the body); S planar, thickness uniform. "extended": the total shape is kept; the bodies give up half of the
             thickness each (on a rigid base the body gives up all of it), their nodes follow by a harmonic motion that
@@ -100,29 +100,29 @@ def inflate(
         set NAME that they continue. Body cells keep their numbers and their nodes' order, curved cells stay curved.
 
     Raises:
-        GeometryError: a size, layers or strata out of range; S ends inside the bodies, branches or is folded; S curved or
-            the thickness varying (kept); outer faces that touch S and are nearly parallel to it (extended); cells turned
-            inside out, a layer that overlaps the bodies.
+        GeometryError: a size, cells_through or fractions out of range; S ends inside the bodies, branches or is folded; S
+            curved or the thickness varying (kept); outer faces that touch S and are nearly parallel to it (extended); cells
+            turned inside out, a layer that overlaps the bodies.
     """
-    _check(joint, eps, layers, strata, bodies)
+    _check(joint, eps, cells_through, fractions, bodies)
     thickness = float(eps) * joint.relative_thickness(profile)
-    levels = _levels(joint, layers, strata)
+    levels = _levels(joint, cells_through, fractions)
     below = joint.side < 0
     body_cells = joint.cells.copy()
     body_cells[below] = levels.drop(joint.cells[below])
-    band_cells, stratum, director = _band_cells(joint, levels, strata)
+    band_cells, sublayer, director = _band_cells(joint, levels, fractions)
     cells = np.concatenate([body_cells, band_cells])
 
     reference = np.concatenate([joint.points, np.tile(joint.points[levels.nodes], (levels.top, 1))])
     points = reference + _motion(joint, body_cells, levels, thickness, bodies)
     _check_cells(joint, points, cells)
 
-    names = (LAYER,) if not strata else tuple(f"{LAYER}/{k + 1}" for k in range(len(strata)))
+    names = (LAYER,) if not fractions else tuple(f"{LAYER}/{k + 1}" for k in range(len(fractions)))
     return Joint(
         points,
         cells,
         joint.cell_type,
-        np.concatenate([joint.region, len(joint.regions) + stratum]),
+        np.concatenate([joint.region, len(joint.regions) + sublayer]),
         joint.regions + names,
         _move_facets(joint, levels, band_cells[:, : joint.corners.shape[1]]),
         joint.upper,
@@ -132,30 +132,33 @@ def inflate(
     )
 
 
-def check_layering(layers: int, bodies: str, name: str = "layers") -> None:
+def check_layering(cells_through: int, bodies: str) -> None:
     """Raise GeometryError if the number of cells through the thickness or the way to make room is out of range.
 
     Args:
-        layers: the number.
+        cells_through: the number of cells.
         bodies: the way.
-        name: what the caller's user calls the number.
     """
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
-    if not is_number(layers) or int(layers) != layers or layers < 1:
-        raise GeometryError(f"{name} is {layers!r}; the layer needs a whole number >= 1 of cells through its thickness")
+    if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
+        raise GeometryError(
+            f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells through its thickness"
+        )
 
 
-def _check(joint: Joint, eps: float, layers: int, strata: Sequence[float], bodies: str) -> None:
-    check_layering(layers, bodies)
+def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[float], bodies: str) -> None:
+    check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
         raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    if not is_number(eps) or eps <= 0:
+    if not is_finite(eps) or eps <= 0:
         raise GeometryError(f"the layer's thickness eps is {eps!r}; it must be > 0")
-    if len(strata) and not (all(map(is_number, strata)) and min(strata) > 0 and abs(sum(strata) - 1) <= 1e-12):
-        raise GeometryError(f"the strata's fractions {tuple(strata)} must be numbers > 0 and add up to 1")
+    if len(fractions) and not (
+        all(map(is_finite, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
+    ):
+        raise GeometryError(f"the sublayers' fractions {tuple(fractions)} must be numbers > 0 and add up to 1")
     if len(joint.bonded):
         raise GeometryError(_why_not_whole(joint))
 
@@ -176,34 +179,34 @@ def _why_not_whole(joint: Joint) -> str:
     )
 
 
-def _levels(joint: Joint, layers: int, strata: Sequence[float]) -> _Levels:
+def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Levels:
     degree = joint.degree
-    fractions = np.asarray(strata if len(strata) else [1.0])
-    counts = degree * np.maximum(1, np.rint(layers * fractions).astype(int))
-    edges = np.concatenate([[0.0], np.cumsum(fractions)])
+    shares = np.asarray(fractions if len(fractions) else [1.0])
+    counts = degree * np.maximum(1, np.rint(cells_through * shares).astype(int))
+    edges = np.concatenate([[0.0], np.cumsum(shares)])
     edges[-1] = 1.0
     heights = [np.linspace(edges[k], edges[k + 1], n + 1)[1:] for k, n in enumerate(counts)]
     return _Levels(np.unique(joint.surface), len(joint.points), np.concatenate([[0.0], *heights]))
 
 
-def _band_cells(joint: Joint, levels: _Levels, strata: Sequence[float]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Cells between the levels, their stratum, and the normal of S at each of their corners."""
+def _band_cells(joint: Joint, levels: _Levels, fractions: Sequence[float]) -> tuple[IntArray, IntArray, FloatArray]:
+    """Cells between the levels, their sublayer, and the normal of S at each of their corners."""
     surface, degree = joint.surface, joint.degree
     if is_tensor(joint.cell_type):
         patterns = _extruded(joint.cell_type, degree, len(surface))
     else:
         order = np.argsort(surface[:, : joint.dim], axis=1)
         patterns = _split_prisms(joint.cell_type, degree, order)
-    edges = np.cumsum(strata)[:-1] if len(strata) else np.empty(0)
-    cells, stratum, director = [], [], []
+    edges = np.cumsum(fractions)[:-1] if len(fractions) else np.empty(0)
+    cells, sublayer, director = [], [], []
     k = joint.corners.shape[1]
     for base in range(0, levels.top, degree):
         middle = (levels.heights[base] + levels.heights[base + degree]) / 2
         for columns, offsets in patterns:
             cells.append(levels.number(np.take_along_axis(surface, columns, axis=1), base + offsets))
             director.append(np.take_along_axis(joint.node_normals, columns[:, :k, None], axis=1))
-            stratum.append(np.full(len(surface), np.searchsorted(edges, middle)))
-    return np.concatenate(cells), np.concatenate(stratum), np.concatenate(director)
+            sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))
+    return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
 
 
 Pattern = tuple[IntArray, IntArray]  # (n_S, k) which node of each facet of S, (k,) how many levels above the first

@@ -7,8 +7,6 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -26,6 +24,7 @@ from geometry.topology import (
     lagrange,
     ridges,
 )
+from thinlayer_base import InputError, is_finite
 
 Profile = Callable[[FloatArray], FloatArray]
 
@@ -36,13 +35,8 @@ RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, BONDED)
 FLAT = 1e-5  # S counts as planar when its unit normals differ by less: files may have seven digits
 
 
-class GeometryError(ValueError):
+class GeometryError(InputError):
     """A mesh, a name or a size that cannot be used; the message says what, where and what is allowed."""
-
-
-def is_number(value: object) -> bool:
-    """Whether a value is a finite real number; truth values are none."""
-    return isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:
@@ -355,7 +349,7 @@ class Joint:
 
     def rotated(self, angle: float) -> Joint:
         """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""
-        if not is_number(angle):
+        if not is_finite(angle):
             raise GeometryError(f"angle is {angle!r}; it must be a number, in radians")
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -391,7 +385,7 @@ class Joint:
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""
         vertices = np.unique(self.corners)
-        if np.ndim(x) != 1 or not all(map(is_number, x)):
+        if np.ndim(x) != 1 or not all(map(is_finite, x)):
             raise GeometryError(f"point {x!r} is no place; give {self.dim} coordinates")
         if len(x) != self.dim:
             raise GeometryError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")

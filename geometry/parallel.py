@@ -24,7 +24,9 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
         except Exception as error:
             error.on_all_ranks = True  # type: ignore[attr-defined]
             result = error
-    received = comm.bcast(_sendable(result) if isinstance(result, Exception) else result, root=0)
+    received = result
+    if comm.size > 1:
+        received = comm.bcast(_sendable(result) if isinstance(result, Exception) else result, root=0)
     if isinstance(received, Exception):
         raise result if isinstance(result, Exception) else received
     return cast(T, received)

@@ -8,6 +8,7 @@ import scipy.sparse
 import scipy.sparse.csgraph
 
 from geometry.topology import FACET_TYPES, FacetTable, FloatArray, IntArray
+from thinlayer_base import InputError
 
 LEAST_COSINE = 0.02  # between the direction of the upper side and the normals of S
 
@@ -28,7 +29,7 @@ def sides_by_direction(
         upper: for each of them the cell above it.
 
     Raises:
-        ValueError: S turns its lower side to where its upper one was, or a cell lies above one part of S and below another.
+        InputError: S turns its lower side to where its upper one was, or a cell lies above one part of S and below another.
     """
     inner = np.flatnonzero(table.cells[:, 1] >= 0)
     inner = inner[~np.isin(inner, rows)]
@@ -47,7 +48,7 @@ def sides_by_direction(
         mark_above, mark_below = _sorted_around(in_cells, in_facets, in_surface, table.cells[inner], upper, lower)
         above[mark_above], below[mark_below] = True, True
     if (above & below).any():
-        raise ValueError(f"{(above & below).sum()} cells lie above one part of S and below another")
+        raise InputError(f"{(above & below).sum()} cells lie above one part of S and below another")
     return np.where(above, 1, -1)
 
 
@@ -89,7 +90,7 @@ def _sorted_around(
     several = np.bincount(groups_at[:, 1])[groups_at[:, 1]] > 1
     both = np.intersect1d(above, below)
     if np.isin(both, groups_at[several, 0]).any():
-        raise ValueError("it points out of S in one part and into it in another")
+        raise InputError("it points out of S in one part and into it in another")
     above, below = np.setdiff1d(above, both), np.setdiff1d(below, both)
     return cell[np.isin(group, above)], cell[np.isin(group, below)]
 
@@ -109,11 +110,11 @@ def upper_cells(centres: FloatArray, cells: IntArray, x: FloatArray, n: FloatArr
         direction: (d,).
 
     Raises:
-        ValueError: the direction lies in a facet.
+        InputError: the direction lies in a facet.
     """
     cosine = n @ direction / np.linalg.norm(n, axis=1) / np.linalg.norm(direction)
     along = np.abs(cosine) < LEAST_COSINE
     if along.any():
-        raise ValueError(f"it lies in S near ({', '.join(f'{c:.6g}' for c in x[along][0])})")
+        raise InputError(f"it lies in S near ({', '.join(f'{c:.6g}' for c in x[along][0])})")
     first = ((centres[cells[:, 0]] - x) * n).sum(axis=1) * cosine > 0
     return np.where(first, cells[:, 0], cells[:, 1])

@@ -9,6 +9,8 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
+from thinlayer_base import InputError
+
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,10 +36,10 @@ def corner_count(cell_type: str) -> int:
 
 
 def geometry_degree(cell_type: str, n_nodes: int) -> int:
-    """Degree of cells with that many nodes, 1 or 2; raises ValueError for another number."""
+    """Degree of cells with that many nodes, 1 or 2; raises InputError for another number."""
     allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
     if n_nodes not in allowed:
-        raise ValueError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))}")
+        raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))}")
     return allowed[n_nodes]
 
 
@@ -58,49 +60,54 @@ class FacetTable:
     Attributes:
         vertices: (n_facets, k) sorted vertex numbers, rows unique and in lexicographic order.
         cells: (n_facets, 2) the cells that meet there; -1 in the second column on the outer boundary.
-        local: (n_facets,) which facet of the first of these cells it is.
+        local: (n_facets, 2) which facet of each of these cells it is; -1 where there is no cell.
 
-    Rows are found vertex by vertex: `_keys[k]` are the different beginnings of k + 1 vertices, each a number for the
-    beginning of k vertices and the last vertex.
+    Rows are found vertex by vertex: `_keys[k]` are the different beginnings of k + 2 vertices in ascending order, each as
+    one integer, made of the beginning of k + 1 vertices (its number) and of the last vertex.
     """
 
     vertices: IntArray
     cells: IntArray
-    local: IntArray
+    local: npt.NDArray[np.int8]
     _keys: tuple[IntArray, ...] = field(repr=False)
 
     @classmethod
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
-        """The table of a mesh given by its cells' vertices; raises ValueError if more than two cells share a facet."""
+        """The table of a mesh given by its cells' vertices; raises InputError if more than two cells share a facet."""
         rows = np.sort(np.concatenate([corners[:, f] for f in local_facets(cell_type)]), axis=1)
-        keys, number = [], np.zeros(len(rows), np.int64)
-        for column in rows.T:
-            key, number = np.unique((number << BITS) + column, return_inverse=True)
+        beginning, keys = rows[:, 0], []
+        for column in rows.T[1:-1]:
+            key, beginning = np.unique(beginning << BITS | column, return_inverse=True)
             keys.append(key)
-        counts = np.bincount(number)
+        whole = beginning << BITS | rows[:, -1]
+        order = np.argsort(whole, kind="stable")
+        whole = whole[order]
+        start = np.flatnonzero(np.diff(whole, prepend=-1))
+        keys.append(whole[start])
+        counts = np.diff(start, append=len(whole))
         if counts.max(initial=0) > 2:
-            raise ValueError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
-        order = np.argsort(number, kind="stable")
-        start = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
-        local, owner = np.divmod(order, max(len(corners), 1))
-        pairs = np.full((len(counts), 2), -1, np.int64)
-        pairs[:, 0] = owner[start]
+            raise InputError(f"{(counts > 2).sum()} facets belong to more than two cells: the mesh is not conforming")
         double = counts == 2
-        pairs[double, 1] = owner[start[double] + 1]
-        return cls(rows[order[start]], pairs, local[start], tuple(keys))
+        pairs = np.full((len(start), 2), -1, np.int64)  # positions among all cells' facets
+        pairs[:, 0] = order[start]
+        pairs[double, 1] = order[start[double] + 1]
+        local, cells = np.divmod(pairs, max(len(corners), 1))
+        cells[~double, 1] = -1
+        return cls(rows[pairs[:, 0]], cells, local.astype(np.int8), tuple(keys))
 
     def index(self, facets: IntArray) -> IntArray:
         """Rows of this table for facets given by vertices in any order; -1 where the mesh has no such facet."""
-        number, found = np.zeros(len(facets), np.int64), np.ones(len(facets), bool)
-        for column, key in zip(np.sort(facets, axis=1).T, self._keys, strict=True):
-            wanted = (number << BITS) + column
-            number = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-            found &= (key[number] == wanted) & (column >= 0) & (column < 1 << BITS)
+        columns = np.sort(facets, axis=1).T
+        number, found = columns[0], ((columns >= 0) & (columns < 1 << BITS)).all(axis=0)
+        for column, key in zip(columns[1:], self._keys, strict=True):
+            wanted = np.where(found, number << BITS | column, -1)
+            number = np.searchsorted(key, wanted)
+            found &= np.searchsorted(key, wanted, "right") > number
         return np.where(found, number, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
         """Nodes of facets, (n, nodes per facet), in the order of the facet's own element; `cells`: all nodes of cells."""
-        local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows]]
+        local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows, 0]]
         return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
 
 

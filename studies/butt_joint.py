@@ -9,8 +9,8 @@ import ufl
 from forms import LinearElastic
 from forms.kinematics import Expr
 from geometry import disc
-from studies.sweeping import Sweep
-from thinlayer import ThinLayer, plotting
+from studies.sweeping import Sweep, draw_rates
+from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
@@ -39,8 +39,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     }
     record.parameters = {"radius_mm": RADIUS, "height_mm": HEIGHT, "steel": str(STEEL), "glue_per_mm": str(GLUE)}
     sweep = Sweep(record, joint, setup, lambda e: ThinLayer(GLUE, e), where=inside)
-    sweep.run(eps, (0.9, None), pictured=max(eps), unit="mm", title="butt joint")
-    draw(record)
+    sweep.run(eps, (0.9, None), unit="mm", title="butt joint")
 
 
 def inside(x: Expr) -> Expr:
@@ -50,4 +49,4 @@ def inside(x: Expr) -> Expr:
 
 def draw(record: Record) -> None:
     """Draw the rates from table.csv."""
-    plotting.rates(record.path("table.csv"), save=record.path("rates.png"), title="butt joint")
+    draw_rates(record, title="butt joint")

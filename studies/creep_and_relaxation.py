@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from forms import KelvinVoigt, Law, LinearElastic, Maxwell, Norton, Stack
+from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import sandwich
-from thinlayer import Adaptive, Model, State, Surface, Table, ThinLayer, march, observed_orders, plotting
+from thinlayer import Adaptive, Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -64,7 +64,7 @@ class Case:
         relaxes: whether the top is moved and the traction measured; otherwise the traction is held, the jump measured.
     """
 
-    law: Law
+    law: BulkLaw
     exact: Callable[[Pull, Array], Array]
     relaxes: bool = False
 
@@ -125,7 +125,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.parameters = {"eps": EPS, "body": str(BODY), "layers": [str(case.law) for case in CASES.values()], "dt": DT}
     times = until(END, 2 * DT if quick else DT)
     curves, difference = {"t": np.array(times)}, 0.0
-    orders = Table(path=record.path("orders.csv"))
+    orders = record.table("orders.csv")
     for title, pull in track([(title, pull) for title in CASES for pull in PULLS], "columns", "{0[0]}"):
         column = Column(record, CASES[title], pull)
         found = {kind: column.follow(model, times) for kind, model in column.models.items()}
@@ -136,7 +136,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     rows = zip(*curves.values(), strict=True)
     record.write("table.csv", Table(dict(zip(curves, row, strict=True)) for row in rows))
     record.say(f"closed forms at t = {AT:g}, relative errors by length of the steps\n{orders}")
-    draw(record)
     record.check("largest relative difference of both models", difference, high=1e-8)
     for scheme, (_, order) in SCHEMES.items():
         observed = orders[f"{scheme} order"]
@@ -163,12 +162,13 @@ class Column:
         joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
         moves, stays = ("xy"[pull.axis], "yx"[pull.axis])
         supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {stays: 0.0}, "RIGHT": {stays: 0.0}}
-        setup = {"body": BODY, "layer": ThinLayer(case.law, EPS), "supports": supports}
+        setup: dict[str, Any] = {"body": BODY, "supports": supports}
         if case.relaxes:
             supports["TOP"] = {moves: pull.end}
         else:
             setup["tractions"] = {"TOP": pull.stress * np.eye(2)[pull.axis]}
-        self.models = {INTERFACE: Model.interface(joint, **setup), FULL: Model.full(joint, **setup)}
+        structure, layer = Structure(joint, **setup), ThinLayer(case.law, EPS)
+        self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
         self.surface = Surface(self.models[INTERFACE])
 
     def follow(self, model: Model, times: Sequence[float]) -> Array:

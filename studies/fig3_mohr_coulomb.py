@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, block
-from thinlayer import Model, State, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
+from studies.measured import along_S
+from thinlayer import Model, State, Structure, Surface, Table, ThinLayer, march, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
 from thinlayer.running.record import Record
@@ -68,7 +69,7 @@ READINGS = {
 }
 
 
-def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
+def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: bool = False) -> None:
     """Solve Fig. 2 with the interface law and with the layer meshed; loads in one step, and for R1 in many.
 
     Without cohesion the free end of a meshed layer has no strength: an elastic fraction h makes the problem well posed.
@@ -84,11 +85,11 @@ def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
     record.parameters = {"eps_mm": EPS, "layer_per_mm": str(glue(0.0)), "h": H, "h_mm": coarse if quick else fine}
     table = Table()
     for name, reading in readings.items():
-        bar = Bar(record, name, reading, coarse if quick else fine)
+        bar = YieldingBar(record, name, reading, coarse if quick else fine)
         shown = {
-            "interface law, h = 0": bar.solved(Model.interface, 0.0),
-            f"interface law, h = {H:g}": bar.solved(Model.interface, H),
-            f"meshed layer, h = {H:g}": bar.solved(Model.full, H),
+            "interface law, h = 0": bar.solved(Structure.interface, 0.0),
+            f"interface law, h = {H:g}": bar.solved(Structure.interface, H),
+            f"meshed layer, h = {H:g}": bar.solved(Structure.full, H),
         }
         for label, state in shown.items():
             for row in bar.profile(state):
@@ -99,15 +100,14 @@ def run(record: Record, *, loads: str = "both", quick: bool = False) -> None:
         window, picture = (-2.0, 6.0, -1.6, 4.0), record.path(f"layer_end_{name}.png")
         plotting.deformed(ends, save=picture, scale=reading.scale, unit="mm", title=title, zoom=window)
     record.write("table.csv", table)
-    draw(record)
     if "R1" in readings:
-        bar = Bar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
+        bar = YieldingBar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
         refine(record, bar, STEPS[: 3 if quick else None])
 
 
 def glue(h: float) -> MohrCoulomb:
     """The layer of Fig. 2, per mm."""
-    return MohrCoulomb(GLUE.lmbda, GLUE.mu, C=0.0, Omega=OMEGA, h=h)
+    return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=h)
 
 
 def meshed(sizes: tuple[float, float, float]) -> Joint:
@@ -115,19 +115,19 @@ def meshed(sizes: tuple[float, float, float]) -> Joint:
     return block(SIDE, SIDE, sizes[0], h_S=sizes[1], h_ends=sizes[2], cell="quadrilateral")
 
 
-class Bar:
+class YieldingBar:
     """The bar of Fig. 2 under one reading of the loads; sizes as in `meshed`."""
 
     def __init__(self, record: Record, name: str, loads: Loads, sizes: tuple[float, float, float]) -> None:
         self.record, self.name, self.loads = record, name, loads
         self.joint = meshed(sizes)
-        self.surface = Surface(self.model(Model.interface, 0.0, loads.tractions))
+        self.surface = Surface(self.model(Structure.interface, 0.0, loads.tractions))
 
     def model(self, kind: Callable[..., Model], h: float, tractions: dict[str, Any]) -> Model:
         """The bar, its layer with an elastic fraction h."""
         layer = ThinLayer(glue(h), EPS)
         supports = self.loads.supports
-        return kind(self.joint, layer=layer, body=STEEL, supports=supports, tractions=tractions, element="S2")
+        return kind(Structure(self.joint, body=STEEL, supports=supports, tractions=tractions, element="S2"), layer)
 
     def solved(self, kind: Callable[..., Model], h: float) -> State:
         """All loads in one step."""
@@ -138,21 +138,22 @@ class Bar:
         side, (x_part, y_part) = self.loads.shear
         tractions = dict([self.loads.pressure]) | {side: lambda x, t: (t * x_part, t * y_part)}
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
-        return march(self.model(Model.interface, 0.0, tractions), times, keep="last").last
+        return march(self.model(Structure.interface, 0.0, tractions), times, keep="last").last
 
     def profile(self, state: State) -> list[dict[str, float | None]]:
         """h, displacement, traction and their tangential ratio along S; the ratio is empty where it is nearly 0/0."""
-        layer, surface = state.model.layer, self.surface
-        assert layer is not None
-        x, u = surface.profile(surface.frame(surface.jump(state)))
-        _, t = surface.profile(surface.frame(surface.traction(state)))
+        law = state.model.layer_law
+        assert law is not None
+        x, u, t = along_S(self.surface, state)
         columns = {"x_mm": x[:, 0], "u_T_mm": u[:, 0], "u_N_mm": u[:, 1], "t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1]}
         found = np.abs(u[:, 0]) > 0.1 * np.abs(u[:, 0]).max()
         rows: list[dict[str, float | None]] = []
         for k in range(len(x)):
             ratio = float(t[k, 0] / u[k, 0]) if found[k] else None
             rows.append(
-                {"h": layer.law.parameters()["h"]} | {n: float(c[k]) for n, c in columns.items()} | {"ratio": ratio}
+                {"h": law.parameters()["elastic_fraction"]}
+                | {n: float(c[k]) for n, c in columns.items()}
+                | {"ratio": ratio}
             )
         return rows
 
@@ -182,7 +183,7 @@ class Bar:
         record.check("R4m: smallest t_T/u_T over mu", softest, high=0.99)
 
 
-def refine(record: Record, bar: Bar, counts: Sequence[int]) -> None:
+def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
     """The pressure first, then the shear in more and more steps: the shear force depends on the path, not on the mesh."""
     forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
     table = Table()

@@ -17,7 +17,8 @@ from forms.non_monotone import Phases
 from geometry import block
 from studies.fig4_drawing import draw_energies, draw_limit, draw_response
 from studies.measured import MeanJump, SupportForce
-from thinlayer import History, Model, Surface, Table, ThinLayer, march, piecewise
+from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, march, piecewise
+from thinlayer.discretisation.loads import Support
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 from thinlayer.time.journal import Observe
@@ -62,7 +63,6 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.write("table_limit.csv", limit)
     record.say(limit)
     check_digits(record, table, limit)
-    draw(record)
 
 
 class Strip:
@@ -82,11 +82,10 @@ class Strip:
     def _model(self, bar: limits.Bar, law: type[Phases]) -> Model:
         material = law(0.0, bar.kbar / bar.l / 2, bar.alpha, bar.l * bar.cbar, np.diag([0.0, 1.0]))
         moves = piecewise({0: 0, END: END, 2 * END: 0})
-        supports = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}
-        kind = Model.full if bar.eps else Model.interface
+        supports: dict[str, Support] = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}, "TOP": {"x": 0, "y": moves}}
         layer = ThinLayer(material, (bar.eps or BAR.eps) * bar.l)  # the interface law does not depend on eps
-        body, bodies = LinearElastic(0.0, bar.K / 2), "extended"
-        return kind(self.joint, layer=layer, body=body, supports=supports, bodies=bodies, sublayers=3, element="Q1")
+        structure = Structure(self.joint, body=LinearElastic(0.0, bar.K / 2), supports=supports, element="Q1")
+        return structure.full(layer, bodies="extended", cells_through=3) if bar.eps else structure.interface(layer)
 
     def march(self, law: type[Phases], steps: int) -> History:
         """Up to END in equal steps, and back; U is measured on S, sigma at the end that moves."""
@@ -133,8 +132,8 @@ class Strip:
         error = max(abs(value / getattr(self.bar, name) - 1) for name, value in found.items())
         self.record.check(f"{self}: relative error of {', '.join(found)}", error, high=EXACT)
         area = float(np.trapezoid(unrelaxed.table["sigma"], moved(unrelaxed.t)))
-        self.record.check(f"{self}: area of the loop, force over delta", area, **near(self.bar.loop_area))
-        self.record.check(f"{self}: energy lost in the first snap over half of it", 2 * lost[0] / area, **near(1.0))
+        self.record.check_near(f"{self}: area of the loop, force over delta", area, self.bar.loop_area, EXACT)
+        self.record.check_near(f"{self}: energy lost in the first snap over half of it", 2 * lost[0] / area, 1.0, EXACT)
         return {"eps": self.bar.eps} | found
 
     def check_steps(self, history: History) -> None:
@@ -153,7 +152,7 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
     bar, delta, energy = strip.bar, moved(unrelaxed.t), unrelaxed.table["energy"]
     excess = energy - bar.layouts(delta, 1).least().energy
     record.check(f"{strip}: energy of a local minimum less the least one, smallest", excess.min(), low=-EXACT)
-    record.check(f"{strip}: the same, largest: half of the loop", excess.max(), **near(bar.loop_area / 2))
+    record.check_near(f"{strip}: the same, largest: half of the loop", excess.max(), bar.loop_area / 2, EXACT)
     least = [bar.layouts(moved(relaxed.t), n).least().energy for n in COUNTS]
     record.check(f"{strip}: the least one less the relaxed one", np.min(least - relaxed.table["energy"]), low=-EXACT)
     growth = np.diff(least, axis=0).max()
@@ -165,16 +164,16 @@ def check_digits(record: Record, table: Table, limit: Table) -> None:
     for eps, digits in DIGITS.items():
         row = limit.rows[EPS.index(eps)]
         for name, value in zip(NAMES, digits, strict=True):
-            record.check(f"{name} of the bar, eps = {eps:g}", float(row[name] or 0), **near(value))
+            record.check_near(f"{name} of the bar, eps = {eps:g}", float(row[name] or 0), value, EXACT)
     at = np.flatnonzero((table["eps"] == BAR.eps) & np.isclose(table["delta"], AT))[0]
     for name, value in DIGITS_AT.items():
-        record.check(f"{name} at delta = {AT:g}", table[name][at], **near(value))
+        record.check_near(f"{name} at delta = {AT:g}", table[name][at], value, EXACT)
     first = (table["eps"] == BAR.eps) & (table["delta"] > 0) & (table["delta"] < BAR.delta_0)
     printed = BAR.K * table["delta"] * BAR.R / (1 - BAR.eps)  # before Eq. (47)
     record.check("U before delta_0: printed over computed", (printed[first] / table["U"][first]).min(), low=4.0)
     for name in NAMES[:4]:
         slopes = (limit[name][:-1] - limit[name][-1]) / limit["eps"][:-1]
-        record.check(f"{name}: slope in eps, largest over smallest", slopes.max() / slopes.min(), **near(1.0))
+        record.check_near(f"{name}: slope in eps, largest over smallest", slopes.max() / slopes.min(), 1.0, EXACT)
 
 
 def moved(t: Array) -> Array:
@@ -190,11 +189,6 @@ def straight(x: Array, y: Array, inside: npt.NDArray[np.bool_]) -> Array:
 def meet(a: Array, b: Array) -> float:
     """Where two lines (slope, value at 0) meet."""
     return float((b[1] - a[1]) / (a[0] - b[0]))
-
-
-def near(value: float) -> dict[str, float]:
-    """A range around a value > 0, relative."""
-    return {"low": value * (1 - EXACT), "high": value * (1 + EXACT)}
 
 
 def draw(record: Record) -> None:

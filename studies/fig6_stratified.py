@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from forms import Law, LinearElastic, Stack
+from forms import BulkLaw, LinearElastic, Stack
 from geometry import block
-from thinlayer import Model, State, Surface, Table, ThinLayer, observed_orders, plotting, solve
+from studies.measured import along_S
+from thinlayer import State, Structure, Surface, Table, ThinLayer, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -34,14 +35,13 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
         quick: coarser mesh.
     """
     sizes = (4.0, 0.5, 0.1) if quick else (2.0, 0.2, 0.02)
-    bar = Bar(record, *sizes)
+    bar = StratifiedBar(record, *sizes)
     record.parameters = {"eps_mm": EPS, "K_T": K_T, "h_mm": sizes, "bar": str(BAR), "layer_per_mm": str(GLUE)}
     x, ratio_interface = bar.stiffness(bar.limit)
     full = bar.full(GLUE, EPS)
     _, ratio_band = bar.stiffness(full)
     rows = zip(x, ratio_band, ratio_interface, strict=True)
     record.write("table.csv", Table({"x_mm": a, "ratio_band": b, "ratio_interface": c} for a, b, c in rows))
-    draw(record)
     _draw_deformed(record, {f"meshed layer, eps = {EPS:g} mm": full, "interface law": bar.limit})
 
     deviation = _deviation(record, bar, sorted(eps, reverse=True))
@@ -58,38 +58,33 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
         record.check(f"last observed order of the deviation at {PLACE:g} mm, moduli held", last, low=0.9, high=1.1)
 
 
-class Bar:
+class StratifiedBar:
     """The bar of Fig. 5 on any layer, and what its layer does along S."""
 
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
         self.record, self.joint = record, block(WIDTH, HEIGHT, h, h_S=h_S, h_ends=h_ends)
-        self.setup = {
-            "body": BAR,
-            "supports": {"RIGHT": {"x": 0.0}},
-            "tractions": {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)},
-        }
-        model = Model.interface(self.joint, layer=ThinLayer(GLUE, EPS), **self.setup)
+        loads = {"LEFT": (50.0, 0.0), "TOP": (0.0, -25.0)}
+        self.bar = Structure(self.joint, body=BAR, supports={"RIGHT": {"x": 0.0}}, tractions=loads)
+        model = self.bar.interface(ThinLayer(GLUE, EPS))
         self.limit, self.surface = record.solved(solve(model)), Surface(model)
 
-    def full(self, law: Law, eps: float) -> State:
+    def full(self, law: BulkLaw, eps: float) -> State:
         """The bar on a meshed layer."""
-        return self.record.solved(solve(Model.full(self.joint, layer=ThinLayer(law, eps), **self.setup)))
+        return self.record.solved(solve(self.bar.full(ThinLayer(law, eps))))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """x and t_T/u_T at the vertices of S, both projected to degree 1; without the supported end, where it is 0/0."""
-        surface = self.surface
-        x, u = surface.profile(surface.frame(surface.jump(state)))
-        _, t = surface.profile(surface.frame(surface.traction(state)))
+        x, u, t = along_S(self.surface, state)
         free = np.abs(u[:, 0]) > 1e-9 * np.abs(u[:, 0]).max()
         return x[free, 0], t[free, 0] / u[free, 0]
 
-    def deviation(self, law: Law, eps: float, k_t: float) -> float:
+    def deviation(self, law: BulkLaw, eps: float, k_t: float) -> float:
         """Relative deviation of t_T/u_T from k_t at PLACE."""
         x, ratio = self.stiffness(self.full(law, eps))
         return float(np.interp(PLACE, x, ratio) / k_t - 1)
 
 
-def _deviation(record: Record, bar: Bar, eps: Sequence[float]) -> Table:
+def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
     """Deviations as eps -> 0: with moduli over thickness held (K_T fixed), and with the glue's own moduli (K_T ~ 1/eps)."""
     rows = []
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
@@ -100,7 +95,7 @@ def _deviation(record: Record, bar: Bar, eps: Sequence[float]) -> Table:
                 "deviation_moduli_held": bar.deviation(GLUE_MODULI.per_thickness(e), e, K_T * EPS / e),
             }
         )
-    table = Table(path=record.path("deviation.csv"))
+    table = record.table("deviation.csv")
     orders = {
         way: observed_orders(eps, [row[f"deviation_{way}"] for row in rows]) for way in ("ratios_held", "moduli_held")
     }

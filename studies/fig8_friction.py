@@ -6,7 +6,7 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Model, Table, plotting, solve
+from thinlayer import Structure, Table, plotting, solve
 from thinlayer.output.contact_report import ContactReport
 from thinlayer.running.record import Record
 
@@ -29,8 +29,8 @@ def run(record: Record) -> None:
         joint, setup = sliding_bar(n)
         for lmbda, mu in STIFFNESS:
             law = HolonomicCoulomb.of_layer(lmbda, mu, friction=FRICTION)
-            state = record.solved(solve(Model.interface(joint, layer=law, **setup)))
-            report = ContactReport.of(state)
+            state = record.solved(solve(Structure(joint, **setup).interface(law)))
+            report = ContactReport(state)
             counts[n, lmbda] = report.counts
             if n == N:
                 reports[label(lmbda, mu)], states[label(lmbda, mu)] = report, state
@@ -42,7 +42,6 @@ def run(record: Record) -> None:
     record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
     for entry in record.results["counts"]:
         record.say(entry)
-    draw(record)
     plotting.contact(reports, save=record.path("contact.png"), length="mm", stress="MPa", title="bar on a rigid base")
     stiff, soft = states[label(*STIFFNESS[0])], states[label(*STIFFNESS[2])]
     shown = {label(*STIFFNESS[0]): stiff, label(*STIFFNESS[2]): soft}

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from forms import LinearElastic
 from studies.problems import FOURIER_BODY, fourier
-from thinlayer import Model, ThinLayer, compare, plotting, solve
+from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.running.record import Record
 
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128, 1 / 256)
@@ -31,15 +31,14 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
         def compare_at(e: float, law: LinearElastic = law) -> dict[str, float]:
             layer = ThinLayer(law.per_thickness(e), e, order=1)
-            full = record.solved(solve(Model.full(joint, layer=layer, **setup)))
-            return compare(full, record.solved(solve(Model.interface(joint, layer=layer, **setup))))
+            full = record.solved(solve(Structure(joint, **setup).full(layer)))
+            return compare(full, record.solved(solve(Structure(joint, **setup).interface(layer))))
 
         table = record.sweep(compare_at, eps, "table.csv" if name == "harder" else f"{name}.csv")
         record.say(f"{name} layer, {law}\n{table}")
         if len(eps) > 1:
             low = 2.5 if eps[-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
             record.check(f"last observed order of the traction, {name} layer", table["order_traction"][-1], low=low)
-    draw(record)
 
 
 def draw(record: Record) -> None:

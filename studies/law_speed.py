@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
-from forms import Law, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
+from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from forms.kinematics import MANDEL, ROOT2
 from thinlayer import SolveError, Table, plotting
 from thinlayer.files.progress import track
@@ -35,13 +35,13 @@ class Case:
         floor: points per second that it must reach, or None.
     """
 
-    law: Law
+    law: BulkLaw
     slots: tuple[int, ...] = PLANE
     closed: float = 0.0
     floor: float | None = None
 
 
-RETURN, DILATANT = MohrCoulombReturn(LMBDA, MU, C, OMEGA), MohrCoulombReturn(LMBDA, MU, C, OMEGA, psi=PSI)
+RETURN, DILATANT = MohrCoulombReturn(LMBDA, MU, C, OMEGA), MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=PSI)
 CASES = {
     "linear elastic": Case(LinearElastic(LMBDA, MU)),
     "monodirectional": Case(MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA)),
@@ -73,7 +73,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         table.append(row | shares)
     record.write("table.csv", table)
     record.say(table)
-    draw(record)
     for k, (name, case) in enumerate(CASES.items()):
         if case.floor:
             record.check(f"{name}: points per second", table["points_per_second"][k], low=case.floor)

@@ -61,7 +61,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         f"{PLANES}, {HELD_JUMP}": drive(mono, opening_held(steps)),
     }
     for psi, name in DILATANT.items():
-        flowing = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, psi=psi)
+        flowing = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
         curves[name] = drive(flowing, stress_held(steps))
         curves[f"{name}, {HELD_JUMP}"] = drive(flowing, opening_held(steps))
     table = Table()
@@ -70,27 +70,25 @@ def run(record: Record, *, quick: bool = False) -> None:
         for row, x, y in zip(history.table.rows, shear, friction, strict=True):
             table.append({"path": name, "shear": x, "friction": y} | row)
     record.write("table.csv", table)
-    draw(record)
 
     held = curves[HELD_JUMP]
-    record.check("first yield after compression", first_yield(law), **near(limits.first_yield_ratio(NU, OMEGA), 1e-8))
+    record.check_near("first yield after compression", first_yield(law), limits.first_yield_ratio(NU, OMEGA), 1e-8)
     exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
     record.check(
         "largest error against the closed form, opening held", np.abs(held.tractions - exact).max(), high=6 / steps
     )
     maximum = float(np.nanmax(ratio(curves[UNLOADED])))
-    record.check("largest friction while the normal stress is taken away", maximum, **near(tangent(), 1e-5))
+    record.check_near("largest friction while the normal stress is taken away", maximum, tangent(), 1e-5)
     for name, history in {
         HELD_JUMP: drive(law, opening_held(60, LASTING)),
         HELD_STRESS: drive(law, stress_held(60, LASTING)),
     }.items():
-        record.check(f"lasting friction, {name}", ratio(history)[-1], **near(np.sin(np.radians(OMEGA)), 1e-6))
+        record.check_near(f"lasting friction, {name}", ratio(history)[-1], np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCIES[:2]:
-        history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, psi=psi), stress_held(60, LASTING))
-        record.check(
-            f"lasting friction, psi = {psi:g}", ratio(history)[-1], **near(limits.apparent_friction(OMEGA, psi), 5e-7)
-        )
-    record.check(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], **near(tangent(), 1e-12))
+        history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi), stress_held(60, LASTING))
+        expected = limits.apparent_friction(OMEGA, psi)
+        record.check_near(f"lasting friction, psi = {psi:g}", ratio(history)[-1], expected, 5e-7)
+    record.check_near(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], tangent(), 1e-12)
     check_digits(record, 200 if quick else 800)
 
 
@@ -130,11 +128,6 @@ def ratio(history: PointHistory) -> Array:
 def tangent() -> float:
     """The friction coefficient of Coulomb's law with the angle Omega."""
     return float(np.tan(np.radians(OMEGA)))
-
-
-def near(value: float, tolerance: float) -> dict[str, float]:
-    """A range around a value, relative."""
-    return {"low": value * (1 - tolerance), "high": value * (1 + tolerance)}
 
 
 # ---------------------------------------------------------------- paths

@@ -6,7 +6,7 @@ import ufl
 
 from forms import Anisotropic
 from studies.problems import fourier
-from thinlayer import Model, State, Surface, Table, ThinLayer, plotting, solve
+from thinlayer import State, Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -30,33 +30,31 @@ def run(record: Record, *, quick: bool = False) -> None:
 
     def interface(k_n: float, k_t: float) -> tuple[State, Surface]:
         law = Anisotropic.springs(K_N=k_n, K_T=k_t)
-        state = record.solved(solve(Model.interface(joint, layer=ThinLayer(law, 1.0), **setup)))
+        state = record.solved(solve(Structure(joint, **setup).interface(ThinLayer(law, 1.0))))
         return state, Surface(state.model)
 
-    bonded = record.solved(solve(Model.bonded(joint, **setup)))
-    stiff = Table(path=record.path("table.csv"))
+    bonded = record.solved(solve(Structure(joint, **setup).bonded()))
+    stiff = record.table("table.csv")
     for kappa in track(KAPPA[:: 2 if quick else 1], "limits", "kappa = {:g}"):
         state, surface = interface(kappa, kappa)
         difference = surface.norm(surface.traction(state) - surface.traction(bonded))
         row = {"kappa": kappa, "jump_times_kappa": surface.norm(surface.jump(state)) * kappa}
         stiff.append(row | {"traction_difference_times_kappa": difference * kappa})
 
-    sliding = Table(path=record.path("sliding.csv"))
+    sliding = record.table("sliding.csv")
     for k_t in track(SLIDING[:: 3 if quick else 1], "limits", "K_T = {:g}"):
         state, surface = interface(K_N, k_t)
         sliding.append({"K_T": k_t, **_amplitudes(surface, state)})
     record.say(stiff)
     record.say(sliding)
-    draw(record)
 
-    record.check("|[u]| kappa at the largest kappa", stiff["jump_times_kappa"][-1], **_near(BONDED_JUMP, 2e-4))
+    record.check_near("|[u]| kappa at the largest kappa", stiff["jump_times_kappa"][-1], BONDED_JUMP, 2e-4)
     last = stiff["traction_difference_times_kappa"][-1]
-    record.check("|t - t_bonded| kappa at the largest kappa", last, **_near(BONDED_TRACTION, 2e-4))
+    record.check_near("|t - t_bonded| kappa at the largest kappa", last, BONDED_TRACTION, 2e-4)
     tolerance = 1e-4 if quick else 1e-5
-    record.check("amplitude of [u_T] at the smallest K_T", sliding["jump_T"][-1], **_near(SLIDING_JUMP, tolerance))
-    record.check(
-        "amplitude of t_N at the smallest K_T", sliding["traction_N"][-1], **_near(SLIDING_TRACTION, tolerance)
-    )
+    record.check_near("amplitude of [u_T] at the smallest K_T", sliding["jump_T"][-1], SLIDING_JUMP, tolerance)
+    found = sliding["traction_N"][-1]
+    record.check_near("amplitude of t_N at the smallest K_T", found, SLIDING_TRACTION, tolerance)
 
 
 def _amplitudes(surface: Surface, state: State) -> dict[str, float]:
@@ -69,11 +67,6 @@ def _amplitudes(surface: Surface, state: State) -> dict[str, float]:
         "traction_T": surface.integral(traction[0] * sine),
         "traction_N": surface.integral(traction[1] * cosine),
     }
-
-
-def _near(value: float, tolerance: float) -> dict[str, float]:
-    ends = (value * (1 - tolerance), value * (1 + tolerance))
-    return {"low": min(ends), "high": max(ends)}
 
 
 def draw(record: Record) -> None:

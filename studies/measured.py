@@ -20,6 +20,12 @@ def one(x: Array) -> Array:
     return np.ones(x.shape[1])
 
 
+def along_S(surface: Surface, state: State) -> tuple[Array, Array, Array]:
+    """Places (n, d) at the vertices of S, jumps and tractions (n, d) there in the frame of S, projected. Collective."""
+    x, u = surface.profile(surface.frame(surface.jump(state)))
+    return x, u, surface.profile(surface.frame(surface.traction(state)))[1]
+
+
 class SupportForce:
     """Force of a moving support on elastic bodies without other loads there, in 2D per depth.
 

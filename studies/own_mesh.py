@@ -10,8 +10,8 @@ import ufl
 from forms import LinearElastic
 from forms.kinematics import Expr
 from geometry import read
-from studies.sweeping import Sweep
-from thinlayer import ThinLayer, plotting
+from studies.sweeping import Sweep, draw_rates, middle
+from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
 MESH = Path(__file__).parent / "data" / "arch.msh"  # curved cells; arch.geo is its drawing
@@ -39,16 +39,15 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         "element": "P1" if quick else "P2",
     }
     record.parameters = {"mesh": MESH.name, "stone": str(STONE), "mortar_per_m": str(MORTAR)}
-    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(MORTAR, e), bodies="extended", where=middle)
-    sweep.run(eps, (0.9, 1.1), pictured=sorted(eps)[len(eps) // 2], unit="m", title="masonry arch")
-    draw(record)
+    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(MORTAR, e), bodies="extended", where=inside)
+    sweep.run(eps, (0.9, 1.1), pictured=middle, unit="m", title="masonry arch")
 
 
-def middle(x: Expr) -> Expr:
+def inside(x: Expr) -> Expr:
     """Away from the ends of the joints."""
     return abs(ufl.sqrt(x[0] ** 2 + x[1] ** 2) - RADIUS) < MIDDLE
 
 
 def draw(record: Record) -> None:
     """Draw the rates from table.csv."""
-    plotting.rates(record.path("table.csv"), save=record.path("rates.png"), title="mortar joints of an arch")
+    draw_rates(record, title="mortar joints of an arch")

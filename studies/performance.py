@@ -12,14 +12,15 @@ from petsc4py import PETSc
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Model, SolveError, Table, plotting
+from thinlayer import SolveError, Structure, plotting
 from thinlayer.contact.blocks import faster_products
 from thinlayer.contact.problem import ContactProblem
-from thinlayer.contact.solver import contact_problem, scheme
+from thinlayer.contact.solver import SCHEMES
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
+from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
-from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.options import PREFIX, defaults, require_all_read
 from thinlayer.solving.solvers import Solver
@@ -46,7 +47,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     record.parameters = {"K": STIFFNESS, "friction": FRICTION, "repeats": repeats}
     cases: list[tuple[str, int]] = [("2D", n) for n in ((128,) if quick else LIMITS["2D"])]
     cases += [("3D", n) for n in ((12,) if quick else LIMITS["3D"])]
-    table = Table(path=record.path("table.csv"))
+    table = record.table("table.csv")
     for name, n in track(cases, "performance", "{}"):
         bench = Bench(n, depth=name == "3D")
         for row in bench.compare(name, repeats if n < 46 else 3):
@@ -59,7 +60,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         table.append(row := bench.relaxed())
         record.say(row)
         bench.close()
-    draw(record)
     if quick:
         return
     for row in table.rows:
@@ -98,13 +98,11 @@ class Bench:
     def __init__(self, n: int, *, depth: bool) -> None:
         joint, setup = sliding_bar(n, depth=depth)
         law = HolonomicCoulomb.of_layer(*STIFFNESS, friction=FRICTION)
-        self.n, self.model = n, Model.interface(joint, layer=law, **setup)
+        self.n, self.model = n, Structure(joint, **setup).interface(law)
         self.solver = Solver(self.model, method="newton")
         self.equations: Equations = self.solver.equations
-        self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
-        assert self.equations.contact is not None
-        nodes = self.equations.contact.nodes
-        self.problem: ContactProblem = contact_problem(nodes, self.equations.K, self.equations.held)
+        self.problem = ContactProblem(self.equations)
+        nodes = self.problem.nodes
         self.dim, self.dofs = joint.dim, self.problem.A.getSize()[0]
         self.load(1.0)
         springs = nodes.stiffness(law.bonded(len(nodes.upper), self.dim))
@@ -118,10 +116,9 @@ class Bench:
 
     def load(self, sideways: float) -> None:
         """Set the loads, the one that pushes along x times a factor."""
-        loads = self.equations.loads.copy()
-        loads.array[:: self.dim] *= sideways
-        self.problem.begin(loads, self.equations.prescribed, self.problem.slip)
-        loads.destroy()
+        self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
+        self.equations.loads.array[:: self.dim] *= sideways
+        self.problem.begin()
 
     @property
     def method(self) -> str:
@@ -131,12 +128,11 @@ class Bench:
     def ours(self, start: np.ndarray | None = None) -> tuple[float, np.ndarray, int]:
         """Processor time, jumps at the nodes and Newton steps of our solver."""
         begin = time.process_time()
-        solver = scheme(self.method, self.problem)
+        solver = SCHEMES[self.method](self.problem)
         u, steps, _ = solver.solve(start)
         seconds = time.process_time() - begin
         jumps = self.problem.nodes.jump(u)
         solver.close()
-        u.destroy()
         return seconds, jumps, steps
 
     def linear(self, kind: str) -> float:
@@ -201,11 +197,10 @@ class Bench:
         def solve() -> None:
             nonlocal seconds, sweeps
             begin = time.process_time()
-            solver = scheme("relaxation", self.problem)
+            solver = SCHEMES["relaxation"](self.problem)
             try:
                 with defaults({"relaxation_tolerance": 1e-10, "relaxation_omega": 1.7}):
-                    u, sweeps, _ = solver.solve(None)
-                u.destroy()
+                    _, sweeps, _ = solver.solve(None)
             except SolveError as error:
                 sweeps = len(error.residuals)
             seconds = time.process_time() - begin

@@ -8,7 +8,7 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Model, SolveError, Table, plotting, solve
+from thinlayer import SolveError, Structure, Table, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -40,7 +40,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         row = {"squares": n, "lmbda": pair[0], "mu": pair[1], "omega": omega, "omega_contact": omega if same else 1.0}
         table.append(row | {"sweeps": sweeps, "converged": int(converged)})
     record.write("table.csv", table)
-    draw(record)
     check(record, table)
 
 
@@ -49,7 +48,7 @@ def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -
     joint, setup = sliding_bar(n, arrangement="AlternateLeft")
     law = HolonomicCoulomb.of_layer(lmbda, mu, friction=1.0)
     options = {"omega": omega, "omega_contact": omega_contact, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS}
-    model = Model.interface(joint, layer=law, **setup)
+    model = Structure(joint, **setup).interface(law)
     try:
         state = solve(model, method="relaxation", options={f"relaxation_{k}": v for k, v in options.items()})
     except SolveError as error:

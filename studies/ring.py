@@ -8,8 +8,8 @@ import ufl
 
 from forms import LinearElastic
 from geometry import ring
-from studies.sweeping import Sweep
-from thinlayer import ThinLayer, plotting
+from studies.sweeping import Sweep, draw_rates
+from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
 EPS = (0.8, 0.4, 0.2, 0.1)  # mm
@@ -35,10 +35,9 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     }
     record.parameters = {"radii_mm": RADII, "shaft": str(SHAFT), "hub": str(HUB), "glue_per_mm": str(GLUE)}
     sweep = Sweep(record, joint, setup, lambda e: ThinLayer(GLUE, e), bodies="extended")
-    sweep.run(eps, (0.9, 1.1), pictured=max(eps), unit="mm", title="glued shaft and hub")
-    draw(record)
+    sweep.run(eps, (0.9, 1.1), unit="mm", title="glued shaft and hub")
 
 
 def draw(record: Record) -> None:
     """Draw the rates from table.csv."""
-    plotting.rates(record.path("table.csv"), save=record.path("rates.png"), title="glued shaft and hub")
+    draw_rates(record, title="glued shaft and hub")

@@ -8,7 +8,7 @@ import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
-from thinlayer import Model, Table, observed_orders, plotting, solve
+from thinlayer import Structure, Table, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.output.contact_report import ContactReport
 from thinlayer.running.record import Record
@@ -39,7 +39,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         row = {"squares": m, "friction": f, "K_T": K, "newton_steps": iterations}
         steps.append(row | report.counts | {"equilibrium": report.equilibrium})
     record.write("newton_steps.csv", steps)
-    draw(record)
     shown = {f"K_T = {K:g} N/mm³": reports[K] for K in STIFFNESS[::2]}
     plotting.contact(
         shown, save=record.path("contact.png"), length="mm", stress="MPa", title="stiffer and stiffer contact"
@@ -50,9 +49,9 @@ def run(record: Record, *, quick: bool = False) -> None:
 def solved(record: Record, n: int, K: float, friction: float) -> tuple[ContactReport, int]:
     """Report and Newton steps of the bar."""
     joint, setup = sliding_bar(n)
-    model = Model.interface(joint, layer=HolonomicCoulomb(5 * K, K, friction), **setup)
+    model = Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))
     state = record.solved(solve(model))
-    return ContactReport.of(state), state.report.iterations
+    return ContactReport(state), state.report.iterations
 
 
 def _errors(reports: dict[float, ContactReport]) -> Table:

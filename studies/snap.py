@@ -13,9 +13,9 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from studies.fig4_bar import meet, near, straight
+from studies.fig4_bar import EXACT, meet, straight
 from studies.snap_drawing import PURE, RELAXED, draw_phases, draw_response
-from studies.snap_structures import END, LIMIT, Structure, distance, moved, pulled_block, strip, switches
+from studies.snap_structures import END, LIMIT, Block, distance, moved, pulled_block, strip, switches
 from thinlayer import History, PhaseReport, Table, plotting
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
@@ -80,10 +80,9 @@ def run(record: Record, *, quick: bool = False) -> None:
     states = {"just before": pure.states[largest.row - 1], "just after": pure.states[largest.row]}
     title = f"largest snap, delta = {moved(largest.t):.4f}, energy lost: {largest.lost:.4f}"
     plotting.deformed(states, save=record.path("largest_snap.png"), scale=0.2, title=title)
-    draw(record)
 
 
-def note(snaps: Table, response: Table, structure: Structure, curve: str, history: History) -> None:
+def note(snaps: Table, response: Table, structure: Block, curve: str, history: History) -> None:
     """The snaps of a cycle, a row for each, and its response."""
     for row in structure.rows(curve, history, moved(history.t)).rows:
         response.append(row)
@@ -95,7 +94,7 @@ def note(snaps: Table, response: Table, structure: Structure, curve: str, histor
         snaps.append(row | {"lost": snap.lost})
 
 
-def follow_strip(record: Record, bar: Structure, pure: History, *, quick: bool) -> list[Row]:
+def follow_strip(record: Record, bar: Block, pure: History, *, quick: bool) -> list[Row]:
     """Paths of the strip against closed forms, whichever end they start from; their turns tend to the snaps as r -> 0."""
     rows, turns, mixings = [], [], MIXINGS[-2 if quick else 0 :]
     for r in track(mixings, "snap", "strip, r = {:g}"):
@@ -125,7 +124,7 @@ def turning_points(path: Table) -> tuple[float, float]:
     return up, down
 
 
-def follow_block(record: Record, body: Structure, relaxed: History, r: float, step: float, *, quick: bool) -> list[Row]:
+def follow_block(record: Record, body: Block, relaxed: History, r: float, step: float, *, quick: bool) -> list[Row]:
     """One path, whichever end it starts from and with shorter steps; it ends where the relaxed law does."""
     path, shown, name = body.path(r, step), ("delta", "force", "phase"), f"block, r = {r:g}"
     others = {"from the other end": body.path(r, step, back=True)}
@@ -137,7 +136,7 @@ def follow_block(record: Record, body: Structure, relaxed: History, r: float, st
         record.check(f"{name}: distance of the path {how}", gap, high=ALONG)
     record.check(f"{name}: delta goes back by", turns_back(path), low=1e-3)
     energy, least = path["energy"][-1], relaxed.table["energy"][-1]
-    record.check(f"{name}: energy at the end of the path over the least one", energy / least, **near(1.0))
+    record.check_near(f"{name}: energy at the end of the path over the least one", energy / least, 1.0, EXACT)
     work = float(np.trapezoid(path["force"], path["delta"]))
     record.check(f"{name}: work along the path over that energy, less 1", abs(work / energy - 1), high=ALONG)
     return path.rows
@@ -148,11 +147,11 @@ def turns_back(path: Table) -> float:
     return float(np.maximum(-np.diff(path["delta"]), 0).sum())
 
 
-def check_steps(record: Record, body: Structure, pure: History) -> None:
+def check_steps(record: Record, body: Block, pure: History) -> None:
     """The energy lost is the area of the loop; other steps, the same snaps."""
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)
-    record.check("block: energy lost in all snaps over the area of the loop", lost / area, **near(1.0))
+    record.check_near("block: energy lost in all snaps over the area of the loop", lost / area, 1.0, EXACT)
     for steps in OTHER_STEPS:
         other = body.cycle(steps).snaps
         record.check(f"block: snaps, {steps} steps", len(other), low=len(pure.snaps), high=len(pure.snaps))

@@ -15,7 +15,8 @@ from geometry import Joint, block
 from studies.fig4_bar import BAR
 from studies.measured import SupportForce
 from studies.snap_drawing import BACK
-from thinlayer import ArcLength, History, Model, PhaseReport, Table, ThinLayer, march, piecewise
+from thinlayer import ArcLength, History, Model, PhaseReport, Structure, Table, ThinLayer, march, piecewise
+from thinlayer.discretisation.loads import Support
 
 Array = npt.NDArray[np.float64]
 END = 2.4  # largest displacement, of every march
@@ -24,7 +25,7 @@ THIN = 0.02  # any thickness gives the same interface law
 
 
 @dataclass(frozen=True)
-class Structure:
+class Block:
     """A block on a rigid base, on rollers on its left; its upper side is moved by delta shape(x) across S.
 
     Attributes:
@@ -45,10 +46,10 @@ class Structure:
         self, law: type[Phases], delta: Callable[[Any, Any], Any], eps: float | None = None, **choices: Any
     ) -> Model:
         """The model with its interface law, or with a meshed layer that is eps thick, and with delta(x, t)."""
-        kind = Model.full if eps else Model.interface
         layer = ThinLayer(law(**self.layer, **choices), eps or THIN)
-        supports = {"LEFT": {"x": 0}, "TOP": {"y": lambda x, t: delta(x, t) * self.shape(x)}}
-        return kind(self.joint, layer=layer, body=self.body, supports=supports, sublayers=1)
+        supports: dict[str, Support] = {"LEFT": {"x": 0}, "TOP": {"y": lambda x, t: delta(x, t) * self.shape(x)}}
+        moved = Structure(self.joint, body=self.body, supports=supports)
+        return moved.full(layer, cells_through=1) if eps else moved.interface(layer)
 
     def march(self, model: Model, times: Sequence[float] | ArcLength, keep: str = "all") -> History:
         """March that observes the force conjugate to delta."""
@@ -79,19 +80,25 @@ class Structure:
         return found
 
 
-def strip() -> Structure:
+def strip() -> Block:
     """The bar of section 6.2 in its limit."""
     joint = block(1.0, LIMIT.l, LIMIT.l, cell="quadrilateral", structured=True)
     mu, C = LIMIT.kbar / LIMIT.l / 2, LIMIT.l * LIMIT.cbar
-    layer = {"lmbda": 0.0, "mu": mu, "alpha": LIMIT.alpha, "C": C, "chi": np.diag([0.0, 1.0])}
-    return Structure("strip", joint, LinearElastic(0.0, LIMIT.K / 2), layer, lambda x: 1 + 0 * x[0])
+    layer = {"lmbda": 0.0, "mu": mu, "alpha": LIMIT.alpha, "transformation_energy": C, "chi": np.diag([0.0, 1.0])}
+    return Block("strip", joint, LinearElastic(0.0, LIMIT.K / 2), layer, lambda x: 1 + 0 * x[0])
 
 
-def pulled_block(cells: int) -> Structure:
+def pulled_block(cells: int) -> Block:
     """A block, 2 x 1, on a layer that changes phase as it opens and is sheared; cells along S."""
     joint = block(2.0, 1.0, 2.0 / cells, cell="quadrilateral", structured=True)
-    layer = {"lmbda": 1.0, "mu": 1.0, "alpha": 1.2, "C": 0.9, "chi": np.array([[0.0, 0.3], [0.3, 1.0]])}
-    return Structure("block", joint, LinearElastic.young(E=2.0, nu=0.3), layer, lambda x: 0.85 + 0.15 * x[0])
+    layer = {
+        "lmbda": 1.0,
+        "mu": 1.0,
+        "alpha": 1.2,
+        "transformation_energy": 0.9,
+        "chi": np.array([[0.0, 0.3], [0.3, 1.0]]),
+    }
+    return Block("block", joint, LinearElastic.young(E=2.0, nu=0.3), layer, lambda x: 0.85 + 0.15 * x[0])
 
 
 def moved(t: npt.ArrayLike) -> Array:

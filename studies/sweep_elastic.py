@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 from studies.problems import FOURIER_LAYER, fourier
-from studies.sweeping import Sweep
+from studies.sweeping import Sweep, middle
 from thinlayer import ThinLayer, plotting
 from thinlayer.running.record import Record
 
@@ -14,8 +15,8 @@ def run(
     record: Record,
     *,
     eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64),
-    bodies: str = "kept",
-    order: int = 0,
+    bodies: Literal["kept", "extended"] = "kept",
+    order: Literal[0, 1] = 0,
     quick: bool = False,
 ) -> None:
     """Sweep the thickness with the moduli over thickness held.
@@ -32,8 +33,7 @@ def run(
     record.parameters = {"h": h, "layer": str(FOURIER_LAYER), "bodies": bodies, "order": order}
     sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, order=order), bodies=bodies)
     ends = ((0.95, 1.05), (1.9, 2.1))[order]
-    sweep.run(eps, ends, pictured=sorted(eps)[len(eps) // 2])
-    draw(record)
+    sweep.run(eps, ends, pictured=middle)
 
 
 def draw(record: Record) -> None:

@@ -14,13 +14,14 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirection
 from studies.friction_profiles import draw_profiles, profile_name, profile_of
 from studies.problems import pressed
 from studies.sweeping import Solution, Sweep, draw_rates, last
-from thinlayer import History, Model, Surface, Table, ThinLayer, compare, march, solve
+from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, compare, march, solve
+from thinlayer.discretisation.kinds import FullModel
 from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0
 FRICTION = math.tan(math.radians(OMEGA))
-BAND = MohrCoulombMonodirectional(**MODULI, C=0.0, Omega=OMEGA, unilateral=True)
+BAND = MohrCoulombMonodirectional(**MODULI, cohesion=0.0, friction_angle=OMEGA, unilateral=True)
 HOLONOMIC = HolonomicCoulomb.of_layer(**MODULI, friction=FRICTION)
 INCREMENTAL = IncrementalCoulomb.of_layer(**MODULI, friction=FRICTION)
 ONCE = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
@@ -56,15 +57,22 @@ class Comparison:
     def sweep(self, record: Record, h: float, case: str) -> Sweep:
         """Its sweep on squares of size h."""
         joint, setup = pressed(h, self.path)
-        setup |= {"element": "Q1", "sublayers": self.cells}
-        band, contact = partial(ThinLayer, self.band), partial(ThinLayer, self.contact)
-        noted = partial(_noted, record, case)
-        return Sweep(record, joint, setup, band, times=self.times, more=noted, case=case, instead=contact)
+        return Sweep(
+            record,
+            joint,
+            setup | {"element": "Q1"},
+            partial(ThinLayer, self.band),
+            cells_through=self.cells,
+            times=self.times,
+            more=partial(_noted, record, case),
+            case=case,
+            instead=self.contact,
+        )
 
 
 AT_ONCE = Comparison(ONCE, None, HOLONOMIC)
 CASES = {"": AT_ONCE, "history": Comparison(TO_AND_FRO, TIMES, INCREMENTAL)}
-FINER = replace(AT_ONCE, band=replace(BAND, h=FRACTION), cells=CELLS)
+FINER = replace(AT_ONCE, band=replace(BAND, elastic_fraction=FRACTION), cells=CELLS)
 SINE = replace(AT_ONCE, contact=replace(HOLONOMIC, friction=math.sin(math.radians(OMEGA))))
 
 
@@ -95,31 +103,27 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     record.parameters = {"h": h, "times": times, "friction": FRICTION, "layer": str(BAND)}
     tables = {}
     for case, comparison in cases.items():
-        record.say(f"{comparison.contact} on S")
         sweep = comparison.sweep(record, h, case)
-        tables[case] = sweep.run(eps, (0.9, 1.1), pictured=max(eps), title=f"frictional layer, {TITLES[case]}")
+        tables[case] = sweep.run(eps, (0.9, 1.1), title=f"frictional layer, {TITLES[case]}")
         _check_discretisation(record, case, comparison, h, tables[case])
         _check_zones(record, case, tables[case], h)
     if not quick:
-        record.say(f"{CELLS} cells through the thickness")
         sweep = FINER.sweep(record, 2 * h, "cells")
-        sweep.run(eps, (0.7, 1.3), pictured=max(eps), title=f"frictional layer, {CELLS} cells through the thickness")
+        sweep.run(eps, (0.7, 1.3), title=f"frictional layer, {CELLS} cells through the thickness")
         _check_fraction(record, 2 * h, min(eps))
-    record.say(f"{SINE.contact} on S, as a control")
     control = replace(SINE.sweep(record, 2 * h, "sine"), more=None)
-    sine = control.run(eps, None, pictured=None if quick else max(eps), title="friction sin(Omega) on S")
+    sine = control.run(eps, None, pictured=None if quick else max, title="friction sin(Omega) on S")
     worst = sine["error_jump"][-1] / tables[""]["error_jump"][-1]
     record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", worst, low=2)
-    draw(record)
 
 
 # ---------------------------------------------------------------- what is measured
 def _noted(record: Record, case: str, full: Solution, limit: Solution) -> dict[str, Any]:
     """Solver, Newton steps and zones; writes the tractions along S."""
-    layer = last(full).model.layer
-    assert layer is not None
+    meshed = last(full).model
+    assert isinstance(meshed, FullModel)
     profile = profile_of(last(full), last(limit), FRICTION)
-    record.write(profile_name(case, layer.eps), profile)
+    record.write(profile_name(case, meshed.layer.eps), profile)
     row: dict[str, Any] = {"method": last(limit).report.method}
     row |= {"steps_band": newton_steps(full), "steps_contact": newton_steps(limit)}
     x = profile["x"]
@@ -141,8 +145,8 @@ def _check_discretisation(record: Record, case: str, comparison: Comparison, h: 
     found = {name: float(table[f"error_{name}"][-1]) for name in ("traction", "jump")}
     sweep = comparison.sweep(record, h, case)
     contact, points = (
-        _solved(Model.interface(sweep.joint, layer=ThinLayer(law, eps), **sweep.setup), comparison.times)
-        for law in (comparison.contact, comparison.band)
+        _solved(Structure(sweep.joint, **sweep.setup).interface(layer), comparison.times)
+        for layer in (comparison.contact, ThinLayer(comparison.band, eps))
     )
     surface = Surface(last(contact).model)
     fields = {"traction": surface.traction, "jump": surface.jump}
@@ -150,7 +154,7 @@ def _check_discretisation(record: Record, case: str, comparison: Comparison, h: 
         name: surface.norm(field(last(points)) - field(last(contact))) / surface.norm(field(last(contact)))
         for name, field in fields.items()
     }
-    coarse = compare(*(_solved(model, comparison.times) for model in _both(comparison.sweep(record, 2 * h, case), eps)))
+    coarse = compare(*(_solved(model, comparison.times) for model in comparison.sweep(record, 2 * h, case).models(eps)))
     label = f", {case}" if case else ""
     noted: dict[str, Any] = {"case": case, "eps": eps, "h": h}
     for name, error in found.items():
@@ -162,12 +166,6 @@ def _check_discretisation(record: Record, case: str, comparison: Comparison, h: 
         record.check(f"last error of the {name}{label}, change from cells twice as large", change, high=0.2)
     record.say(noted)
     record.results.setdefault("discretisation", []).append(noted)
-
-
-def _both(sweep: Sweep, eps: float) -> tuple[Model, Model]:
-    assert sweep.instead is not None
-    full = Model.full(sweep.joint, layer=sweep.layer(eps), **sweep.setup)
-    return full, Model.interface(sweep.joint, layer=sweep.instead(eps), **sweep.setup)
 
 
 def _solved(model: Model, times: Sequence[float] | None) -> Solution:
@@ -191,8 +189,8 @@ def _check_fraction(record: Record, h: float, eps: float) -> None:
     """What half the elastic fraction of four cells changes at one thickness."""
     rows = []
     for fraction in (FRACTION, FRACTION / 2):
-        sweep = replace(FINER, band=replace(BAND, h=fraction)).sweep(record, h, "cells")
-        rows.append(compare(*map(solve, _both(sweep, eps))))
+        sweep = replace(FINER, band=replace(BAND, elastic_fraction=fraction)).sweep(record, h, "cells")
+        rows.append(compare(*map(solve, sweep.models(eps))))
     for name in ("traction", "jump"):
         one, half = (row[f"error_{name}"] for row in rows)
         record.say(

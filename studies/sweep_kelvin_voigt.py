@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from forms import KelvinVoigt
-from studies.problems import fourier
-from studies.sweeping import Sweep, draw_rates
-from thinlayer import ThinLayer
+from studies.sweeping import draw_rates, sweep_in_time
 from thinlayer.running.record import Record
 
 LAYER = KelvinVoigt(lmbda=60.0, mu=40.0, theta_lmbda=0.3, theta_mu=0.5)
@@ -23,11 +21,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64
         quick: coarser mesh.
     """
     h = 1 / 8 if quick else 1 / 32
-    joint, setup = fourier(h, cell="quadrilateral")
-    record.parameters = {"h": h, "layer": str(LAYER), "times": TIMES}
-    sweep = Sweep(record, joint, setup, lambda e: ThinLayer(LAYER, e), times=TIMES)
-    sweep.run(eps, (0.93, 1.07), pictured=max(eps), title=f"Kelvin-Voigt layer, t = {TIMES[-1]:g}")
-    draw(record)
+    sweep_in_time(record, {"": LAYER}, {"": TIMES}, eps, h, {"": "Kelvin-Voigt layer"})
 
 
 def draw(record: Record) -> None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from forms import Maxwell
-from studies.problems import fourier
-from studies.sweeping import Sweep, draw_rates
-from thinlayer import ThinLayer
+from studies.sweeping import draw_rates, sweep_in_time
 from thinlayer.running.record import Record
 
 LAYERS = {
@@ -28,14 +25,8 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64
         eps: thicknesses; the blocks are 0.5 high.
         quick: coarser mesh.
     """
-    h = 1 / 8 if quick else 1 / 32
-    joint, setup = fourier(h, cell="quadrilateral")
-    record.parameters = {"h": h, "layers": [str(law) for law in LAYERS.values()], "times": TIMES}
-    for case, law in LAYERS.items():
-        record.say(law)
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=TIMES, case=case)
-        sweep.run(eps, (0.93, 1.07), pictured=max(eps), title=f"Maxwell layer, t = {TIMES[-1]:g}")
-    draw(record)
+    h, titles = 1 / 8 if quick else 1 / 32, dict.fromkeys(LAYERS, "Maxwell layer")
+    sweep_in_time(record, LAYERS, dict.fromkeys(LAYERS, TIMES), eps, h, titles)
 
 
 def draw(record: Record) -> None:

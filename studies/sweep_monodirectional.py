@@ -6,25 +6,25 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from forms import Law, LinearElastic, MohrCoulombMonodirectional, Stack
+from forms import BulkLaw, LinearElastic, MohrCoulombMonodirectional, Stack
 from studies.problems import pressed
 from studies.sweeping import Sweep, draw_rates
 from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
-SLIPPING = MohrCoulombMonodirectional(lmbda=60.0, mu=40.0, C=0.05, Omega=25.0)
+SLIPPING = MohrCoulombMonodirectional(lmbda=60.0, mu=40.0, cohesion=0.05, friction_angle=25.0)
 FRACTION, LESS = 0.01, 1e-4  # elastic, where there is no strength in shear or none along n
-OPENING = replace(SLIPPING, h=FRACTION, unilateral=True)
+OPENING = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
 STACK = Stack((0.4, LinearElastic(lmbda=90.0, mu=30.0)), (0.6, SLIPPING))
 PUSHED = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
 PULLED = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
 TIMES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-CASES: dict[str, tuple[Law, dict[int, tuple[float, float, float]], str]] = {
+CASES: dict[str, tuple[BulkLaw, dict[int, tuple[float, float, float]], str]] = {
     "": (SLIPPING, PUSHED, "bilateral"),
     "unilateral": (OPENING, PULLED, "unilateral, h = 0.01"),
     "stack": (STACK, PUSHED, "elastic, bilateral"),
-    "pulled": (replace(SLIPPING, h=FRACTION), PULLED, "pulled, h = 0.01"),
-    "pulled_less": (replace(SLIPPING, h=LESS), PULLED, "pulled, h = 1e-4"),
+    "pulled": (replace(SLIPPING, elastic_fraction=FRACTION), PULLED, "pulled, h = 0.01"),
+    "pulled_less": (replace(SLIPPING, elastic_fraction=LESS), PULLED, "pulled, h = 1e-4"),
 }
 
 
@@ -50,18 +50,16 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     record.parameters = {"h": h, "times": times, "layers": {name: str(law) for name, (law, *_) in CASES.items()}}
     tables = {}
     for case, (law, path, title) in CASES.items():
-        record.say(law)
         joint, setup = pressed(h, path)
-        sweep = Sweep(record, joint, setup | {"sublayers": 2}, partial(ThinLayer, law), times=times, case=case)
+        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), cells_through=2, times=times, case=case)
         order = None if case == "pulled_less" else (0.9, 1.1)
-        pictured = None if quick and case else max(eps)
+        pictured = None if quick and case else max
         tables[case] = sweep.run(eps, order, pictured=pictured, title=f"slips parallel to S, {title}")
     for name in ("traction", "jump"):
         less, more = (tables[case][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
         record.check(
             f"pulled, h = {LESS:g} against h = {FRACTION:g}: last error of the {name}, ratio", less / more, low=2.5
         )
-    draw(record)
 
 
 def draw(record: Record) -> None:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from forms import Norton
-from studies.problems import fourier
-from studies.sweeping import Solution, Sweep, draw_rates
-from thinlayer import History, Surface, ThinLayer
+from studies.sweeping import Solution, draw_rates, sweep_in_time
+from thinlayer import History, Surface
 from thinlayer.running.record import Record
 
 LAYERS = {"": Norton(lmbda=60.0, mu=40.0, eta=5.0, p=1.5), "p3": Norton(lmbda=60.0, mu=40.0, eta=2000.0, p=3.0)}
@@ -28,17 +26,11 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 8, 1 / 16, 1 / 32, 1 / 64
         quick: coarser mesh.
     """
     h = 1 / 8 if quick else 1 / 16
-    joint, setup = fourier(h, cell="quadrilateral")
-    record.parameters = {"h": h, "layers": [str(law) for law in LAYERS.values()], "times": TIMES}
-    for case, law in LAYERS.items():
-        record.say(law)
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=TIMES, more=early, case=case)
-        table = sweep.run(eps, (0.93, 1.07), pictured=max(eps), title=f"Norton layer, p = {law.p:g}, t = {TIMES[-1]:g}")
-        if not case:
-            for name, value in SPECTRAL.items():
-                error = abs(table[f"early_{name}"][-1] / value - 1)
-                record.check(f"{name} at t = {EARLY:g}, from a spectral solution", error, high=5e-4 if quick else 1e-4)
-    draw(record)
+    titles = {case: f"Norton layer, p = {law.p:g}" for case, law in LAYERS.items()}
+    table = sweep_in_time(record, LAYERS, dict.fromkeys(LAYERS, TIMES), eps, h, titles, early)[""]
+    for name, value in SPECTRAL.items():
+        error = abs(table[f"early_{name}"][-1] / value - 1)
+        record.check(f"{name} at t = {EARLY:g}, from a spectral solution", error, high=5e-4 if quick else 1e-4)
 
 
 def early(_: Solution, limit: Solution) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, ThinLayer, compare, plotting, solve
+from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.running.record import Record
 
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 128)
@@ -25,14 +25,13 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
     def compare_at(e: float) -> dict[str, float]:
         layers = [ThinLayer(FOURIER_LAYER, e, order=order) for order in (0, 1)]
-        full = record.solved(solve(Model.full(joint, layer=layers[0], **setup)))
+        full = record.solved(solve(Structure(joint, **setup).full(layers[0])))
         first, second = (
-            compare(full, record.solved(solve(Model.interface(joint, layer=layer, **setup)))) for layer in layers
+            compare(full, record.solved(solve(Structure(joint, **setup).interface(layer)))) for layer in layers
         )
         return second | {f"error_{name}_order0": first[f"error_{name}"] for name in ("traction", "jump")}
 
     table = record.sweep(compare_at, eps)
-    draw(record)
     record.say(table)
     if len(eps) > 1:
         for name in ("traction", "jump"):

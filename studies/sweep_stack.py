@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
-from studies.problems import fourier
-from studies.sweeping import Sweep, draw_rates
-from thinlayer import ThinLayer
+from studies.sweeping import draw_rates, sweep_in_time
 from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}
@@ -30,13 +27,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
         quick: coarser mesh.
     """
     h = 1 / 8 if quick else 1 / 32
-    joint, setup = fourier(h, cell="quadrilateral")
-    record.parameters = {"h": h, "layers": [str(law) for law in LAYERS.values()], "times": TIMES}
-    for case, law in LAYERS.items():
-        record.say(law)
-        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=TIMES[case], case=case)
-        sweep.run(eps, (0.93, 1.07), pictured=max(eps), title=f"two sublayers, t = {TIMES[case][-1]:g}")
-    draw(record)
+    sweep_in_time(record, LAYERS, TIMES, eps, h, dict.fromkeys(LAYERS, "two sublayers"))
 
 
 def draw(record: Record) -> None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from forms import Law, Stack
+from forms import BulkLaw, Law
 from forms.kinematics import Expr
 from geometry import Joint
-from thinlayer import History, Model, State, Table, ThinLayer, compare, plotting, solve
+from studies.problems import fourier
+from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, plotting, solve
+from thinlayer.discretisation.kinds import FullModel, InterfaceModel
+from thinlayer.discretisation.layer import LawOnS
 from thinlayer.running.record import Record
 
 Solution = State | History
@@ -22,10 +26,10 @@ class Sweep:
     Attributes:
         record: where to write.
         joint: the joint.
-        setup: data of its models other than the layer and the bodies' way to make room for it.
+        setup: data of the structure besides the joint, see `thinlayer.Structure`.
         layer: thickness -> the layer.
-        instead: thickness -> another layer for the interface model alone, to see what a wrong law costs.
-        bodies: "kept" or "extended".
+        instead: a law in place of the layer's in the interface model alone, to see what a wrong law costs.
+        bodies, cells_through: of the meshed layer, see `Structure.full`.
         where: part of S to measure on, see `thinlayer.compare`.
         times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
             compared. None: a static solve.
@@ -38,24 +42,30 @@ class Sweep:
     setup: dict[str, Any]
     layer: Callable[[float], ThinLayer]
     bodies: str = "kept"
+    cells_through: int = 4
     where: Callable[[Expr], Expr] | None = None
     times: Sequence[float] | None = None
     more: Callable[[Solution, Solution], dict[str, Any]] | None = None
     case: str = ""
-    instead: Callable[[float], ThinLayer] | None = None
+    instead: BulkLaw | LawOnS | None = None
 
     def solved(self, eps: float) -> tuple[Solution, Solution]:
         """The full and the interface model's state, or history, for a thickness."""
-        layer = self.layer(eps)
-        full = Model.full(self.joint, layer=layer, bodies=self.bodies, **self.setup)
-        limit = Model.interface(self.joint, layer=self.instead(eps) if self.instead else layer, **self.setup)
-        return self._solved(full), self._solved(limit)
+        full, limit = self.models(eps)
+        return self._solved(full, f"full_{eps:g}"), self._solved(limit, f"interface_{eps:g}")
 
-    def _solved(self, model: Model) -> Solution:
+    def models(self, eps: float) -> tuple[FullModel, InterfaceModel]:
+        """The full and the interface model for a thickness."""
+        structure, layer, other = Structure(self.joint, **self.setup), self.layer(eps), self.instead
+        full = structure.full(layer, bodies=self.bodies, cells_through=self.cells_through)
+        if other is None:
+            return full, structure.interface(layer)
+        return full, structure.interface(other if isinstance(other, LawOnS) else ThinLayer(other, eps))
+
+    def _solved(self, model: Model, name: str) -> Solution:
         if self.times is None:
             return self.record.solved(solve(model))
-        layer = model.layer
-        return self.record.march(model, self.times, self._named(f"{model.kind}_{layer.eps:g}" if layer else model.kind))
+        return self.record.march(model, self.times, self._named(name))
 
     def _named(self, name: str) -> str:
         stem, dot, kind = name.partition(".")
@@ -65,29 +75,32 @@ class Sweep:
         self,
         eps: Sequence[float],
         order: tuple[float, float | None] | None,
-        pictured: float | None,
         *,
+        pictured: Callable[[Sequence[float]], float] | None = max,
         title: str = "",
         unit: str = "",
     ) -> Table:
-        """Sweep, print the table, draw one thickness, check the last observed orders.
+        """Sweep, print the laws and the table, draw one thickness, check the last observed orders.
 
         Args:
             eps: thicknesses, lengths.
             order: range that the last observed orders of traction and jump must lie in; None for an open end, or for no
                 such check.
-            pictured: the thickness to draw the deformed structures of; None for no picture.
+            pictured: chooses the thickness to draw the deformed structures of; None for no picture.
             title, unit: of that picture.
         """
+        shown = pictured(eps) if pictured else None
 
         def compare_at(e: float) -> dict[str, float]:
             full, limit = self.solved(e)
-            if e == pictured:
+            if e == shown:
                 states = {f"meshed layer, eps = {e:g} {unit}".rstrip(): last(full), "interface law": last(limit)}
                 plotting.deformed(states, save=self.record.path(self._named("deformed.png")), title=title, unit=unit)
             more = self.more(full, limit) if self.more else {}
             return compare(full, limit, where=self.where) | elastic_fraction(self.layer(e).law) | more
 
+        law = self.layer(eps[0]).law
+        self.record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
         table = self.record.sweep(compare_at, eps, self._named("table.csv"))
         self.record.say(table)
         if order and len(eps) > 1:
@@ -98,11 +111,45 @@ class Sweep:
         return table
 
 
+def sweep_in_time(
+    record: Record,
+    laws: Mapping[str, BulkLaw],
+    times: Mapping[str, Sequence[float]],
+    eps: Sequence[float],
+    h: float,
+    titles: Mapping[str, str],
+    more: Callable[[Solution, Solution], dict[str, Any]] | None = None,
+) -> dict[str, Table]:
+    """Sweep the Fourier problem under a sudden load that is held; both models take the same steps.
+
+    Args:
+        record: where to write.
+        laws: case -> the layer's law.
+        times: case -> ends of the steps.
+        eps: thicknesses.
+        h: cell size.
+        titles: case -> title of the picture.
+        more: as of `Sweep`.
+    """
+    joint, setup = fourier(h, cell="quadrilateral")
+    record.parameters = {"h": h, "layers": [str(law) for law in laws.values()], "times": times}
+    tables = {}
+    for case, law in laws.items():
+        sweep = Sweep(record, joint, setup, partial(ThinLayer, law), times=times[case], more=more, case=case)
+        tables[case] = sweep.run(eps, (0.93, 1.07), title=f"{titles[case]}, t = {times[case][-1]:g}")
+    return tables
+
+
 def elastic_fraction(law: Law) -> dict[str, float]:
     """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
-    laws = law.laws if isinstance(law, Stack) else (law,)
-    fractions = [one.parameters()["h"] for one in laws if "h" in one.parameters()]
+    laws = [one for _, one in law.sublayers]
+    fractions = [one.parameters()["elastic_fraction"] for one in laws if "elastic_fraction" in one.parameters()]
     return {"h": max(fractions)} if fractions else {}
+
+
+def middle(eps: Sequence[float]) -> float:
+    """The thickness in the middle of a sweep."""
+    return sorted(eps)[len(eps) // 2]
 
 
 def last(solution: Solution) -> State:

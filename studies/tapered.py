@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from studies.problems import FOURIER_LAYER, fourier
-from studies.sweeping import Sweep
-from thinlayer import ThinLayer, plotting
+from studies.sweeping import Sweep, draw_rates
+from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
 EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
@@ -34,10 +34,9 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     joint, setup = fourier(h)
     record.parameters = {"h": h, "layer": str(FOURIER_LAYER), "thickness": "eps (0.5 + x)"}
     sweep = Sweep(record, joint, setup, lambda e: ThinLayer(FOURIER_LAYER, e, profile=wedge), bodies="extended")
-    sweep.run(eps, (0.9, 1.1), pictured=max(eps), title="wedge between two blocks")
-    draw(record)
+    sweep.run(eps, (0.9, 1.1), title="wedge between two blocks")
 
 
 def draw(record: Record) -> None:
     """Draw the rates from table.csv."""
-    plotting.rates(record.path("table.csv"), save=record.path("rates.png"), title="wedge between two blocks")
+    draw_rates(record, title="wedge between two blocks")

@@ -18,14 +18,15 @@ from mpi4py import MPI
 from forms import LinearElastic
 from forms.traction import TractionLaw
 from geometry import block
-from thinlayer import ArcLength, Model, ThinLayer, march
+from tests.own_laws import layer_of
+from thinlayer import ArcLength, Structure, march
 
 E, HEIGHT, WIDTH = 2.3, 1.7, 0.85
 
 
 def opening(step):
-    """[u].n of a strain sym([u] (x) n)."""
-    return ufl.dot(ufl.dot(step.e, step.n), step.n)
+    """[u].n."""
+    return ufl.dot(step.w, step.n)
 
 
 def across_and_along(w, normal, k_T, step):
@@ -34,7 +35,7 @@ def across_and_along(w, normal, k_T, step):
 
 
 def energy_along(k_T, step):
-    along = 2 * (ufl.dot(step.e, step.n) - opening(step) * step.n)
+    along = step.w - opening(step) * step.n
     return k_T * ufl.inner(along, along) / 2
 
 
@@ -104,9 +105,7 @@ def bar(law, support=lambda x, t: t, traction=None):
     if not traction:
         supports = {"TOP": {"y": support}} | supports
     body = LinearElastic.young(E, 0.0)
-    return Model.interface(
-        strip, layer=ThinLayer(law, 0.1), body=body, supports=supports, tractions=loads, element="Q1"
-    )
+    return Structure(strip, body=body, supports=supports, tractions=loads, element="Q1").interface(layer_of(law, 0.1))
 
 
 def tilted(law, cells=8):
@@ -114,7 +113,7 @@ def tilted(law, cells=8):
     joint = block(1.0, 0.5, 1 / cells, cell="quadrilateral", structured=True)
     supports = {"TOP": {"x": 0.0, "y": lambda x, t: t * (1 + 0.6 * x[0])}}
     body = LinearElastic.young(E, 0.2)
-    return Model.interface(joint, layer=ThinLayer(law, 0.1), body=body, supports=supports, element="Q1")
+    return Structure(joint, body=body, supports=supports, element="Q1").interface(layer_of(law, 0.1))
 
 
 KINKED = Trilinear(k=70.0, fall=7.0, w_1=0.011, w_2=0.12, k_T=30.0)

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from geometry import block, sandwich
 from studies.problems import sliding_bar
-from thinlayer import Model, march, piecewise, solve
+from thinlayer import Structure, march, piecewise, solve
 from thinlayer.output.contact_report import ContactReport
 
 
@@ -22,7 +22,7 @@ def to_and_fro(folder=None, last=4.0, method=None):
     joint = block(3.0, 1.0, 0.25, structured=True)
     law = IncrementalCoulomb(300.0, 80.0, 0.4)
     supports = {"TOP": {"x": piecewise({0: 0.0, 2: 0.06, 4: -0.06}), "y": -0.02}}
-    model = Model.interface(joint, layer=law, body=LinearElastic.young(400.0, 0.3), supports=supports, element="P1")
+    model = Structure(joint, body=LinearElastic.young(400.0, 0.3), supports=supports, element="P1").interface(law)
     times = [0.5 * k for k in range(1, round(2 * last) + 1)]
     return march(model, times, out=folder, resume=folder is not None, method=method)
 
@@ -31,19 +31,19 @@ def reports():
     found = {}
     joint, setup = sliding_bar(31)
     for method in (None, "newton", "multigrid"):
-        model = Model.interface(joint, layer=HolonomicCoulomb.of_layer(15e8, 5e8, friction=1.0), **setup)
+        model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(15e8, 5e8, friction=1.0))
         found[f"bar {method}"] = solve(model, method=method)
     joint, setup = sliding_bar(6, depth=True)
-    model = Model.interface(joint, layer=HolonomicCoulomb.of_layer(15e4, 5e4, friction=0.7), **setup)
+    model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(15e4, 5e4, friction=0.7))
     found["cube"] = solve(model)
     joint = sandwich(6, 3, 2, 1.0, depth=4.0)
     bodies = {"LOWER": LinearElastic.young(5e3, 0.3), "UPPER": LinearElastic.young(9e3, 0.2)}
     loads = {"TOP": lambda x, t: (8.0, 6 - 6 * x[0], 2.0)}
     data = {"body": bodies, "supports": {"BOTTOM": 0.0}, "tractions": loads, "element": "P1"}
-    model = Model.interface(joint, layer=HolonomicCoulomb(7e4, 2e4, 0.9, 1.0), **data)
+    model = Structure(joint, **data).interface(HolonomicCoulomb(7e4, 2e4, 0.9, 1.0))
     found["two bodies"] = solve(model)
     found["to and fro"] = to_and_fro().last
-    return {name: ContactReport.of(state) for name, state in found.items()}
+    return {name: ContactReport(state) for name, state in found.items()}
 
 
 def content(report):
@@ -54,7 +54,7 @@ def content(report):
 if __name__ == "__main__":
     if len(sys.argv) > 1:
         state = to_and_fro(sys.argv[1], float(sys.argv[2])).last
-        out = {"resumed": content(ContactReport.of(state))}
+        out = {"resumed": content(ContactReport(state))}
     else:
         out = {name: content(report) for name, report in reports().items()}
     if MPI.COMM_WORLD.rank == 0:

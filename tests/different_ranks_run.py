@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
-from thinlayer import Model, ThinLayer, compare, fields, march, solve, sweep
+from thinlayer import Structure, ThinLayer, compare, fields, march, solve, sweep
 
 COMM = MPI.COMM_WORLD
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
@@ -23,14 +23,9 @@ BODY = LinearElastic.young(100.0, 0.3)
 SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
 
 
-def model(eps=0.1, law=SLOW, profile=None, build=Model.interface, **change):
-    data = {
-        "body": BODY,
-        "supports": SUPPORTS,
-        "tractions": {"TOP": (0.0, 1.0)},
-        "layer": ThinLayer(law, eps, profile=profile),
-    }
-    return build(JOINT, **(data | change))
+def model(eps=0.1, law=SLOW, profile=None, build=Structure.interface, **change):
+    data = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": (0.0, 1.0)}}
+    return build(Structure(JOINT, **data | change), ThinLayer(law, eps, profile=profile))
 
 
 def turned(given, rank):
@@ -70,7 +65,7 @@ def cases(rank: int, folder: Path):
     """Name -> what is done on a rank."""
     elastic, other, good = model(law=LinearElastic(60.0, 40.0)), model(law=LinearElastic(50.0, 40.0)), model()
     state = solve(elastic)
-    full = solve(model(build=Model.full, law=LinearElastic(60.0, 40.0)))
+    full = solve(model(build=Structure.full, law=LinearElastic(60.0, 40.0)))
     if rank:  # numbers of constants count nothing
         fem.Constant(state.model.domain.mesh, 1.0)
     limit = fem.Constant(state.model.domain.mesh, 0.25)
@@ -91,7 +86,9 @@ def cases(rank: int, folder: Path):
         "cached values": lambda: model(tractions={"TOP": asked(rank)}),
         "what a load refers to": lambda: model(tractions={"TOP": lambda x, t: (0.0, factor * t)}),
         "element": lambda: model(element="P7" if rank else "P2"),
-        "option": lambda: model(**({"colour": 3} if rank else {})),
+        "option": lambda: model(build=functools.partial(Structure.full, cells_through=2 + rank)),
+        "wrong option": lambda: model(build=functools.partial(Structure.full, bodies="keep" if rank else "kept")),
+        "kind of model": lambda: model(build=Structure.full if rank else Structure.interface),
         "no model": lambda: solve(None if rank else elastic),
         "t": lambda: solve(elastic, 0.5 * rank),
         "models": lambda: solve(other if rank else elastic),

@@ -9,28 +9,29 @@ from mpi4py import MPI
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import block, sandwich
-from thinlayer import Model, ThinLayer, march, solve
+from tests.own_laws import layer_of
+from thinlayer import Model, Structure, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad
 
 BODY = LinearElastic.young(100.0, 0.3)
-SLIDING = MohrCoulombMonodirectional(60.0, 40.0, C=0.1, Omega=30.0)
-FULL = MohrCoulomb(60.0, 40.0, C=0.1, Omega=30.0)
+SLIDING = MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.1, friction_angle=30.0)
+FULL = MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0)
 
 
 def sheared(kind: str, law=SLIDING, **data) -> Model:
     """A flat block on a layer on a rigid base, pressed by 1; at the time t it is sheared by t."""
     data = {"tractions": {"TOP": lambda x, t: (t, -1.0)}, "supports": {}} | data
-    build = Model.interface if kind == "S" else Model.full
-    layer = ThinLayer(law, 1 / 16)
-    return build(block(1.0, 0.25, 0.25, structured=True), layer=layer, body=BODY, element="P1", sublayers=1, **data)
+    column = Structure(block(1.0, 0.25, 0.25, structured=True), body=BODY, element="P1", **data)
+    layer = layer_of(law, 1 / 16)
+    return column.interface(layer) if kind == "S" else column.full(layer, cells_through=1)
 
 
 def dragged(law, far: float = 0.16, eps: float = 1 / 4, kind: str = "full") -> Model:
     """Two blocks with a layer, pressed together, the upper one moved along by `far`; the layer's ends are free."""
     supports = {"BOTTOM": 0.0, "TOP": {"x": far, "y": -0.02}}
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, cell="quadrilateral", structured=True)
-    build = Model.interface if kind == "S" else Model.full
-    return build(joint, layer=ThinLayer(law, eps), body=BODY, supports=supports, element="Q1")
+    build = Structure.interface if kind == "S" else Structure.full
+    return build(Structure(joint, body=BODY, supports=supports, element="Q1"), ThinLayer(law, eps))
 
 
 def numbers() -> dict[str, float]:
@@ -43,7 +44,7 @@ def numbers() -> dict[str, float]:
             found |= {f"{kind} load {i}": force for i, force in enumerate(error.resultant)}
             found[f"{kind} run away"] = float(error.growth > 1e3)
             found[f"{kind} dissipated"] = float(error.history.table["dissipated"].sum())
-    law = MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02)
+    law = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)
     state = solve(dragged(law, far=0.06, eps=1 / 16), options={"snes_max_it": 4})
     found["continued u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
     found["eased"] = float(state.report.eased > 0)

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, sandwich
 from tests.own_laws import Mises
-from thinlayer import Adaptive, Model, ThinLayer, march
+from thinlayer import Adaptive, Structure, ThinLayer, march
 
 BODY = LinearElastic.young(100.0, 0.3)
 MAXWELL = Maxwell(60.0, 40.0, t1=0.7, t2=0.9)
@@ -35,12 +35,12 @@ def marches():
     flat = {"body": BODY, "supports": {"BOTTOM": 0.0, "RIGHT": {"x": 0.0}}, "tractions": load}
     solid = {"body": BODY, "supports": {"RIGHT": {"x": 0.0}}, "tractions": load3}
     kelvin_voigt = KelvinVoigt(60.0, 40.0, 0.3, 0.5)
-    yield "meshed", Model.full(plane, layer=ThinLayer(MAXWELL, 0.1), **flat), TIMES, 0.5
-    yield "series", Model.interface(plane, layer=ThinLayer(SERIES, 0.1), **flat), TIMES, 1.0
-    yield "space", Model.interface(space, layer=ThinLayer(MAXWELL, 0.1), **solid), TIMES, 1.0
-    yield "plastic", Model.full(space, layer=ThinLayer(Mises(60.0, 40.0, limit=1.5), 0.1), **solid), TIMES, 1.0
-    yield "adaptive", Model.interface(plane, layer=ThinLayer(kelvin_voigt, 0.1), **flat), Adaptive(0.4, 0.02, 5e-3), 0.5
-    yield "pressure", Model.full(plane, layer=ThinLayer(Incompressible(40.0), 0.1), **flat), TIMES, 1.0
+    yield "meshed", Structure(plane, **flat).full(ThinLayer(MAXWELL, 0.1)), TIMES, 0.5
+    yield "series", Structure(plane, **flat).interface(ThinLayer(SERIES, 0.1)), TIMES, 1.0
+    yield "space", Structure(space, **solid).interface(ThinLayer(MAXWELL, 0.1)), TIMES, 1.0
+    yield "plastic", Structure(space, **solid).full(ThinLayer(Mises(60.0, 40.0, limit=1.5), 0.1)), TIMES, 1.0
+    yield "adaptive", Structure(plane, **flat).interface(ThinLayer(kelvin_voigt, 0.1)), Adaptive(0.4, 0.02, 5e-3), 0.5
+    yield "pressure", Structure(plane, **flat).full(ThinLayer(Incompressible(40.0), 0.1)), TIMES, 1.0
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -33,15 +33,28 @@ def drawing():
 
 
 def save(path, dim, groups, h=0.6, version=4.1, binary=1, **options):
-    """Mesh what was drawn and write it; groups: (dim, name) -> tags."""
+    """Mesh what was drawn and write it, unless path is None; groups: (dim, name) -> tags."""
     gmsh.model.occ.synchronize()
     for (d, name), tags in groups.items():
         gmsh.model.addPhysicalGroup(d, tags, name=name)
     for name, value in {"MeshSizeMax": h, "MshFileVersion": version, "Binary": binary, **options}.items():
         gmsh.option.setNumber(f"Mesh.{name}", value)
     gmsh.model.mesh.generate(dim)
-    gmsh.write(str(path))
+    if path is not None:
+        gmsh.write(str(path))
     return path
+
+
+def model_to_mesh(comm, gdim):
+    """The model that rank 0 has drawn as DOLFINx distributes it: mesh, cell tags, facet tags, (dim, number) -> name."""
+    try:
+        from dolfinx.io import gmshio
+    except ImportError:  # DOLFINx 0.10
+        from dolfinx.io import gmsh as gmshio
+    names = {}
+    if comm.rank == 0:
+        names = {group: gmsh.model.getPhysicalName(*group) for group in gmsh.model.getPhysicalGroups()}
+    return *gmshio.model_to_mesh(gmsh.model, comm, 0, gdim=gdim)[:3], names
 
 
 def boxes(occ, *shapes, dim=2, shared=True):

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Tabulated
 from geometry import Joint, sandwich
-from thinlayer import Model, PhaseReport, Surface, ThinLayer, march
+from thinlayer import Model, PhaseReport, Structure, Surface, ThinLayer, march
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 C = Tabulated([(20.0, 0.03), (50.0, 0.016), (100.0, 0.008)])
@@ -39,7 +39,8 @@ def models(law: Any) -> list[Model]:
     """S and the meshed layer between two blocks; the upper side is sheared and pulled, more at its right end."""
     top = {"x": lambda x, t: 0.03 * t, "y": lambda x, t: t * (0.05 * x[0] - 0.01)}
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0, "TOP": top}, "element": "Q1"}
-    return [make(joint(), layer=ThinLayer(law, 0.05), sublayers=2, **setup) for make in (Model.interface, Model.full)]
+    blocks, layer = Structure(joint(), **setup), ThinLayer(law, 0.05)
+    return [blocks.interface(layer), blocks.full(layer, cells_through=2)]
 
 
 def numbers(out: Path, end: float, resume: bool = False) -> dict[str, float]:
@@ -49,7 +50,7 @@ def numbers(out: Path, end: float, resume: bool = False) -> dict[str, float]:
         pair = models(law)
         surface = Surface(pair[0])
         for model in pair:
-            case = f"{name} {model.kind}"
+            case = f"{name} {model.name}"
             history = march(model, [t for t in (HALF, END) if t <= end], out=out / case, resume=resume)
             for k, snap in enumerate(history.snaps):
                 found |= {f"{case} snap {k} t": snap.t, f"{case} snap {k} lost": snap.lost}

@@ -10,13 +10,19 @@ import ufl
 
 from forms.elastic import lame
 from forms.kernel import KernelLaw
-from forms.law import Law
+from forms.law import BulkLaw, Law
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, isotropic_energy
+from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer
+
+
+def layer_of(law: Law, eps: float) -> Layer:
+    """A layer of a law: laws on S are layers by themselves, others have a thickness."""
+    return law if isinstance(law, LawOnS) else ThinLayer(law, eps)
 
 
 @dataclass(frozen=True)
-class StandardSolid(Law):
+class StandardSolid(BulkLaw):
     """Spring parallel to a spring and dashpot in series, which act on the deviator; memory: the dashpot's strain."""
 
     lmbda: float
@@ -48,7 +54,7 @@ class StandardSolid(Law):
 
 
 @dataclass(frozen=True)
-class Hardening(Law):
+class Hardening(BulkLaw):
     """Memory of all three shapes, no quadratic energy: stiffer with the strain gone through, and in closing."""
 
     lmbda: float
@@ -170,7 +176,7 @@ def _aged(value, growth, x, t):
 
 
 @dataclass(frozen=True)
-class AgeingSpring(Law):
+class AgeingSpring(BulkLaw):
     """A spring without memory that becomes stiffer with time, and along S."""
 
     mu: float
@@ -192,7 +198,7 @@ class AgeingSpring(Law):
 
 
 @dataclass(frozen=True)
-class AgeingFluid(Law):
+class AgeingFluid(BulkLaw):
     """A spring and a dashpot in series; the relaxation time grows with the time t, the spring too if it has a growth."""
 
     mu: float

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from forms import Anisotropic, LinearElastic, Stack
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, Surface, ThinLayer, compare, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
 
 def structures_in_space() -> dict[str, tuple]:
@@ -60,9 +60,7 @@ def crack() -> dict[str, float]:
     joint = replace(whole, facets={**whole.facets, "S": whole.facets["S"][centres[:, 0] < 0.5]})
     body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
     layer = ThinLayer(glue, 0.04)
-    state = solve(
-        Model.interface(joint, layer=layer, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, 1.0)})
-    )
+    state = solve(Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, 1.0)}).interface(layer))
     surface = Surface(state.model)
     return {
         "crack jump": surface.norm(surface.jump(state)),
@@ -116,12 +114,13 @@ def norms() -> dict[str, float]:
     structures |= structures_in_space() | structures_with_curved_layers()
     for name, (joint, setup, law, options) in structures.items():
         layer = ThinLayer(law, 0.04, profile=options.pop("profile", None))
-        limit = solve(Model.interface(joint, layer=layer, **setup, **options))
-        full = solve(Model.full(joint, layer=layer, **setup, **options))
+        bodies = options.pop("bodies", "kept")
+        structure = Structure(joint, **setup, **options)
+        limit, full = solve(structure.interface(layer)), solve(structure.full(layer, bodies=bodies))
         for key, value in compare(full, limit).items():
             found[f"{name} {key}"] = value
         for state in (full, limit):
-            kind, V = state.model.kind, state.model.V
+            kind, V = state.model.name, state.model.V
             of_own_cells = np.unique(V.dofmap.list[: V.mesh.topology.index_map(V.mesh.topology.dim).size_local])
             lost = np.setdiff1d(np.arange(V.dofmap.index_map.size_local), of_own_cells)
             found[f"{name} {kind} unknowns of other ranks' cells alone"] = float(V.mesh.comm.allreduce(len(lost)))

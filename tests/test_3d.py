@@ -10,13 +10,13 @@ import ufl
 from dolfinx import fem
 from scipy.spatial.transform import Rotation
 
-from forms import Anisotropic, Law, LinearElastic, limits
+from forms import Anisotropic, BulkLaw, LinearElastic, limits
 from forms.elastic import VOIGT
 from geometry import Joint, block, sandwich
 from tests import reference
 from tests.test_columns import OneSided
 from tests.test_fourier import ABOVE, BELOW
-from thinlayer import Model, SolveError, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.solving import linear_solvers
 
 TRACTION = np.array([0.3, -0.8, 0.2])
@@ -58,7 +58,7 @@ def check_column(
     joint: Joint,
     bodies: dict[str, LinearElastic],
     eps: float,
-    glue: Law = GLUE,
+    glue: BulkLaw = GLUE,
     tensor: np.ndarray | None = None,
     **options,
 ) -> None:
@@ -78,8 +78,9 @@ def check_column(
     for name, side in SIDES.items():
         tractions |= {f"{name}/{part}": tuple(stress @ TURN @ side) for part, stress in stresses.items()}
     supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
-    setup = dict(body=bodies, supports=supports, tractions=tractions, layer=ThinLayer(glue, eps), **options)
-    interface, full = solve(Model.interface(joint, **setup)), solve(Model.full(joint, **setup))
+    boxes = Structure(joint, body=bodies, supports=supports, tractions=tractions, **options)
+    layer = ThinLayer(glue, eps)
+    interface, full = solve(boxes.interface(layer)), solve(boxes.full(layer))
     surface = Surface(interface.model)
     jump = ufl.as_vector(w.tolist())
     for state in (interface, full):
@@ -133,9 +134,9 @@ def test_sign(pull, stiffness, swap):
         "element": "Q1",
     }
     layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
-    limit = solve(Model.interface(joint, layer=layer, **setup))
+    limit = solve(Structure(joint, **setup).interface(layer))
     surface = Surface(limit.model)
-    for state in (limit, solve(Model.full(joint, layer=layer, **setup))):
+    for state in (limit, solve(Structure(joint, **setup).full(layer))):
         opening = surface.integral(surface.frame(surface.jump(state))[2])
         assert opening == pytest.approx(0.8 * pull / stiffness, rel=1e-9)
         assert surface.integral(surface.frame(surface.traction(state))[2]) == pytest.approx(0.8 * pull, rel=1e-9)
@@ -151,7 +152,7 @@ def test_patch(cell, element):
         axis: (lambda x, t, row=row: sum(float(c) * x[k] for k, c in enumerate(row)))
         for axis, row in zip("xyz", gradient, strict=True)
     }
-    state = solve(Model.bonded(joint, body=LOWER, supports=dict.fromkeys(sides, rows), element=element))
+    state = solve(Structure(joint, body=LOWER, supports=dict.fromkeys(sides, rows), element=element).bonded())
     exact = ufl.dot(ufl.as_matrix(gradient.tolist()), ufl.SpatialCoordinate(state.model.domain.mesh))
     assert np.sqrt(state.integral(ufl.inner(state.u - exact, state.u - exact) * ufl.dx)) < 1e-12
 
@@ -187,7 +188,7 @@ def test_fourier_box(cell):
     errors = []
     for n in (4, 8):
         joint, setup = fourier_box(n, cell)
-        state = solve(Model.interface(joint, layer=ThinLayer(LinearElastic(lmbda, mu), 0.1), **setup))
+        state = solve(Structure(joint, **setup).interface(ThinLayer(LinearElastic(lmbda, mu), 0.1)))
         surface = Surface(state.model)
         x = ufl.SpatialCoordinate(state.model.domain.mesh)
         w = surface.jump(state)
@@ -209,8 +210,8 @@ def box(build, eps: float, order: int = 0, bodies: str = "kept"):
     """State of a model of the box; several tests ask for the same."""
     joint, setup = box_problem(6, "hexahedron")
     layer = ThinLayer(LinearElastic(*reference.LAYER), eps, order=order)
-    choice = {"bodies": bodies} if build == Model.full else {}
-    return solve(build(joint, layer=layer, **choice, **setup))
+    choice = {"bodies": bodies} if build == Structure.full else {}
+    return solve(build(Structure(joint, **setup), layer, **choice))
 
 
 @pytest.mark.parametrize("bodies", ["kept", "extended"])
@@ -218,7 +219,7 @@ def test_sweep_of_the_fourier_box(bodies):
     """Errors of the interface law as the transfer matrices have them, to 1 %, and of first order in eps."""
     eps, rows = (1 / 16, 1 / 32), []
     for e in eps:
-        row = compare(box(Model.full, e, bodies=bodies), box(Model.interface, e))
+        row = compare(box(Structure.full, e, bodies=bodies), box(Structure.interface, e))
         assert (row["error_traction"], row["error_jump"]) == pytest.approx(reference.sweep_errors(e, bodies), rel=1e-2)
         rows.append(row)
     for name in ("error_traction", "error_jump"):
@@ -227,7 +228,7 @@ def test_sweep_of_the_fourier_box(bodies):
 
 def test_order_1_on_the_fourier_box():
     eps = (1 / 8, 1 / 16)
-    errors = [compare(box(Model.full, e), box(Model.interface, e, order=1))["error_traction"] for e in eps]
+    errors = [compare(box(Structure.full, e), box(Structure.interface, e, order=1))["error_traction"] for e in eps]
     plane = [reference.next_order_errors(*reference.LAYER, e)[0] for e in eps]  # the plane problem's
     assert errors == pytest.approx(plane, rel=1e-2)
     assert observed_orders(eps, errors)[-1] == pytest.approx(1.87, abs=0.1)
@@ -236,7 +237,7 @@ def test_order_1_on_the_fourier_box():
 def test_frame():
     """Tangential components, then the normal one, of the same length as the vector."""
     joint = turned(sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8))
-    model = Model.interface(joint, body=LOWER, supports={"BOTTOM": 0.0}, layer=ThinLayer(GLUE, 0.1))
+    model = Structure(joint, body=LOWER, supports={"BOTTOM": 0.0}).interface(ThinLayer(GLUE, 0.1))
     surface = Surface(model)
     f = ufl.as_vector((TURN @ [0.3, -0.7, 0.5]).tolist())
     framed = surface.frame(f)
@@ -250,7 +251,7 @@ def test_profile_is_sorted():
     """By x, then y, then z, whatever the rounding of the coordinates."""
     joint = turned(sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron"))
     for one in (joint, sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron")):
-        model = Model.interface(one, body=LOWER, supports={"BOTTOM": 0.0}, layer=ThinLayer(GLUE, 0.1))
+        model = Structure(one, body=LOWER, supports={"BOTTOM": 0.0}).interface(ThinLayer(GLUE, 0.1))
         surface = Surface(model)
         places, _ = surface.profile(surface.sides.n)
         rounded = [tuple(x) for x in np.round(places, 6) + 0.0]
@@ -261,7 +262,7 @@ def test_profile_is_sorted():
 # ------------------------------------------------------------------------------------------------ solvers
 def test_multigrid_is_the_default_of_large_models(monkeypatch):
     joint, setup = fourier_box(4, "hexahedron")
-    model = Model.interface(joint, layer=ThinLayer(LinearElastic(*reference.LAYER), 0.1), **setup)
+    model = Structure(joint, **setup).interface(ThinLayer(LinearElastic(*reference.LAYER), 0.1))
     direct = solve(model)
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
     iterative = solve(model)
@@ -275,7 +276,7 @@ def test_stiff_layers_fall_back_on_factorising(monkeypatch):
     """A layer so stiff that multigrid stalls is factorised; who chose multigrid hears of it instead."""
     joint, setup = fourier_box(4, "hexahedron")
     layer = ThinLayer(LinearElastic(lmbda=1.5e9, mu=1e9), 0.1)
-    model = Model.full(joint, layer=layer, **setup)
+    model = Structure(joint, **setup).full(layer)
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
     monkeypatch.setitem(linear_solvers.MULTIGRID, "ksp_max_it", 30)
     assert solve(model).report.iterations == 1

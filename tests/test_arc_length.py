@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms.law import Law
+from forms.law import BulkLaw
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
 from forms.traction import TractionLaw
 from geometry import block
@@ -34,11 +34,11 @@ from tests.arc_length_run import (
 from tests.test_parallel import CLEAN, CLONE, mpirun
 from thinlayer import (
     ArcLength,
-    Model,
     ModelError,
     OptionError,
     RangeWarning,
     SolveError,
+    Structure,
     ThinLayer,
     march,
     piecewise,
@@ -202,7 +202,7 @@ def test_a_law_with_memory():
     assert t == pytest.approx(w + C * SMOOTH.k * w * np.exp(-w / SMOOTH.w_0), abs=1e-9)
     assert (np.diff(t) < 0).any()
     assert (np.diff(w) > 0).all()
-    assert np.array([state.memory[0].max() for state in history]) == pytest.approx(w, abs=1e-12)
+    assert np.array([state.memory["layer"].max() for state in history]) == pytest.approx(w, abs=1e-12)
     assert np.abs(history.table["imbalance"]).max() < 1e-9
 
 
@@ -271,7 +271,7 @@ class Undeclared(Cohesive):
 
 
 @dataclass(frozen=True)
-class Softer(Law):
+class Softer(BulkLaw):
     """A body's law that says its stress falls."""
 
     k: float
@@ -319,7 +319,7 @@ def test_a_step_over_a_loop_is_told():
 def test_bodies_do_not_soften():
     strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
     with pytest.raises(ModelError, match=r"the stress of Softer falls as strains grow: .* in one row of cells"):
-        Model.interface(strip, body=Softer(3.0), layer=ThinLayer(LinearElastic(1.0, 1.0), 0.1), supports={"TOP": 0.0})
+        Structure(strip, body=Softer(3.0), supports={"TOP": 0.0}).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1))
 
 
 def test_warnings_are_seen():
@@ -501,7 +501,10 @@ class Creeping(TractionLaw):
         (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on the strain rate, and t is no time on a path"),
         (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
-        (MohrCoulomb(60.0, 40.0, C=0.1, Omega=30.0), "MohrCoulomb bounds stresses: loads come to their limit"),
+        (
+            MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0),
+            "MohrCoulomb bounds stresses: loads come to their limit",
+        ),
     ],
 )
 def test_laws_that_have_no_path(law, message):
@@ -514,9 +517,9 @@ def test_models_that_have_no_path():
 
     strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
     setup = {"body": LinearElastic.young(E, 0.2), "supports": {"TOP": 0.0}}
-    soft = Model.interface(strip, layer=ThinLayer(Incompressible(40.0), 0.1), **setup)
+    soft = Structure(strip, **setup).interface(ThinLayer(Incompressible(40.0), 0.1))
     with pytest.raises(ModelError, match="Incompressible is incompressible: paths have displacements alone"):
         march(soft, ArcLength(1.0, 0.1))
-    contact = Model.interface(strip, layer=HolonomicCoulomb(7.0, 3.0, friction=0.4), element="Q1", **setup)
+    contact = Structure(strip, element="Q1", **setup).interface(HolonomicCoulomb(7.0, 3.0, friction=0.4))
     with pytest.raises(ModelError, match="HolonomicCoulomb is a contact law: march in time"):
         march(contact, ArcLength(1.0, 0.1))

@@ -547,8 +547,8 @@ def test_layer_of_the_bar_is_the_interface_law(mixing):
         ({"lmbda": -3.0}, "lmbda = -3"),
         ({"alpha": 0.0}, "alpha = 0"),
         ({"alpha": -1.0}, "alpha = -1"),
-        ({"C": -1.0}, "C = -1"),
-        ({"C": 0.1}, "C = 0.1; allowed: >= 0.2"),
+        ({"transformation_energy": -1.0}, "transformation_energy = -1"),
+        ({"transformation_energy": 0.1}, "transformation_energy = 0.1; allowed: >= 0.2"),
         ({"mixing": 0.0}, "mixing = 0; allowed: 0 < mixing <= 1"),
         ({"mixing": 1.5}, "mixing = 1.5"),
         ({"chi": np.array([[0, 1], [0, 0]])}, "symmetric"),
@@ -560,7 +560,7 @@ def test_layer_of_the_bar_is_the_interface_law(mixing):
     ],
 )
 def test_law_out_of_range(change, message):
-    values = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "C": C, "chi": CHI, "w": W, "n": N} | change
+    values = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI, "w": W, "n": N} | change
     with pytest.raises(ValueError, match=message):
         limits.non_monotone(**values)
 

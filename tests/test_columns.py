@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, Law, LinearElastic, Stack, limits
+from forms import Anisotropic, BulkLaw, LinearElastic, Stack, limits
 from geometry import block, sandwich
 from geometry.joint import Joint
-from thinlayer import Model, Surface, ThinLayer, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
 
 TRACTION = np.array([0.3, -0.8])  # tangential, normal
 LOWER, UPPER = LinearElastic.young(210.0, 0.25), LinearElastic.young(70.0, 0.35)
@@ -41,7 +41,11 @@ def side_stress(law: LinearElastic, t: np.ndarray, n: np.ndarray) -> np.ndarray:
 
 
 def column(
-    joint: Joint, glue: Law, bodies: dict[str, LinearElastic], angle: float, layer_sides: dict[str, np.ndarray] | None
+    joint: Joint,
+    glue: BulkLaw,
+    bodies: dict[str, LinearElastic],
+    angle: float,
+    layer_sides: dict[str, np.ndarray] | None,
 ) -> tuple[dict, np.ndarray, np.ndarray]:
     """Data of the two models, the traction and n; `layer_sides`: stresses of the layer's regions for its side."""
     turn = rotation(angle)
@@ -58,14 +62,20 @@ def column(
 
 
 def check(
-    joint: Joint, glue: LinearElastic, bodies: dict[str, LinearElastic], eps: float, angle: float, **options
+    joint: Joint,
+    glue: LinearElastic,
+    bodies: dict[str, LinearElastic],
+    eps: float,
+    angle: float,
+    cells_through: int = 4,
+    **options,
 ) -> None:
     turn = rotation(angle)
     layer_stress = side_stress(glue, turn @ TRACTION, turn @ [0.0, 1.0])
     setup, t, n = column(joint, glue, bodies, angle, {"LAYER": layer_stress})
     layer = ThinLayer(glue, eps)
-    interface = solve(Model.interface(joint, layer=layer, **setup, **options))
-    full = solve(Model.full(joint, layer=layer, **setup, **options))
+    structure = Structure(joint, **setup, **options)
+    interface, full = solve(structure.interface(layer)), solve(structure.full(layer, cells_through=cells_through))
     surface = Surface(interface.model)
     jump = ufl.as_vector(np.linalg.solve(limits.elastic_stiffness(glue.lmbda, glue.mu, n), t).tolist())
     traction = ufl.as_vector(t.tolist())
@@ -97,10 +107,10 @@ def test_any_direction(angle):
     check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, 0.02, angle)
 
 
-def test_sublayers_do_not_matter_for_uniform_strain():
+def test_cells_through_the_layer_do_not_matter_for_uniform_strain():
     joint = sandwich(1.0, 0.5, 0.7, 0.25)
-    for sublayers in (1, 7):
-        check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, 0.02, 0.0, sublayers=sublayers)
+    for cells in (1, 7):
+        check(joint, GLUE, {"LOWER": LOWER, "UPPER": UPPER}, 0.02, 0.0, cells_through=cells)
 
 
 def test_swapped_bodies_give_the_same_structure():
@@ -110,9 +120,9 @@ def test_swapped_bodies_give_the_same_structure():
     layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
     found = []
     for one in (joint, joint.swapped()):
-        for build in (Model.interface, Model.full):
-            state = solve(build(one, layer=layer, **setup))
-            surface = Surface(Model.interface(one, layer=layer, **setup))
+        for build in (Structure.interface, Structure.full):
+            state = solve(build(Structure(one, **setup), layer))
+            surface = Surface(Structure(one, **setup).interface(layer))
             found.append(
                 (surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["layer"])
             )
@@ -150,10 +160,10 @@ def test_sign(pull, stiffness, swap):
     rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     setup = {"body": UPPER, "supports": {"BOTTOM": 0.0} | rollers, "tractions": {"TOP": (0.0, pull)}}
     layer = ThinLayer(OneSided(mu=7.0, lmbda=15.0, extra=9.0), 0.05)
-    limit = solve(Model.interface(joint, layer=layer, **setup))
+    limit = solve(Structure(joint, **setup).interface(layer))
     surface = Surface(limit.model)
     n = surface.sides.n
-    for state in (limit, solve(Model.full(joint, layer=layer, **setup))):
+    for state in (limit, solve(Structure(joint, **setup).full(layer))):
         opening = surface.integral(ufl.dot(surface.jump(state), n))
         assert opening == pytest.approx(pull / stiffness, rel=1e-9)
         assert surface.integral(ufl.dot(surface.traction(state), n)) == pytest.approx(pull, rel=1e-9)
@@ -169,17 +179,17 @@ def test_plane_stress():
         "body": UPPER,
         "supports": {"BOTTOM": 0.0} | rollers,
         "tractions": {"TOP": (0.0, 0.6)},
-        "layer": ThinLayer(glue, 0.05),
     }
+    column, layer = Structure(joint, plane="stress", **setup), ThinLayer(glue, 0.05)
     right, wrong = E / (1 - nu**2), glue.lmbda + 2 * glue.mu
-    limit = solve(Model.interface(joint, plane="stress", **setup))
+    limit = solve(column.interface(layer))
     surface = Surface(limit.model)
-    for state in (limit, solve(Model.full(joint, plane="stress", **setup))):
+    for state in (limit, solve(column.full(layer))):
         opening = surface.integral(surface.jump(state)[1])
         assert opening == pytest.approx(0.6 / right, rel=1e-9)
         assert opening != pytest.approx(0.6 / wrong, rel=1e-2)
     as_anisotropic = Anisotropic(isotropic_voigt(glue))
-    state = solve(Model.interface(joint, plane="stress", **(setup | {"layer": ThinLayer(as_anisotropic, 0.05)})))
+    state = solve(column.interface(ThinLayer(as_anisotropic, 0.05)))
     surface = Surface(state.model)
     assert surface.integral(surface.jump(state)[1]) == pytest.approx(0.6 / right, rel=1e-9)
 
@@ -203,9 +213,9 @@ def test_stratified_column():
     for sides, t, component, stiffness in ((normal, (0.0, 0.6), 1, K_N), (shear, (0.6, 0.0), 0, K_T)):
         supports = {"BOTTOM": 0.0, "TOP": {"xy"[1 - component]: 0.0}} | sides
         setup = {"body": UPPER, "supports": supports, "tractions": {"TOP": t}}
-        limit = solve(Model.interface(joint, layer=ThinLayer(glue, 0.05), **setup))
+        limit = solve(Structure(joint, **setup).interface(ThinLayer(glue, 0.05)))
         surface = Surface(limit.model)
-        for state in (limit, solve(Model.full(joint, layer=ThinLayer(glue, 0.05), **setup))):
+        for state in (limit, solve(Structure(joint, **setup).full(ThinLayer(glue, 0.05)))):
             assert surface.integral(surface.jump(state)[component]) == pytest.approx(0.6 / stiffness, rel=1e-9), (
                 state.model
             )
@@ -234,7 +244,7 @@ def test_anisotropic_column():
     setup, _, _ = column(joint, GLUE, {"BODY": UPPER}, ANGLE, {"LAYER": layer_stress})
     assert tuple(setup["tractions"]["RIGHT/LAYER"]) == pytest.approx(tuple(layer_stress @ tangent))
     layer = ThinLayer(Anisotropic(C), 0.03)
-    limit = solve(Model.interface(joint, layer=layer, **setup))
+    limit = solve(Structure(joint, **setup).interface(layer))
     surface = Surface(limit.model)
-    for state in (limit, solve(Model.full(joint, layer=layer, **setup))):
+    for state in (limit, solve(Structure(joint, **setup).full(layer))):
         assert surface.norm(surface.jump(state) - ufl.as_vector(w.tolist())) < EXACT * np.linalg.norm(w)

@@ -13,11 +13,11 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import Incompressible, KelvinVoigt, Law, LinearElastic, Maxwell, Norton, Stack, limits
+from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, limits
 from geometry import block, sandwich
 from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring
 from tests.test_points import Hardening, Slipping, StandardSolid
-from thinlayer import History, Model, ModelError, Surface, ThinLayer, march
+from thinlayer import History, ModelError, Structure, Surface, ThinLayer, march
 from thinlayer.pointwise.material import Material
 
 BODY = LinearElastic.young(100.0, 0.3)
@@ -92,8 +92,9 @@ def check_balance(history: History) -> None:
 
 
 def both(where, layer: ThinLayer, setup: dict, times, **options) -> tuple[History, History]:
-    build = lambda make: make(where, layer=layer, sublayers=1, **setup)
-    return march(build(Model.interface), times, **options), march(build(Model.full), times, **options)
+    columns = Structure(where, **setup)
+    models = columns.interface(layer), columns.full(layer, cells_through=1)
+    return march(models[0], times, **options), march(models[1], times, **options)
 
 
 # ---------------------------------------------------------------- interface = layer
@@ -152,8 +153,8 @@ def test_moved_end(law, mode, eps):
 def test_cells_through_the_thickness_do_not_matter():
     layer = ThinLayer(LAWS["Maxwell, Kelvin-Voigt"], 0.05)
     setup = column("normal", load=1.0)
-    limit = march(Model.interface(joint(), layer=layer, **setup), TIMES)
-    check_same(limit, march(Model.full(joint(), layer=layer, sublayers=5, **setup), TIMES))
+    limit = march(Structure(joint(), **setup).interface(layer), TIMES)
+    check_same(limit, march(Structure(joint(), **setup).full(layer, cells_through=5), TIMES))
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, np.pi])
@@ -166,7 +167,7 @@ def test_quarter_turns(angle):
     else:
         turned["tractions"] = {"TOP": (-0.5, 0.0)}
     layer = ThinLayer(LAWS["elastic, Norton 1.5"], 0.02)
-    upright = march(Model.interface(joint(), layer=layer, **straight), TIMES)
+    upright = march(Structure(joint(), **straight).interface(layer), TIMES)
     limit, full = both(joint().rotated(angle), layer, turned, TIMES)
     check_same(limit, full)
     for name in ("supplied", "stored", "dissipated"):
@@ -177,14 +178,14 @@ ANGLE = 0.4
 TRACTION = np.array([0.3, -0.8])
 
 
-def held_traction(law: Law, t: np.ndarray, n: np.ndarray, times: list[float]) -> tuple[list, list]:
+def held_traction(law: BulkLaw, t: np.ndarray, n: np.ndarray, times: list[float]) -> tuple[list, list]:
     """Jumps and stresses (2, 2) of a layer under a traction that is held, step by step at one point."""
     material, n3 = Material(MPI.COMM_SELF, law), np.append(n, 0.0)[None]
     slots, root = [0, 1, 3], 2**0.5
     contract = np.array([[n[0], 0], [0, n[1]], [n[1] / root, n[0] / root]])  # w -> strain, and its transpose
     w, e, q = np.zeros(2), np.zeros((1, 3)), np.zeros((1, material.memory))
     jumps, stresses = [w], [np.zeros((2, 2))]
-    for dt in np.diff(times) if law.rate else [0.0, *np.diff(times)]:
+    for dt in np.diff(times) if law.traits.rate else [0.0, *np.diff(times)]:
         old = e
         for _ in range(50):
             e = (contract @ w)[None]
@@ -194,7 +195,7 @@ def held_traction(law: Law, t: np.ndarray, n: np.ndarray, times: list[float]) ->
         q = new
         jumps.append(w)
         stresses.append(np.array([[s[0, 0], s[0, 2] / root], [s[0, 2] / root, s[0, 1]]]))
-    return (jumps, stresses) if law.rate else (jumps[1:], stresses[1:])
+    return (jumps, stresses) if law.traits.rate else (jumps[1:], stresses[1:])
 
 
 @pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5"])
@@ -241,7 +242,7 @@ def test_three_dimensions(cell, mode):
     limit, full = both(where, ThinLayer(law, 0.05), setup, TIMES)
     check_same(limit, full)
     check_balance(full)
-    flat = march(Model.interface(joint(), layer=ThinLayer(law, 0.05), **column(mode, load=LOAD[mode])), TIMES)
+    flat = march(Structure(joint(), **column(mode, load=LOAD[mode])).interface(ThinLayer(law, 0.05)), TIMES)
     assert limit.table["supplied"] == pytest.approx(0.5 * flat.table["supplied"], rel=1e-9, abs=1e-15)
 
 
@@ -251,8 +252,8 @@ def jump_of(history: History, mode: str, state=None) -> float:
     return surface.integral(surface.jump(state or history.last)[AXIS[mode]])
 
 
-def marched(law: Law, mode: str, theta: float, times, **ends) -> History:
-    model = Model.interface(joint(), layer=ThinLayer(law, 0.1), **column(mode, **ends))
+def marched(law: BulkLaw, mode: str, theta: float, times, **ends) -> History:
+    model = Structure(joint(), **column(mode, **ends)).interface(ThinLayer(law, 0.1))
     return march(model, times, theta=theta)
 
 
@@ -348,9 +349,7 @@ def test_traction_law_in_time():
     law = Slipping(70.0, MU, MU * T1, 900.0)
     for mode, move in (("normal", 0.02), ("normal", -0.02), ("shear", 0.05)):
         setup = column(mode, move=move)
-        history = march(
-            Model.interface(joint(), layer=ThinLayer(law, 0.1), **setup), np.linspace(0, 1, 21)[1:], theta=0.5
-        )
+        history = march(Structure(joint(), **setup).interface(law), np.linspace(0, 1, 21)[1:], theta=0.5)
         if mode == "shear":
             assert jump_of(history, mode) == pytest.approx(maxwell_moved(mode, 1.0), rel=1e-4)
         else:  # (d - w)/c = k_N w - closed w^2
@@ -360,7 +359,7 @@ def test_traction_law_in_time():
         assert np.isnan(history.table["imbalance"]).all()  # it declares no energy
         assert np.isfinite(history.table["supplied"]).all()
     with pytest.raises(ModelError, match="Slipping is a law of jump and traction: it has no meshed layer"):
-        Model.full(joint(), layer=ThinLayer(law, 0.1), **column("shear", load=0.5))
+        Structure(joint(), **column("shear", load=0.5)).full(law)
 
 
 # ---------------------------------------------------------------- the first state
@@ -372,7 +371,7 @@ def test_first_state(name):
     first = next(iter(history))
     assert first.t == 0.0
     assert len(history) == 2
-    if law.rate:
+    if law.traits.rate:
         assert not first.u.x.array.any()
         assert history.table["supplied"][0] == 0.0
         return
@@ -408,13 +407,13 @@ def test_energy_balance(name, mode, theta):
     check_balance(history)
     assert (history.table["dissipated"][1:] > 0).all()
     jumps = [jump_of(history, mode, state) for state in history]
-    first = 1 if law.rate else 0
+    first = 1 if law.traits.rate else 0
     for k in range(1, len(history)):
         # the first interval of a march from rest is made of two backward Euler steps unless theta = 1
-        share = 1.0 if law.rate and k <= 2 and theta < 1 else theta
+        share = 1.0 if law.traits.rate and k <= 2 and theta < 1 else theta
         row = {key: history.table[key][k] for key in ("dissipated", "remainder", "dt", "t", "supplied")}
         before = row["t"] - row["dt"]
-        at_rest = law.rate and k == first  # the traction was still zero
+        at_rest = law.traits.rate and k == first  # the traction was still zero
         t, t_old = load(row["t"]), 0.0 if at_rest else load(before)
         mid = share * load(row["t"]) + (1 - share) * load(before)
         change, rate = jumps[k] - jumps[k - 1], (jumps[k] - jumps[k - 1]) / row["dt"]
@@ -425,7 +424,7 @@ def test_energy_balance(name, mode, theta):
             assert row["remainder"] == pytest.approx(expected, rel=1e-8, abs=1e-12 * row["supplied"])
         assert row["dissipated"] == pytest.approx(dissipated(name, mode, row["dt"], rate, mid), rel=1e-8)
     if theta < 1:
-        assert len(history) == len(TIMES) + 1 + law.rate
+        assert len(history) == len(TIMES) + 1 + law.traits.rate
     if theta > 0.5:
         assert (history.table["remainder"][first:] > 0).all()
 
@@ -472,7 +471,7 @@ def test_energy_at_the_end_of_a_midpoint_step():
     """It has the strain, the flow and the parameters of the end: mu(t) (w - eps flow)^2."""
     history = marched(FLUID, "normal", 0.5, TIMES, load=lambda t: 1 + 3 * t)
     for state in history:
-        flow = state.memory[0][:, 1]
+        flow = state.memory["layer"][:, 1]
         assert flow == pytest.approx(flow[0], rel=1e-9)
         elastic = jump_of(history, "normal", state) - 0.1 * flow[0]
         expected = MU * (1 + 3 * state.t) * elastic**2

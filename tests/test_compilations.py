@@ -13,7 +13,7 @@ import ufl
 
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from studies.problems import fourier
-from thinlayer import Model, ThinLayer, compare, march
+from thinlayer import Structure, ThinLayer, compare, march
 
 CLONE = Path(__file__).parent.parent
 
@@ -39,7 +39,12 @@ def run(law, eps: float, times, h: float = 1 / 4, theta: float = 1.0, factor: fl
     setup["tractions"] = {"TOP": lambda x, t: (0.1 * t, ufl.cos(ufl.pi * x[0]))}
     setup["body"] = LinearElastic.young(100.0 * factor, 0.3)
     layer = ThinLayer(law, eps)
-    compare(*(march(build(joint, layer=layer, **setup), times, theta=theta) for build in (Model.full, Model.interface)))
+    compare(
+        *(
+            march(build(Structure(joint, **setup), layer), times, theta=theta)
+            for build in (Structure.full, Structure.interface)
+        )
+    )
 
 
 @pytest.mark.parametrize(
@@ -74,13 +79,13 @@ def test_compiled_once(law, other, modules):
 
 
 @pytest.mark.parametrize("law", [Maxwell(60.0, 40.0, 0.7), Norton(60.0, 40.0, 5.0, 1.5), Incompressible(40.0)], ids=str)
-@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize("build", [Structure.full, Structure.interface])
 def test_steps_ask_for_nothing(build, law, modules):
     """After the first state of a march nothing is asked of the compiler, not even what it has on the disk."""
     joint, setup = fourier(1 / 4, cell="quadrilateral")
     asked = []
     observe = {"asked": lambda state: asked.append(len(modules)) or 0.0}
-    march(build(joint, layer=ThinLayer(law, 0.1), **setup), [0.1, 0.2, 0.3, 0.4], observe=observe)
+    march(build(Structure(joint, **setup), ThinLayer(law, 0.1)), [0.1, 0.2, 0.3, 0.4], observe=observe)
     assert len(asked) == 5
     assert asked[0] > 0
     assert len(set(asked)) == 1
@@ -91,7 +96,7 @@ def test_a_stack_shares_the_kernels_of_its_laws(modules):
     joint, setup = fourier(1 / 4, cell="quadrilateral")
 
     def interface(law):
-        march(Model.interface(joint, layer=ThinLayer(law, 0.1), **setup), [0.1])
+        march(Structure(joint, **setup).interface(ThinLayer(law, 0.1)), [0.1])
 
     one, two = Maxwell(60.0, 40.0, 0.7), KelvinVoigt(60.0, 40.0, 0.3, 0.5)
     interface(one)

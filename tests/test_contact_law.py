@@ -99,7 +99,7 @@ def test_coulomb_tangent_is_not_symmetric_but_tresca_is():
     assert LAWS[0].tangent(sliding)[0, 1, 0] == 0
     tangent = Tresca(K_N, K_T, 0.01).tangent(one(0.3, 0.2, -0.02))[0]
     assert tangent == pytest.approx(tangent.T)
-    assert (LAWS[0].symmetric, Tresca(1.0, 1.0, 1.0).symmetric) == (False, True)
+    assert (LAWS[0].traits.symmetric, Tresca(1.0, 1.0, 1.0).traits.symmetric) == (False, True)
 
 
 def test_slip_memory():

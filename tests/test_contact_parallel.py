@@ -44,7 +44,7 @@ def test_same_contact(serial, ranks):
 
 def test_a_march_goes_on_with_its_slip(serial, tmp_path):
     """Stopped while it slides forth, resumed on two ranks: the slip at the nodes has been kept."""
-    stopped = content(ContactReport.of(to_and_fro(tmp_path, 2.5).last))
+    stopped = content(ContactReport(to_and_fro(tmp_path, 2.5).last))
     resumed = run(2, str(tmp_path), "4")["resumed"]
     require_same(serial["to and fro"], resumed)
     assert np.abs(np.subtract(stopped["u_T"], resumed["u_T"])).max() > 1e-3

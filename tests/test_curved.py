@@ -11,7 +11,7 @@ import ufl
 from forms import Anisotropic, LawError, LinearElastic, Stack
 from geometry import GeometryError, block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import Model, ModelError, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 
 INNER, OUTER = LinearElastic.young(200.0, 0.3), LinearElastic.young(70.0, 0.33)
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
@@ -69,7 +69,7 @@ def test_pressed_tube(cell):
     errors = []
     for degree in (1, 2):
         joint = ring(*RADII, 0.125, angle=np.pi / 2, cell=cell, degree=degree)
-        state = solve(Model.interface(joint, layer=ThinLayer(GLUE, 0.1), **pressed(joint)))
+        state = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(GLUE, 0.1)))
         surface = Surface(state.model)
         r = radial(ufl.SpatialCoordinate(state.model.domain.mesh))
         found = surface.norm(surface.jump(state) - jump * r) / surface.norm(jump * r)
@@ -87,8 +87,8 @@ def test_error_is_of_first_order(load, cell, degree):
     rows = []
     for eps in EPS:
         layer = ThinLayer(GLUE, eps)
-        limit = solve(Model.interface(joint, layer=layer, **load(joint)))
-        rows.append(compare(solve(Model.full(joint, layer=layer, bodies="extended", **load(joint))), limit))
+        limit = solve(Structure(joint, **load(joint)).interface(layer))
+        rows.append(compare(solve(Structure(joint, **load(joint)).full(layer, bodies="extended")), limit))
     for name in (
         ("error_traction", "error_jump") if load is pressed else ("error_jump",)
     ):  # statics fix the torque's traction
@@ -100,8 +100,8 @@ def test_wrong_law_leaves_a_floor_on_a_ring():
     wrong = LinearElastic(lmbda=GLUE.lmbda - GLUE.mu, mu=GLUE.mu)
     errors = []
     for eps in EPS:
-        full = solve(Model.full(joint, layer=ThinLayer(GLUE, eps), bodies="extended", **pressed(joint)))
-        limit = solve(Model.interface(joint, layer=ThinLayer(wrong, eps), **pressed(joint)))
+        full = solve(Structure(joint, **pressed(joint)).full(ThinLayer(GLUE, eps), bodies="extended"))
+        limit = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(wrong, eps)))
         errors.append(compare(full, limit)["error_jump"])
     assert errors[0] < errors[1] < errors[2]
     assert errors[2] > 0.09
@@ -112,8 +112,8 @@ def test_material_frame_follows_s(degree):
     """In torsion a layer with K_N = 50 K_T gives t_T / K_T all around, in the meshed layer too."""
     joint = ring(*RADII, 0.25, degree=degree)
     layer = ThinLayer(Anisotropic.springs(K_N=100.0, K_T=2.0), 1e-3)
-    limit = solve(Model.interface(joint, layer=layer, **twisted(joint)))
-    full = solve(Model.full(joint, layer=layer, bodies="extended", **twisted(joint)))
+    limit = solve(Structure(joint, **twisted(joint)).interface(layer))
+    full = solve(Structure(joint, **twisted(joint)).full(layer, bodies="extended"))
     surface = Surface(limit.model)
     r = radial(ufl.SpatialCoordinate(limit.model.domain.mesh))
     around = ufl.as_vector([-r[1], r[0]])
@@ -144,8 +144,8 @@ def test_rigid_base_takes_all_of_eps():
     rows = []
     for eps in EPS:
         layer = ThinLayer(GLUE, eps)
-        limit = solve(Model.interface(hub, layer=layer, **setup))
-        rows.append(compare(solve(Model.full(hub, layer=layer, bodies="extended", **setup)), limit))
+        limit = solve(Structure(hub, **setup).interface(layer))
+        rows.append(compare(solve(Structure(hub, **setup).full(layer, bodies="extended")), limit))
     assert observed_orders(EPS, [row["error_jump"] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)
 
 
@@ -160,9 +160,9 @@ def test_wedge(cell):
     eps, rows, uniform = (1 / 16, 1 / 32, 1 / 64), [], []
     for e in eps:
         layer = ThinLayer(FOURIER_LAYER, e, profile=wedge)
-        full = solve(Model.full(joint, layer=layer, bodies="extended", **setup))
-        rows.append(compare(full, solve(Model.interface(joint, layer=layer, **setup))))
-        other = solve(Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, e), **setup))
+        full = solve(Structure(joint, **setup).full(layer, bodies="extended"))
+        rows.append(compare(full, solve(Structure(joint, **setup).interface(layer))))
+        other = solve(Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, e)))
         with pytest.raises(ModelError, match="the same profile"):
             compare(full, other)
         surface = Surface(other.model)
@@ -180,8 +180,9 @@ def test_wedge_between_stiff_bodies():
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}}
     layer = ThinLayer(GLUE, 1e-3, profile=wedge)
     exact = (GLUE.lmbda + 2 * GLUE.mu) / 2 * 0.01**2 * np.log(3)
-    for build, options in ((Model.interface, {}), (Model.full, {"bodies": "extended"})):
-        state = solve(build(joint, layer=layer, body=stiff, supports=supports, **options))
+    moved = Structure(joint, body=stiff, supports=supports)
+    for model in (moved.interface(layer), moved.full(layer, bodies="extended")):
+        state = solve(model)
         assert state.energies()["layer"] == pytest.approx(exact, rel=2e-3), state.model
 
 
@@ -190,11 +191,10 @@ def test_wedge_in_three_dimensions():
     stiff = LinearElastic.young(1e9, 0.3)
     profile = lambda x: (0.5 + x[0]) * (1 + x[2])
     exact = GLUE.mu / 2 * 0.01**2 * np.log(3) * np.log(1.6)
-    for build, options in ((Model.interface, {}), (Model.full, {"bodies": "extended"})):
-        layer = ThinLayer(GLUE, 1e-3, profile=profile)
-        state = solve(
-            build(joint, layer=layer, body=stiff, supports={"TOP": {"x": 0.01, "y": 0.0, "z": 0.0}}, **options)
-        )
+    layer = ThinLayer(GLUE, 1e-3, profile=profile)
+    moved = Structure(joint, body=stiff, supports={"TOP": {"x": 0.01, "y": 0.0, "z": 0.0}})
+    for model in (moved.interface(layer), moved.full(layer, bodies="extended")):
+        state = solve(model)
         assert state.energies()["layer"] == pytest.approx(exact, rel=1e-2), state.model
 
 
@@ -208,15 +208,17 @@ def test_wedge_in_three_dimensions():
 )
 def test_profiles_are_checked(profile, message):
     joint, setup = fourier(1 / 4)
-    for build in (Model.interface, Model.full):
-        with pytest.raises(GeometryError, match=message):
-            build(joint, layer=ThinLayer(GLUE, 0.01, profile=profile), **{**setup, "bodies": "extended"})
+    plates, layer = Structure(joint, **setup), ThinLayer(GLUE, 0.01, profile=profile)
+    with pytest.raises(GeometryError, match=message):
+        plates.interface(layer)
+    with pytest.raises(GeometryError, match=message):
+        plates.full(layer, bodies="extended")
 
 
 def test_what_curved_and_varying_layers_cannot_do():
     joint, setup = fourier(1 / 4)
     with pytest.raises(GeometryError, match=r"thickness varies along S.*use bodies='extended'"):
-        Model.full(joint, layer=ThinLayer(GLUE, 0.01, profile=wedge), **setup)
+        Structure(joint, **setup).full(ThinLayer(GLUE, 0.01, profile=wedge))
     with pytest.raises(LawError, match="order=1 needs a uniform thickness"):
         ThinLayer(GLUE, 0.01, order=1, profile=wedge)
     with pytest.raises(LawError, match="order=1 of a Stack"):
@@ -225,11 +227,11 @@ def test_what_curved_and_varying_layers_cannot_do():
         ThinLayer(GLUE, 0.01, profile=2.0)
     round_joint = ring(*RADII, 0.25)
     with pytest.raises(GeometryError, match=r"S is not planar.*use bodies='extended'"):
-        Model.full(round_joint, layer=ThinLayer(GLUE, 0.01), **twisted(round_joint))
+        Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 0.01))
     with pytest.raises(ModelError, match="order=1 needs a planar S"):
-        Model.interface(round_joint, layer=ThinLayer(GLUE, 0.01, order=1), **twisted(round_joint))
+        Structure(round_joint, **twisted(round_joint)).interface(ThinLayer(GLUE, 0.01, order=1))
     with pytest.raises(GeometryError, match=r"turn inside out, the first at \("):
-        Model.full(round_joint, layer=ThinLayer(GLUE, 1.5), bodies="extended", **twisted(round_joint))
+        Structure(round_joint, **twisted(round_joint)).full(ThinLayer(GLUE, 1.5), bodies="extended")
 
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
@@ -250,7 +252,7 @@ def test_wavy_s_in_three_dimensions(cell):
     eps, rows = (0.04, 0.02), []
     for e in eps:
         layer = ThinLayer(FOURIER_LAYER, e)
-        full = Model.full(joint, layer=layer, bodies="extended", sublayers=2, **setup)
-        rows.append(compare(solve(full), solve(Model.interface(joint, layer=layer, **setup))))
+        full = Structure(joint, **setup).full(layer, bodies="extended", cells_through=2)
+        rows.append(compare(solve(full), solve(Structure(joint, **setup).interface(layer))))
     for name in ("error_traction", "error_jump"):
         assert observed_orders(eps, [row[name] for row in rows])[-1] == pytest.approx(1.0, abs=0.1)

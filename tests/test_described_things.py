@@ -23,11 +23,11 @@ import ufl
 from forms import KelvinVoigt
 from tests.test_identity import Spring
 from tests.test_marching import JOINT, SETUP, SLOW
-from thinlayer import Model, ModelError, ThinLayer, compare, march, solve, sweep
-from thinlayer.identity import identity
-from thinlayer.identity.identity import described
+from thinlayer import ModelError, Structure, ThinLayer, compare, march, solve, sweep
+from thinlayer.identity import known
+from thinlayer.identity.described import described
 
-DATA = SETUP | {"layer": ThinLayer(SLOW, 0.1)}
+LAYER = ThinLayer(SLOW, 0.1)
 
 
 class Chain(collections.deque):
@@ -121,15 +121,20 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
     def load(x, t):
         return (0.0, t * len([numbers]))
 
-    model = Model.interface(JOINT, tractions={"TOP": load}, **DATA)
+    model = Structure(JOINT, tractions={"TOP": load}, **SETUP).interface(LAYER)
     march(model, [0.1], out=tmp_path / "m")
     sweep(run, [0.4], tmp_path / "t.csv")
     assert len(march(model, [0.1, 0.2], out=tmp_path / "m", resume=True)) == 3
-    monkeypatch.setattr(identity, "PROCESS", "another")
+    monkeypatch.setattr(known, "PROCESS", "another")
     with pytest.raises(
         ModelError, match=r"is of another march \(loads: .*builtins\.generator, which no other process knows"
     ):
-        march(Model.interface(JOINT, tractions={"TOP": load}, **DATA), [0.1, 0.3], out=tmp_path / "m", resume=True)
+        march(
+            Structure(JOINT, tractions={"TOP": load}, **SETUP).interface(LAYER),
+            [0.1, 0.3],
+            out=tmp_path / "m",
+            resume=True,
+        )
     with pytest.raises(ModelError, match=r"another sweep \(numbers: builtins\.generator, which no other process knows"):
         sweep(run, [0.4, 0.2], tmp_path / "t.csv", resume=True)
 
@@ -138,7 +143,7 @@ def test_objects_with_an_identity_of_their_own(tmp_path):
     """numpy's polynomials have a function of this name; the package asks its own types alone."""
     line = np.polynomial.Polynomial([0.0, 2.0])
     tractions = {"TOP": lambda x, t: (0.0, line(t))}
-    model = Model.interface(JOINT, tractions=tractions, **DATA)
+    model = Structure(JOINT, tractions=tractions, **SETUP).interface(LAYER)
     assert march(model, [0.1], out=tmp_path).t == pytest.approx([0.0, 0.1])
 
 
@@ -153,7 +158,7 @@ class Logged(KelvinVoigt):
 
 
 def test_laws_that_change_what_they_refer_to_as_they_are_read(tmp_path):
-    model = Model.interface(JOINT, **(DATA | {"layer": ThinLayer(Logged(60.0, 40.0, 0.3, 0.5), 0.1)}))
+    model = Structure(JOINT, **SETUP).interface(ThinLayer(Logged(60.0, 40.0, 0.3, 0.5), 0.1))
     for _ in range(2):
         assert march(model, [0.1, 0.2], out=tmp_path).t == pytest.approx([0.0, 0.1, 0.2])
     READ.clear()
@@ -163,16 +168,16 @@ def test_laws_that_change_what_they_refer_to_as_they_are_read(tmp_path):
 
 def test_models_are_what_they_were_built_with(tmp_path, monkeypatch):
     load, scale = np.array([0.0, 1.0]), {"F": 1.0}
-    data = DATA | {"tractions": {"TOP": load}}
-    spring = data | {"layer": ThinLayer(Spring(60.0, 40.0), 0.1)}
-    full, interface = Model.full(JOINT, **spring), Model.interface(JOINT, **spring)
-    other = Model.interface(JOINT, **(data | {"tractions": {"TOP": lambda x, t: (0.0, scale["F"])}}))
+    data, spring = SETUP | {"tractions": {"TOP": load}}, ThinLayer(Spring(60.0, 40.0), 0.1)
+    pulled = Structure(JOINT, **data)
+    full, interface = pulled.full(spring), pulled.interface(spring)
+    other = Structure(JOINT, **data | {"tractions": {"TOP": lambda x, t: (0.0, scale["F"])}}).interface(LAYER)
     before = [json.dumps(one.identity()) for one in (full, interface, other)]
     load[1], scale["F"] = 2.0, 2.0
     assert [json.dumps(one.identity()) for one in (full, interface, other)] == before
     assert 0 < compare(solve(full), solve(interface))["error_jump"] < 1
     with pytest.raises(ModelError, match="needs the same loads"):
-        compare(solve(full), solve(Model.interface(JOINT, **spring)))
+        compare(solve(full), solve(Structure(JOINT, **data).interface(spring)))
     monkeypatch.setattr(Spring, "RATIO", 0.6)
     for find in (solve, lambda model: march(model, [0.1], out=tmp_path)):
         with pytest.raises(ModelError, match="what the model's law refers to has changed since the model was built"):

@@ -9,11 +9,11 @@ import pytest
 import ufl
 from petsc4py import PETSc
 
-from forms import Anisotropic, HolonomicCoulomb, Law, LinearElastic, MohrCoulomb, NonMonotone
+from forms import Anisotropic, BulkLaw, HolonomicCoulomb, LinearElastic, MohrCoulomb, NonMonotone
 from forms.elastic import lame
 from geometry import sandwich
-from thinlayer import Model, SolveError, Surface, ThinLayer, march, solve
-from thinlayer.contact.solver import ContactSolver
+from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.contact.solver import ContactFinder
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.linear_solvers import solve_linear
 from thinlayer.solving.uniqueness import pieces
@@ -24,7 +24,7 @@ HELD = {"BOTTOM": 0}
 
 
 @dataclass(frozen=True)
-class Swelling(Law):
+class Swelling(BulkLaw):
     """A layer with an eigenstrain, written as if it were not linear."""
 
     lmbda: float
@@ -54,7 +54,7 @@ def test_flat_laws_at_any_scale(scale):
 
     def found(s):
         loads = {"TOP": (6 * s, -30 * s), "LEFT/UPPER": (-60 * s, 5 * s)}
-        model = Model.interface(PLATES, layer=ThinLayer(flat(s), 0.4), body=STEEL, supports=HELD, tractions=loads)
+        model = Structure(PLATES, body=STEEL, supports=HELD, tractions=loads).interface(ThinLayer(flat(s), 0.4))
         return mean_jump(model, solve(model)) / s
 
     assert found(scale) == pytest.approx(found(1.0), rel=1e-9)
@@ -71,7 +71,7 @@ def test_a_soft_flat_layer_between_stiff_plates():
         law = NonMonotone(0.0, 10.0 * soft, 15.0 * soft, 15.0 * soft, [[0, 0], [0, 1]])
         top = {"y": lambda x, t: 1.2 * (1 + 0.05 * x[0]), "x": 0}
         body = LinearElastic.young(E=2e5, nu=0.0)
-        model = Model.interface(joint, layer=ThinLayer(law, 1.0), body=body, supports={"BOTTOM": 0, "TOP": top})
+        model = Structure(joint, body=body, supports={"BOTTOM": 0, "TOP": top}).interface(ThinLayer(law, 1.0))
         surface, state = Surface(model), solve(model)
         return surface.integral(surface.traction(state)[1]) / soft
 
@@ -83,10 +83,9 @@ def test_an_eigenstrain_that_ends_without_stress(loads):
     """A free layer swells by (1 + nu)/(1 - nu) of its eigenstrain, held sideways by the bodies; there is no other force."""
     nu, strain, eps, E = 0.35, 0.01, 2.0, 3e3
     law = LinearElastic.young(E=E, nu=nu).per_thickness(eps)
-    model = Model.interface(
-        PLATES, layer=ThinLayer(Swelling(law.lmbda, law.mu, strain), eps), body=STEEL, tractions=loads,
-        supports={"BOTTOM": {"y": 0}, (0, -4): {"x": 0}},
-    )  # fmt: skip
+    supports = {"BOTTOM": {"y": 0}, (0, -4): {"x": 0}}
+    plates = Structure(PLATES, body=STEEL, tractions=loads, supports=supports)
+    model = plates.interface(ThinLayer(Swelling(law.lmbda, law.mu, strain), eps))
     pressed = sum(load[1] for load in loads.values()) * eps * (1 + nu) * (1 - 2 * nu) / (E * (1 - nu))
     expected = strain * eps * (1 + nu) / (1 - nu) + pressed
     assert mean_jump(model, solve(model))[1] == pytest.approx(expected, rel=1e-9)
@@ -94,24 +93,22 @@ def test_an_eigenstrain_that_ends_without_stress(loads):
 
 # ---------------------------------------------------------------------------------- whoever says so
 def yielding():
-    law = MohrCoulomb(120.0, 80.0, C=0.2, Omega=35)
-    return Model.interface(
-        PLATES, layer=ThinLayer(law, 1.0), body=LinearElastic.young(E=20e3, nu=0.2),
-        supports={"BOTTOM": 0, "TOP": {"y": -0.02}}, tractions={"TOP": (0.9, 0)},
-    )  # fmt: skip
+    law = MohrCoulomb(120.0, 80.0, cohesion=0.2, friction_angle=35)
+    body, supports = LinearElastic.young(E=20e3, nu=0.2), {"BOTTOM": 0, "TOP": {"y": -0.02}}
+    return Structure(PLATES, body=body, supports=supports, tractions={"TOP": (0.9, 0)}).interface(ThinLayer(law, 1.0))
 
 
 def contact():
     law = HolonomicCoulomb(K_N=3e3, K_T=1e3, friction=0.4)
     supports = {"BOTTOM": 0, "RIGHT": {"x": 0}}
     loads = {"TOP": (0.3, -2.0), "LEFT/UPPER": (1.0, 0.0)}
-    return Model.interface(PLATES, layer=law, body=STEEL, supports=supports, tractions=loads, element="P1")
+    return Structure(PLATES, body=STEEL, supports=supports, tractions=loads, element="P1").interface(law)
 
 
 def linear():
     law = LinearElastic.young(E=2e3, nu=0.4).per_thickness(0.2)
     loads = {"TOP": (6.0, -30.0)}
-    return Model.interface(PLATES, layer=ThinLayer(law, 0.2), body=STEEL, supports=HELD, tractions=loads)
+    return Structure(PLATES, body=STEEL, supports=HELD, tractions=loads).interface(ThinLayer(law, 0.2))
 
 
 WEAK = [
@@ -136,14 +133,14 @@ def test_options_do_not_weaken_the_check(make, method, options):
 @pytest.mark.parametrize("solver", ["linear", "newton", "condensed", "multigrid", "relaxation", "contact newton"])
 def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
     """Whoever finds the unknowns: a thousandth more of them is no equilibrium."""
-    for finder in (Equilibrium, ContactSolver):
+    for finder in (Equilibrium, ContactFinder):
 
-        def advance(self, *given, real=finder.advance):
-            x, steps, residual = real(self, *given)
-            x.scale(1.001)
-            return x, steps, residual
+        def find(self, *given, real=finder.find):
+            found = real(self, *given)
+            found.x.scale(1.001)
+            return found
 
-        monkeypatch.setattr(finder, "advance", advance)
+        monkeypatch.setattr(finder, "find", find)
     model = linear() if solver == "linear" else yielding() if solver == "newton" else contact()
     with pytest.raises(SolveError, match="no equilibrium"):
         solve(model, method=solver.removeprefix("contact "))
@@ -156,9 +153,7 @@ METHODS = ["condensed", "multigrid", "newton", "relaxation"]
 
 def loaded(layer, joint=PLATES, supports=HELD, **more):
     d = joint.dim
-    return Model.interface(
-        joint, layer=layer, body=STEEL, supports=supports, tractions={"TOP": (0, -1.0, 0)[:d]}, **more
-    )
+    return Structure(joint, body=STEEL, supports=supports, tractions={"TOP": (0, -1.0, 0)[:d]}, **more).interface(layer)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.5])
@@ -208,7 +203,7 @@ def test_a_meshed_layer_that_hardly_resists():
 
     def made(K_T):
         layer = ThinLayer(Anisotropic.springs(1e3, K_T), 0.1)
-        return Model.full(PLATES, layer=layer, body=STEEL, supports=HELD, tractions={"TOP": (0, -1.0)})
+        return Structure(PLATES, body=STEEL, supports=HELD, tractions={"TOP": (0, -1.0)}).full(layer)
 
     with pytest.raises(SolveError, match="no unique solution: rounding of the forces changes the displacements"):
         solve(made(1e-11))
@@ -220,7 +215,7 @@ def test_pieces():
     """Bodies on both sides of S are two pieces, in the interface model alone; S that ends inside them leaves one."""
     assert pieces(linear())[1] == 2
     tip = sandwich(40, 4, 6, h=2.0)
-    full = Model.bonded(tip, body=STEEL, supports=HELD)
+    full = Structure(tip, body=STEEL, supports=HELD).bonded()
     assert pieces(full)[1] == 1
 
 

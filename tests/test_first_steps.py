@@ -8,7 +8,7 @@ import ufl
 
 from forms.laws import Norton
 from tests.test_marching import JOINT, SETUP, SLOW, SUDDEN, interface
-from thinlayer import Adaptive, ArcLength, Model, ModelError, SolveError, ThinLayer, march, piecewise
+from thinlayer import Adaptive, ArcLength, ModelError, SolveError, Structure, ThinLayer, march, piecewise
 
 LOADS = {
     "ramp": lambda x, t: (0.0, t),
@@ -33,7 +33,7 @@ def test_what_grows_from_rest(law, load, theta, kind):
     tolerance, end = 2e-3, 0.8
     supports = SETUP["supports"] | (MOVED if load == "moved" else {})
     data = SETUP | {"supports": supports, "tractions": {} if load == "moved" else {"TOP": LOADS[load]}}
-    model = getattr(Model, kind)(JOINT, layer=ThinLayer(law, 0.1), **data)
+    model = getattr(Structure, kind)(Structure(JOINT, **data), ThinLayer(law, 0.1))
     at = 0.3 + 0.5 * np.arange(1, 65) / 64 if "late" in load else end * np.arange(1, 65) / 64
     fine = march(model, [*map(float, at)], theta=0.5, keep="last").last
     history = march(model, Adaptive(end, first=0.1, tolerance=tolerance), theta=theta, keep="last")

@@ -314,7 +314,7 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(sweep_elastic, "run", lambda *_, **__: 1 / 0)
     monkeypatch.setattr(sys, "argv", ["thinlayer", *words[:3], str(tmp_path / "b")])
     before = signal.getsignal(signal.SIGINT)
-    assert cli.start() == 4
+    assert cli.start() == 70
     signal.signal(signal.SIGINT, before)
     said = capsys.readouterr().err
     assert "ZeroDivisionError" in said
@@ -366,10 +366,10 @@ def damaged(arrays):
     yield arrays | {"u": np.float64(3.0)}
     yield arrays | {"t": np.array([0.1, 0.2])}
     yield arrays | {"t": np.array("now")}
-    yield arrays | {"layer": np.zeros(0)}
+    yield arrays | {"stored layer": np.zeros(0)}
     yield arrays | {"march": np.array("0123456789ab")}
-    yield arrays | {"memory0": arrays["memory0"][:, :4]}
-    yield arrays | {"memory0": arrays["memory0"][::2]}
+    yield arrays | {"memory layer": arrays["memory layer"][:, :4]}
+    yield arrays | {"memory layer": arrays["memory layer"][::2]}
 
 
 def test_damaged_observations(tmp_path):

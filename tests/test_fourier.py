@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
-from thinlayer import Model, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, observed_orders, solve
 
 # (U, V, S, T) on both sides of S from an independent code
 BELOW = (-4.3703519223243e-4, 2.1589413886969e-3, -0.13658692636385, 0.60452444282214)
@@ -30,7 +30,7 @@ def test_reference_states():
 def interface_errors(h: float, element: str) -> list[float]:
     """Relative L2(S) errors of u-, u+ and K [u] of the interface model."""
     joint, setup = fourier(h, cell=CELLS[element])
-    state = solve(Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), element=element, **setup))
+    state = solve(Structure(joint, element=element, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1)))
     surface = Surface(state.model)
     x = ufl.SpatialCoordinate(state.model.domain.mesh)[0]
     s, c = ufl.sin(ufl.pi * x), ufl.cos(ufl.pi * x)
@@ -61,7 +61,7 @@ def test_bodies_of_the_interface_model():
     errors = []
     for h in (1 / 16, 1 / 32):
         joint, setup = fourier(h)
-        model = Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), **setup)
+        model = Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1))
         state = solve(model)
         exact = fem.Function(model.space(4))  # interpolated in V it would hide the error: u - u_h is smaller there
         tags = model.domain.cell_tags
@@ -95,8 +95,8 @@ def test_sweep(bodies):
     rows = []
     for eps in EPS:
         layer = ThinLayer(FOURIER_LAYER, eps)
-        limit = solve(Model.interface(joint, layer=layer, **setup))
-        row = compare(solve(Model.full(joint, layer=layer, bodies=bodies, **setup)), limit)
+        limit = solve(Structure(joint, **setup).interface(layer))
+        row = compare(solve(Structure(joint, **setup).full(layer, bodies=bodies)), limit)
         assert (row["error_traction"], row["error_jump"]) == pytest.approx(
             reference.sweep_errors(eps, bodies), rel=1e-2
         )
@@ -115,7 +115,7 @@ def test_wrong_law_leaves_a_floor():
     wrong = type(FOURIER_LAYER)(lmbda=FOURIER_LAYER.lmbda - FOURIER_LAYER.mu, mu=FOURIER_LAYER.mu)
     errors = []
     for eps in EPS[1:]:
-        full = solve(Model.full(joint, layer=ThinLayer(FOURIER_LAYER, eps), **setup))
-        errors.append(compare(full, solve(Model.interface(joint, layer=ThinLayer(wrong, eps), **setup)))["error_jump"])
+        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, eps)))
+        errors.append(compare(full, solve(Structure(joint, **setup).interface(ThinLayer(wrong, eps))))["error_jump"])
     assert min(errors) > 0.1
     assert max(abs(order) for order in observed_orders(EPS[1:], errors)[1:]) < 0.5

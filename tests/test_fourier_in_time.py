@@ -18,7 +18,8 @@ from forms.declarations import LawError
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
-from thinlayer import Model, Surface, ThinLayer, compare, march, observed_orders, solve
+from tests.own_laws import layer_of
+from thinlayer import Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 
 H = 1 / 8
 EPS = (1 / 64, 1 / 128)
@@ -42,8 +43,8 @@ problem = cache(fourier)
 def marched(build, law, e, times, theta=1.0, cell="quadrilateral", bodies="kept"):
     """History of a model; several tests ask for the same."""
     joint, setup = problem(H, cell=cell)
-    choice = {"bodies": bodies} if build == Model.full else {}
-    return march(build(joint, layer=ThinLayer(law, e), **choice, **setup), times, theta=theta)
+    choice = {"bodies": bodies} if build == Structure.full else {}
+    return march(build(Structure(joint, **setup), ThinLayer(law, e), **choice), times, theta=theta)
 
 
 def errors(law_at, times, *, limits=(None,), eps=EPS, cell="quadrilateral", theta=1.0, bodies="kept"):
@@ -54,9 +55,9 @@ def errors(law_at, times, *, limits=(None,), eps=EPS, cell="quadrilateral", thet
     found, choices = [], (tuple(times), theta, cell)
     for e in eps:
         law = law_at(e) if callable(law_at) else law_at
-        full = marched(Model.full, law, e, *choices, bodies)
+        full = marched(Structure.full, law, e, *choices, bodies)
         for limit in limits:
-            row = compare(full, marched(Model.interface, limit or law, e, *choices))
+            row = compare(full, marched(Structure.interface, limit or law, e, *choices))
             found.append((row["error_traction"], row["error_jump"]))
     return np.array(found).reshape(len(eps), len(limits), 2).swapaxes(0, 1)
 
@@ -105,8 +106,8 @@ def test_order_one_of_an_incompressible_layer(bodies):
     rows = []
     for e in eps:
         layer = ThinLayer(Incompressible(MU), e)
-        full = solve(Model.full(joint, layer=layer, bodies=bodies, **setup))
-        rows.append(compare(full, solve(Model.interface(joint, layer=layer, **setup))))
+        full = solve(Structure(joint, **setup).full(layer, bodies=bodies))
+        rows.append(compare(full, solve(Structure(joint, **setup).interface(layer))))
     found = np.array([(row["error_traction"], row["error_jump"]) for row in rows])
     assert last_orders(found, eps) == pytest.approx([1.0, 1.0], abs=0.07)
 
@@ -129,7 +130,7 @@ def amplitudes(surface: Surface, state) -> list[float]:
 @pytest.mark.parametrize(("cell", "bound"), [("quadrilateral", 2e-6), ("triangle", 5e-6)])
 def test_norton_against_a_spectral_code(cell, bound):
     joint, setup = fourier(1 / 32, cell=cell)
-    end = march(Model.interface(joint, layer=ThinLayer(THINNING, 0.1), **setup), steps(0.01), keep="last").last
+    end = march(Structure(joint, **setup).interface(ThinLayer(THINNING, 0.1)), steps(0.01), keep="last").last
     surface = Surface(end.model)
     norms = [surface.norm(surface.traction(end)), surface.norm(surface.jump(end))]
     assert norms == pytest.approx(NORMS, rel=bound)
@@ -161,8 +162,8 @@ def test_against_transfer_matrices(name):
     loads = np.sin(2 * dt * np.arange(6))
     for eps in (1 / 8, 1 / 128):
         found = []
-        for build in (Model.full, Model.interface):
-            found.append(march(build(joint, layer=ThinLayer(law, eps), **setup), steps(dt), theta=theta).last)
+        for build in (Structure.full, Structure.interface):
+            found.append(march(build(Structure(joint, **setup), ThinLayer(law, eps)), steps(dt), theta=theta).last)
         surface = Surface(found[1].model)
         for state, thickness in zip(found, (eps, None), strict=True):
             exact = reference.marched(layer, loads, dt, theta, thickness)[-1]
@@ -314,7 +315,7 @@ def test_the_printed_law_of_maxwell_layers_is_refused():
     joint, setup = fourier(H, cell="quadrilateral")
     printed = Relaxing(E / (1 + NU), -E * NU / (1 - NU), 0.7, 0.7)
     with pytest.raises(LawError, match=r"the stiffness at rest is negative, .* is -44\.57"):
-        Model.interface(joint, layer=ThinLayer(printed, 0.1), **setup)
+        Structure(joint, **setup).interface(layer_of(printed, 0.1))
 
 
 def test_norton_viscosity_scaled_as_a_modulus():
@@ -335,7 +336,7 @@ def test_an_earlier_state_knows_its_loads():
     """Body forces that grow with time act at S too: the reaction of a kept state is that of its own time."""
     joint, setup = fourier(H, cell="quadrilateral")
     setup["body_force"] = lambda x, t: (0.0, 100.0 * t)
-    model = Model.interface(joint, layer=ThinLayer(MAXWELL, 0.1), **setup)
+    model = Structure(joint, **setup).interface(ThinLayer(MAXWELL, 0.1))
     surface = Surface(model)
     alone = march(model, [0.1]).last
     traction, loads = surface.norm(surface.traction(alone)), alone.energies()["loads"]

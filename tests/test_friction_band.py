@@ -20,8 +20,9 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic, MohrCoulo
 from geometry import sandwich
 from studies import sweep_friction, sweep_monodirectional
 from studies.problems import pressed
+from tests.own_laws import layer_of
 from tests.test_parallel import mpirun
-from thinlayer import Model, Surface, Table, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import Structure, Surface, Table, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.running.cli import main
 
 # layers whose thickness tends to zero under the same load, and columns of any height
@@ -59,14 +60,14 @@ def closed_form(layer, moves):
     """
     (share, elastic), (rest, law) = layer.sublayers if isinstance(layer, Stack) else ((0.0, BODY), (1.0, layer))
     soft_N, soft_T = share / (elastic.lmbda + 2 * elastic.mu), share / elastic.mu
-    h, c_N, c_T, k_N, k_T = law.h, C_N + soft_N, C_T + soft_T, K_N / rest, K_T / rest
+    h, c_N, c_T, k_N, k_T = law.elastic_fraction, C_N + soft_N, C_T + soft_T, K_N / rest, K_T / rest
     tractions, jumps, along = [], [], []
     slip = np.zeros(len(moves[0]) - 1)
     for *d_T, d_N in moves:
         opens = law.unilateral and d_N > 0
         w_N = d_N / (1 + c_N * k_N * (h if opens else 1))
         plastic_N = 0.0 if opens else k_N * w_N
-        bound = max(law.C - math.tan(math.radians(law.Omega)) * plastic_N, 0.0)
+        bound = max(law.cohesion - math.tan(math.radians(law.friction_angle)) * plastic_N, 0.0)
         w_T = (np.array(d_T) + c_T * (1 - h) * k_T * slip) / (1 + c_T * k_T)
         plastic_T = k_T * (w_T - slip)
         if np.linalg.norm(plastic_T) > bound:
@@ -113,7 +114,7 @@ def column(law, moves, angle=0.0):
             loads[f"{side}/{region}"] = in_steps([stress @ outward for stress in stresses])
     moved = {"xyz"[k]: in_steps(top[:, k]) for k in range(d)}
     setup = {"body": BODY, "supports": {"BOTTOM": 0.0, "TOP": moved}, "tractions": loads}
-    setup |= {"element": "Q1", "sublayers": 1}
+    setup |= {"element": "Q1"}
     return joint(d, angle), setup, [k + 1.0 for k in range(len(moves))], t, w
 
 
@@ -136,8 +137,8 @@ def in_steps(values):
 def check_column(law, eps, moves=MOVES, angle=0.0, on_s=None):
     """Both models against the closed form at every step."""
     where, setup, times, tractions, jumps = column(law, moves, angle)
-    limit = march(Model.interface(where, layer=ThinLayer(on_s or law, eps), **setup), times)
-    full = march(Model.full(where, layer=ThinLayer(law, eps), **setup), times)
+    limit = march(Structure(where, **setup).interface(layer_of(on_s or law, eps)), times)
+    full = march(Structure(where, **setup).full(ThinLayer(law, eps), cells_through=1), times)
     surface = Surface(limit.model)
     assert np.abs(tractions).max() > 1
     for k, time in enumerate(times):
@@ -157,11 +158,15 @@ def check_column(law, eps, moves=MOVES, angle=0.0, on_s=None):
     [
         (PULLED, 0.3),
         (PULLED, 1e-4),
-        (replace(PULLED, h=0.2), 1e-2),
-        (replace(BAND, C=0.1), 1e-4),
-        (replace(BAND, C=0.1, h=0.2), 0.3),
+        (replace(PULLED, elastic_fraction=0.2), 1e-2),
+        (replace(BAND, cohesion=0.1), 1e-4),
+        (replace(BAND, cohesion=0.1, elastic_fraction=0.2), 0.3),
     ],
-    ids=lambda value: f"eps={value}" if isinstance(value, float) else f"{value.unilateral} C={value.C} h={value.h}",
+    ids=lambda value: (
+        f"eps={value}"
+        if isinstance(value, float)
+        else f"{value.unilateral} C={value.cohesion} h={value.elastic_fraction}"
+    ),
 )
 def test_columns(law, eps):
     """Slip to and fro, opening and closing again: interface = layer = closed form."""
@@ -194,7 +199,7 @@ def test_slip_that_turns_in_three_dimensions():
 def test_stacked_columns():
     """Beside an elastic sublayer compliances add; the threshold is on the traction of both (Eqs. 54-55)."""
     elastic = LinearElastic(1.5 * LMBDA, 1.5 * MU)
-    check_column(Stack((0.4, elastic), (0.6, replace(PULLED, C=0.2))), 0.05)
+    check_column(Stack((0.4, elastic), (0.6, replace(PULLED, cohesion=0.2))), 0.05)
 
 
 # ------------------------------------------------------------------------ signs
@@ -206,11 +211,11 @@ def test_opening_and_closing():
     for law in (BAND, PULLED):
         for move, factor in expected[law.unilateral].items():
             setup |= {"supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": move}, **sides}, "tractions": {}}
-            for build in (Model.full, Model.interface):
-                model = build(where, layer=ThinLayer(law, 0.02), **setup)
-                surface = Surface(Model.interface(where, layer=ThinLayer(law, 0.02), **setup))
-                pulled = surface.integral(surface.traction(solve(model))[1])
-                assert pulled == pytest.approx(factor * 0.01 / (1 / K_N + C_N), rel=1e-9, abs=1e-12)
+            pulled, layer = Structure(where, **setup), ThinLayer(law, 0.02)
+            for model in (pulled.full(layer, cells_through=1), pulled.interface(layer)):
+                surface = Surface(pulled.interface(layer))
+                force = surface.integral(surface.traction(solve(model))[1])
+                assert force == pytest.approx(factor * 0.01 / (1 / K_N + C_N), rel=1e-9, abs=1e-12)
 
 
 def test_friction_pulls_the_lower_side_along():
@@ -224,10 +229,11 @@ def test_friction_pulls_the_lower_side_along():
 # ------------------------------------------------------------------------ error O(eps)
 def errors(eps, band=BAND, on_s=None, cells=32):
     where, setup = pressed(1 / cells, sweep_friction.ONCE)
-    setup |= {"element": "Q1", "sublayers": 1}
+    setup |= {"element": "Q1"}
     on_s = on_s or HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION)
-    full = solve(Model.full(where, layer=ThinLayer(band, eps), **setup))
-    return compare(full, solve(Model.interface(where, layer=ThinLayer(on_s, eps), **setup)))
+    plates = Structure(where, **setup)
+    full = solve(plates.full(ThinLayer(band, eps), cells_through=1))
+    return compare(full, solve(plates.interface(layer_of(on_s, eps))))
 
 
 @cache
@@ -261,12 +267,10 @@ def test_wrong_laws_leave_an_error(wrong, floor):
 def norms():
     """Errors and sizes of both models, marched to and fro."""
     where, setup = pressed(1 / 8, sweep_friction.TO_AND_FRO)
-    setup |= {"element": "Q1", "sublayers": 1}
-    marched = (
-        march(build(where, layer=ThinLayer(law, 1 / 16), **setup), (1.0, 2.0, 3.0))
-        for build, law in ((Model.full, BAND), (Model.interface, CONTACT))
-    )
-    return compare(*marched)
+    setup |= {"element": "Q1"}
+    plates = Structure(where, **setup)
+    models = plates.full(ThinLayer(BAND, 1 / 16), cells_through=1), plates.interface(CONTACT)
+    return compare(*(march(model, (1.0, 2.0, 3.0)) for model in models))
 
 
 def test_two_ranks():

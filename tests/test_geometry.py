@@ -71,7 +71,7 @@ def test_inflation(shape, cell, bodies):
     base = SHAPES[shape](cell=cell).rotated(0.4)
     counts = set()
     for eps in (0.1, 1e-2, 1e-4):
-        joint = inflate(base, eps, strata=(0.25, 0.75), bodies=bodies)
+        joint = inflate(base, eps, fractions=(0.25, 0.75), bodies=bodies)
         n = len(base.cells)
         whole, layer = areas(joint).sum(), areas(joint)[n:]
         assert layer.sum() == pytest.approx(2.0 * eps)
@@ -102,7 +102,7 @@ def test_inflation(shape, cell, bodies):
 def test_inflation_of_any_layer(eps, layers, fractions, angle):
     strata = tuple(f / sum(fractions) for f in fractions)
     base = SANDWICH.rotated(angle)
-    joint = inflate(base, eps, layers=layers, strata=strata if abs(sum(strata) - 1) < 1e-13 else ())
+    joint = inflate(base, eps, cells_through=layers, fractions=strata if abs(sum(strata) - 1) < 1e-13 else ())
     body = areas(joint)[: len(base.cells)]
     assert body == pytest.approx(areas(base), rel=1e-6)
     assert areas(joint)[len(base.cells) :].sum() == pytest.approx(2.0 * eps, rel=1e-6)
@@ -127,10 +127,10 @@ def test_names():
         (dict(eps=0.0), "eps is 0.0; it must be > 0"),
         (dict(eps=-0.1), "must be > 0"),
         (dict(eps=float("nan")), "must be > 0"),
-        (dict(layers=0), "layers is 0"),
-        (dict(layers=2.5), "layers is 2.5"),
-        (dict(strata=(0.5, 0.6)), "add up to 1"),
-        (dict(strata=(1.5, -0.5)), "add up to 1"),
+        (dict(cells_through=0), "cells_through is 0"),
+        (dict(cells_through=2.5), "cells_through is 2.5"),
+        (dict(fractions=(0.5, 0.6)), "add up to 1"),
+        (dict(fractions=(1.5, -0.5)), "add up to 1"),
         (dict(bodies="keep"), "did you mean 'kept'"),
         (dict(eps=3.0, bodies="extended"), "turn inside out"),
     ],

@@ -21,8 +21,9 @@ import pytest
 
 from forms.laws import LinearElastic
 from tests.test_marching import JOINT, SETUP, SLOW
-from thinlayer import Model, ModelError, ThinLayer, march, piecewise
-from thinlayer.identity.identity import code_of, described, referred
+from thinlayer import ModelError, Structure, ThinLayer, march, piecewise
+from thinlayer.identity.codes import code_of
+from thinlayer.identity.described import described, referred
 
 FACTOR = 2.0
 SCALE = {"a": [1.0, 2.0]}
@@ -282,13 +283,14 @@ def test_observed_functions_are_all_code_that_they_call(monkeypatch):
     ids=["piecewise", "profile", "moving support", "facets", "sides"],
 )  # fmt: skip
 def test_a_march_of_other_data_is_not_resumed(tmp_path, change, what):
+    layer = ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.1 * x[0])
     data = SETUP | {
-        "layer": ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.1 * x[0]),
         "supports": SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.02 * t}},
         "tractions": {"TOP": piecewise({0: (0.0, 1.0), 1: (0.0, 2.0)})},
     }
-    march(Model.interface(JOINT, **data), [0.1], out=tmp_path)
-    other = Model.interface(change.pop("joint", JOINT), **(data | change))
+    march(Structure(JOINT, **data).interface(layer), [0.1], out=tmp_path)
+    other_layer = change.pop("layer", layer)
+    other = Structure(change.pop("joint", JOINT), **data | change).interface(other_layer)
     with pytest.raises(ModelError, match=rf"is of another march \(.*{what}: "):
         march(other, [0.1, 0.2], out=tmp_path, resume=True)
-    assert len(march(Model.interface(JOINT, **data), [0.1, 0.2], out=tmp_path, resume=True)) == 3
+    assert len(march(Structure(JOINT, **data).interface(layer), [0.1, 0.2], out=tmp_path, resume=True)) == 3

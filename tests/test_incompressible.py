@@ -20,14 +20,26 @@ from geometry import GeometryError, Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY, fourier
 from tests import reference
 from tests.test_tips import partly
-from thinlayer import Model, ModelError, SolveError, State, Surface, ThinLayer, compare, march, observed_orders, solve
-from thinlayer.pointwise.constraint import Constraint
+from thinlayer import (
+    Model,
+    ModelError,
+    SolveError,
+    State,
+    Structure,
+    Surface,
+    ThinLayer,
+    compare,
+    march,
+    observed_orders,
+    solve,
+)
+from thinlayer.parts.pressure import PressurePart
 from thinlayer.solving.solvers import Solver
 
 MU = 40.0
 LAW = Incompressible(MU)
 CELLS = ["triangle", "quadrilateral"]
-BUILDS = [Model.full, Model.interface]
+BUILDS = [Structure.full, Structure.interface]
 EXACT = 1e-10  # of a residual, relative to the sum of its terms' sizes
 STIFF = 1e10  # lmbda per thickness of transfer matrices, in place of infinity
 
@@ -41,7 +53,8 @@ def volume_change(model: Model) -> tuple[State, float]:
     """Equilibrium, and the largest int q tr e(u) of all pressures' basis functions q over the sum of its terms' sizes."""
     with Solver(model) as solver:
         state = solver.step(solver.rest(0.0), 0.0)
-        G = sparse(solver.equations.constraint.G)
+        (part,) = solver.equations.of_kind(PressurePart)
+        G = sparse(part.G)
     u = state.u.x.array
     return state, float(np.abs(G @ u).max() / (abs(G) @ np.abs(u)).max())
 
@@ -102,8 +115,9 @@ def test_structures(name, cell):
     eps, rows = (1 / 64, 1 / 128), []
     for e in eps:
         states = []
-        for build in BUILDS:
-            state, change = volume_change(build(joint, layer=ThinLayer(LAW, e), bodies=bodies, **setup))
+        structure, layer = Structure(joint, **setup), ThinLayer(LAW, e)
+        for model in (structure.full(layer, bodies=bodies), structure.interface(layer)):
+            state, change = volume_change(model)
             assert change < EXACT
             assert abs(state.audit.imbalance) < 1e-10
             energies = state.energies()
@@ -123,8 +137,8 @@ def test_three_dimensions(cell):
     errors = []
     for e in (1 / 32, 1 / 64):
         states = []
-        for build in BUILDS:
-            model = build(joint, layer=ThinLayer(LAW, e), sublayers=1, **setup | {"tractions": {"TOP": wave}})
+        structure, layer = Structure(joint, **setup | {"tractions": {"TOP": wave}}), ThinLayer(LAW, e)
+        for model in (structure.full(layer, cells_through=1), structure.interface(layer)):
             state, change = volume_change(model)
             assert change < EXACT
             assert abs(state.audit.imbalance) < 1e-10
@@ -139,9 +153,9 @@ def test_three_dimensions(cell):
 def test_s_that_ends_inside(cell):
     """A crack filled with an incompressible layer cannot open, but it slides; beside it the bodies are bonded."""
     joint = partly(sandwich(2.0, 1.0, 1.0, 0.25, cell=cell, structured=True), lambda x: x[:, 0] < 1.0)
-    states = [volume_change(Model.interface(joint, layer=ThinLayer(LAW, 0.01), **pressed(joint)))]
+    states = [volume_change(Structure(joint, **pressed(joint)).interface(ThinLayer(LAW, 0.01)))]
     penalty = LinearElastic(lmbda=1e7, mu=MU)
-    stiff = solve(Model.interface(joint, layer=ThinLayer(penalty, 0.01), **pressed(joint)))
+    stiff = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(penalty, 0.01)))
     (state, change), surface = states[0], Surface(states[0][0].model)
     assert change < EXACT
     w = surface.jump(state)
@@ -156,9 +170,9 @@ def test_varying_thickness(cell):
     eps, rows = (1 / 64, 1 / 128), []
     for e in eps:
         states = []
-        for build in BUILDS:
-            layer = ThinLayer(LAW, e, profile=profile)
-            state, change = volume_change(build(joint, layer=layer, bodies="extended", **setup))
+        structure, layer = Structure(joint, **setup), ThinLayer(LAW, e, profile=profile)
+        for model in (structure.full(layer, bodies="extended"), structure.interface(layer)):
+            state, change = volume_change(model)
             assert change < EXACT
             states.append(state)
         rows.append(compare(*states))
@@ -169,7 +183,7 @@ def test_varying_thickness(cell):
 def test_swapped_bodies():
     found = []
     for joint in (fourier(1 / 8)[0], fourier(1 / 8)[0].swapped()):
-        state = solve(Model.interface(joint, layer=ThinLayer(LAW, 0.1), **fourier(1 / 8)[1]))
+        state = solve(Structure(joint, **fourier(1 / 8)[1]).interface(ThinLayer(LAW, 0.1)))
         surface = Surface(state.model)
         found.append([surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), norm(state.p)])
     assert found[0] == pytest.approx(found[1], rel=1e-9)
@@ -186,7 +200,7 @@ def test_traction_is_the_multiplier(cell):
     """On S: t_N = p, both tested with the same functions of degree 1; t_T = mu [u_T], projected to degree 1."""
     joint, setup = fourier(1 / 8, cell=cell)
     setup["supports"] = {"BOTTOM": 0.0}  # no component of the traction on S is held
-    state = solve(Model.interface(joint, layer=ThinLayer(LAW, 0.1), **setup))
+    state = solve(Structure(joint, **setup).interface(ThinLayer(LAW, 0.1)))
     surface = Surface(state.model)
     x, t = surface.profile(surface.traction(state))
     places = state.p.function_space.tabulate_dof_coordinates()[:, 0]
@@ -208,7 +222,7 @@ def test_fourier_problem(cell):
     joint, setup = fourier(1 / 16, cell=cell)
     eps = 1 / 32
     layer = ThinLayer(LAW, eps)
-    states = [solve(build(joint, layer=layer, **setup)) for build in BUILDS]
+    states = [solve(build(Structure(joint, **setup), layer)) for build in BUILDS]
     row = compare(*states)
     full, limit = exact(eps), exact(None)
     expected = [np.linalg.norm((full - limit)[part]) / np.linalg.norm(limit[part]) for part in (slice(2, 4), slice(2))]
@@ -225,7 +239,7 @@ def test_pressure_in_the_meshed_layer(cell):
     joint, setup = fourier(1 / 16, cell=cell)
     limit, eps, errors = exact(None), (1 / 64, 1 / 128), []
     for e in eps:
-        p = solve(Model.full(joint, layer=ThinLayer(LAW, e), **setup)).p
+        p = solve(Structure(joint, **setup).full(ThinLayer(LAW, e))).p
         x = ufl.SpatialCoordinate(p.function_space.mesh)[0]
         difference = fem.assemble_scalar(fem.form((p - limit[3] * ufl.cos(ufl.pi * x)) ** 2 * ufl.dx)) ** 0.5
         errors.append(difference / norm(p))
@@ -239,8 +253,8 @@ def test_opening_of_the_meshed_layer():
     eps, openings = (1 / 128, 1 / 256), []
     for e in eps:
         layer = ThinLayer(LAW, e)
-        surface = Surface(Model.interface(joint, layer=layer, **setup))
-        openings.append(size(surface, normal(surface, surface.jump(solve(Model.full(joint, layer=layer, **setup))))))
+        surface = Surface(Structure(joint, **setup).interface(layer))
+        openings.append(size(surface, normal(surface, surface.jump(solve(Structure(joint, **setup).full(layer))))))
     assert openings == pytest.approx([abs(exact(e)[1]) * 0.5**0.5 for e in eps], rel=1e-2)
     assert observed_orders(eps, openings)[1] == pytest.approx(1.0, abs=0.07)
 
@@ -249,7 +263,7 @@ def test_opening_of_the_meshed_layer():
 def test_newton_and_time(build):
     """Newton's method, and a march that ends at this load, give the same; the law has no memory."""
     joint, setup = fourier(1 / 8, cell="quadrilateral")
-    model = build(joint, layer=ThinLayer(LAW, 0.05), **setup)
+    model = build(Structure(joint, **setup), ThinLayer(LAW, 0.05))
     state = solve(model)
     for other in (solve(model, method="newton"), march(model, [1.0, 3.0]).last):
         assert np.abs(other.u.x.array - state.u.x.array).max() < 1e-9 * np.abs(state.u.x.array).max()
@@ -261,7 +275,7 @@ def test_pressure_at_the_end_of_a_step(theta):
     """With a growing load the pressure of a state is that of its time, as its displacements are."""
     joint, setup = fourier(1 / 8, cell="quadrilateral")
     setup["tractions"] = {"TOP": lambda x, t: (0.0, t * ufl.cos(ufl.pi * x[0]))}
-    model = Model.interface(joint, layer=ThinLayer(LAW, 0.05), **setup)
+    model = Structure(joint, **setup).interface(ThinLayer(LAW, 0.05))
     state = march(model, [0.5, 1.0], theta=theta).last
     alone = solve(model, t=1.0)
     assert np.abs(state.u.x.array - alone.u.x.array).max() < 1e-9 * np.abs(alone.u.x.array).max()
@@ -277,8 +291,8 @@ def test_no_locking(cell):
         for h, sublayers, bound in ((1 / 4, 1, 0.05), (1 / 8, 1, 6e-3), (1 / 16, 1, 1e-3), (1 / 16, 4, 1e-3)):
             joint, setup = fourier(h, cell=cell)
             layer = ThinLayer(LAW, eps)
-            surface = Surface(Model.interface(joint, layer=layer, **setup))
-            state = solve(Model.full(joint, layer=layer, sublayers=sublayers, **setup))
+            surface = Surface(Structure(joint, **setup).interface(layer))
+            state = solve(Structure(joint, **setup).full(layer, cells_through=sublayers))
             x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
             wave = ufl.as_vector([expected[0] * ufl.sin(ufl.pi * x), expected[1] * ufl.cos(ufl.pi * x)])
             assert surface.norm(surface.jump(state) - wave) < bound * surface.norm(wave), (eps, h, sublayers)
@@ -288,8 +302,8 @@ def test_close_to_the_limit_however_thin():
     joint, setup = fourier(1 / 8, cell="quadrilateral")
     eps, rows = (1e-2, 1e-3, 1e-4), []
     for e in eps:
-        layer = ThinLayer(LAW, e)
-        rows.append(compare(*(solve(build(joint, layer=layer, sublayers=1, **setup)) for build in BUILDS)))
+        structure, layer = Structure(joint, **setup), ThinLayer(LAW, e)
+        rows.append(compare(solve(structure.full(layer, cells_through=1)), solve(structure.interface(layer))))
     for quantity in ("error_traction", "error_jump"):
         assert observed_orders(eps, [row[quantity] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.05)
     assert rows[-1]["error_jump"] < 2e-4
@@ -300,10 +314,10 @@ def test_close_to_the_limit_however_thin():
 def test_nearly_incompressible_layers(build):
     """Elastic layers with growing lmbda come to it with order 1 in mu/lmbda, until their own cells lock."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")
-    state = solve(build(joint, layer=ThinLayer(LAW, 0.1), **setup))
+    state = solve(build(Structure(joint, **setup), ThinLayer(LAW, 0.1)))
     differences = []
     for lmbda in (1e3, 1e4, 1e5):
-        near = solve(build(joint, layer=ThinLayer(LinearElastic(lmbda, MU), 0.1), **setup))
+        near = solve(build(Structure(joint, **setup), ThinLayer(LinearElastic(lmbda, MU), 0.1)))
         differences.append(np.abs(near.u.x.array - state.u.x.array).max() / np.abs(state.u.x.array).max())
     assert np.log10(differences[0] / differences[1]) == pytest.approx(1.0, abs=0.1)
     assert differences[2] < 4 * MU / 1e5
@@ -314,12 +328,12 @@ def schur(model: Model, degree: int) -> np.ndarray:
     """G K^-1 G^T with displacements of a degree: the square of a pressure's norm sup_v (int q tr e(v))^2/a(v, v)."""
     V = model.V if degree == 2 else model.space(degree)
     fine = lambda p: replace(p, measure=p.measure.reconstruct(metadata={"quadrature_degree": 2 * degree + 1}))
-    constraint = Constraint(model.domain, V, fine(model.layer_terms[0]))
+    part = PressurePart(V, fine(model.layer_terms[0]), stiffness=1.0)
     stiffness = work([fine(p) for p in model.terms], ufl.TrialFunction(V), ufl.TestFunction(V))
     K = dolfinx.fem.petsc.assemble_matrix(fem.form(stiffness))
     K.assemble()
     free = np.setdiff1d(np.arange(K.getSize()[0]), model.supports.held(V))
-    G = sparse(constraint.G)[:, free]
+    G = sparse(part.G)[:, free] / part.unit
     return G @ splu(sparse(K)[free][:, free].tocsc()).solve(G.T.toarray())
 
 
@@ -334,10 +348,10 @@ def test_inf_sup_constant(cell, bound, ends):
     supports = {"BOTTOM": 0.0} | ({} if ends == "free" else dict.fromkeys(("LEFT", "RIGHT"), held[ends]))
     for h, eps in ((1 / 4, 1e-1), (1 / 4, 1e-4), (1 / 16, 1e-1), (1 / 16, 1e-4)):
         joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
-        for build in BUILDS:
-            model = build(joint, layer=ThinLayer(LAW, eps), body=FOURIER_BODY, supports=supports, sublayers=2)
+        structure, layer = Structure(joint, body=FOURIER_BODY, supports=supports), ThinLayer(LAW, eps)
+        for model in (structure.full(layer, cells_through=2), structure.interface(layer)):
             beta = scipy.linalg.eigh(schur(model, 2), schur(model, 4), eigvals_only=True)[0] ** 0.5
-            assert bound < beta <= 1 + 1e-6, (model.kind, h, eps)
+            assert bound < beta <= 1 + 1e-6, (model.name, h, eps)
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -345,7 +359,7 @@ def test_s_with_too_few_cells(cell):
     """One cell between two ends where nothing jumps: a single normal jump for two pressures, refused, not wrong."""
     joint = sandwich(1.0, 1.0, 1.0, 1.0, cell=cell, structured=True)
     with pytest.raises(SolveError):
-        solve(Model.interface(joint, layer=ThinLayer(LAW, 0.01), **pressed(joint, LEFT=0.0, RIGHT=0.0)))
+        solve(Structure(joint, **pressed(joint, LEFT=0.0, RIGHT=0.0)).interface(ThinLayer(LAW, 0.01)))
 
 
 # ---------------------------------------------------------------- refused
@@ -355,12 +369,12 @@ def test_refused(build):
     squares = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
     layer = ThinLayer(LAW, 0.1)
     with pytest.raises(LawError, match="plane stress is not defined for Incompressible"):
-        build(joint, layer=layer, plane="stress", **pressed(joint))
+        build(Structure(joint, plane="stress", **pressed(joint)), layer)
     for one, element in ((joint, "P1"), (squares, "Q1"), (squares, "S2")):
         with pytest.raises(ModelError, match=f"needs elements P2 or Q2 for its displacements, not {element}"):
-            build(one, layer=layer, element=element, **pressed(one))
+            build(Structure(one, element=element, **pressed(one)), layer)
     with pytest.raises(ModelError, match="Incompressible is for layers"):
-        build(joint, layer=layer, **pressed(joint) | {"body": LAW})
+        build(Structure(joint, **pressed(joint) | {"body": LAW}), layer)
 
 
 def test_refused_laws():
@@ -373,14 +387,14 @@ def test_refused_laws():
             Incompressible(mu)
     joint, setup = fourier(1 / 4)
     with pytest.raises(GeometryError, match="use bodies='extended'"):
-        Model.full(joint, layer=ThinLayer(LAW, 0.1, profile=lambda x: 1 + x[0]), **setup)
+        Structure(joint, **setup).full(ThinLayer(LAW, 0.1, profile=lambda x: 1 + x[0]))
 
 
 def test_not_a_limit_of_springs_without_shear():
     """t_T is the shear modulus' part of the law: a spring with the same K_T and K_N = 1e9 is the same interface."""
     joint, setup = fourier(1 / 16)
-    state = solve(Model.interface(joint, layer=ThinLayer(LAW, 0.1), **setup))
+    state = solve(Structure(joint, **setup).interface(ThinLayer(LAW, 0.1)))
     surface = Surface(state.model)
-    other = solve(Model.interface(joint, layer=ThinLayer(Anisotropic.springs(1e6, MU), 0.1), **setup))
+    other = solve(Structure(joint, **setup).interface(ThinLayer(Anisotropic.springs(1e6, MU), 0.1)))
     for field in (surface.jump, surface.traction):
         assert surface.norm(field(other) - field(state)) < 5e-3 * surface.norm(field(state))

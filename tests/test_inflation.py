@@ -69,19 +69,19 @@ def test_any_joint(name, bodies):
     smooth_only = name in ("disc, tetrahedra", "disc, curved tetrahedra")  # facets of their sides incline to the axis
     counts = set()
     for eps in SIZES:
-        opened = inflate(base, eps * size, layers=2, bodies=bodies)
+        opened = inflate(base, eps * size, cells_through=2, bodies=bodies)
         check(base, opened, eps * size, area, 1e-4 if smooth_only else 1e-9)
         counts.add((len(opened.cells), len(opened.points)))
     assert len(counts) == 1
 
 
 def test_side_faces_continue_their_names():
-    opened = inflate(joint_of("box, tetrahedra"), 0.05, layers=3)
+    opened = inflate(joint_of("box, tetrahedra"), 0.05, cells_through=3)
     for name, axis, value in (("LEFT", 0, 0.0), ("RIGHT", 0, 1.0), ("BACK", 2, 0.0), ("FRONT", 2, 0.8)):
         x = opened.points[opened.facets[f"{name}/LAYER"]]
         assert x[..., axis] == pytest.approx(value)
         assert np.ptp(x[..., 1]) == pytest.approx(0.05)
-    opened = inflate(joint_of("tube, hexahedra"), 0.05, layers=3, bodies="extended")
+    opened = inflate(joint_of("tube, hexahedra"), 0.05, cells_through=3, bodies="extended")
     assert opened.points[opened.facets["START/LAYER"]][..., 1] == pytest.approx(0.0, abs=1e-12)
     assert opened.points[opened.facets["END/LAYER"]][..., 0] == pytest.approx(0.0, abs=1e-12)
     assert "INSIDE/LAYER" not in opened.facets
@@ -91,7 +91,7 @@ def test_side_faces_continue_their_names():
 def test_curved_cells_stay_curved(name):
     """All nodes of the layer lie on circles, those half-way too, and the outer sides do not move."""
     base, eps = joint_of(name), 0.1
-    opened = inflate(base, eps, layers=2, bodies="extended")
+    opened = inflate(base, eps, cells_through=2, bodies="extended")
     radius = np.hypot(*opened.points[:, :2].T)
     layer = opened.cells[opened.side == 0]
     levels = np.unique(np.round((radius[layer] - 1.5) / eps, 3))
@@ -106,7 +106,7 @@ def test_thickness_varies_linearly_between_vertices_of_curved_cells(name):
     """Nodes half-way between two vertices of S get the mean of their thicknesses, as the interface model has it."""
     base, eps = joint_of(name), 1e-3
     profile = lambda x: 1 + 0.5 * np.sin(x[0] + 0.3)
-    opened = inflate(base, eps, layers=1, bodies="extended", profile=profile)
+    opened = inflate(base, eps, cells_through=1, bodies="extended", profile=profile)
     corners = base.surface[:, : len(opened.facets["UPPER_FACE"][0])]
     out = np.hypot(*opened.points[:, :2].T)[: len(base.points)] - np.hypot(*base.points[:, :2].T)  # S's nodes go up
     assert 2 * out[corners] == pytest.approx(eps * profile(np.moveaxis(base.points[corners], -1, 0)), rel=1e-3)
@@ -125,7 +125,7 @@ def test_kept_bodies_are_moved_in_one_piece():
 
 def test_each_facet_of_a_polygon_gets_its_thickness():
     base = joint_of("ring")
-    opened = inflate(base, 0.05, layers=1, bodies="extended")
+    opened = inflate(base, 0.05, cells_through=1, bodies="extended")
     low, high = (opened.points[opened.facets[face]] for face in ("LOWER_FACE", "UPPER_FACE"))
     n = base.interface_normals
     rows = np.argsort(base.table.index(base.facets["S"]))
@@ -187,7 +187,7 @@ def test_edges_and_corners_of_s(cell):
     axis = np.linspace(0.0, 1.0, 4)
     base = grid([axis] * dim, lambda x: (np.abs(x - 0.5) < 0.2).all(axis=1), cell)
     eps = 0.01
-    opened = inflate(base, eps, layers=1, bodies="extended")
+    opened = inflate(base, eps, cells_through=1, bodies="extended")
     out = opened.points[base.surface] - base.points[base.surface]  # S's nodes become those of the upper face
     assert np.einsum("fkd,fkd->fk", out, base.node_normals) == pytest.approx(eps / 2, rel=1e-9)
     area, edge = 2 * dim * 3.0 ** (1 - dim), {2: 0.0, 3: 12 / 3}[dim]

@@ -10,7 +10,7 @@ import pytest
 from forms import LinearElastic
 from geometry import GeometryError, block, disc, ring, sandwich
 from tests.meshes import renumbered
-from thinlayer import Model, ThinLayer, compare, solve
+from thinlayer import Structure, ThinLayer, compare, solve
 
 STEEL, GLUE = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
 
@@ -54,11 +54,12 @@ def test_shapes_too_thin(build, message):
         build()
 
 
-def answers(joint, eps, load, **data):
+def answers(joint, eps, load, bodies="kept", **data):
     """Errors on S, their sizes and the energies of both models."""
     layer = ThinLayer(GLUE.per_thickness(eps), eps)
-    data |= {"layer": layer, "body": STEEL, "supports": {"RIGHT": 0.0}, "tractions": {"LEFT/UPPER": tuple(load)}}
-    full, limit = (solve(build(joint, **data)) for build in (Model.full, Model.interface))
+    data |= {"body": STEEL, "supports": {"RIGHT": 0.0}, "tractions": {"LEFT/UPPER": tuple(load)}}
+    structure = Structure(joint, **data)
+    full, limit = solve(structure.full(layer, bodies=bodies)), solve(structure.interface(layer))
     return np.array([*compare(full, limit).values(), *full.energies().values(), *limit.energies().values()])
 
 

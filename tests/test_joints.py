@@ -11,7 +11,7 @@ import ufl
 from forms import LinearElastic
 from geometry import GeometryError, Joint, disc, inflate, ring, sandwich
 from geometry.topology import lagrange
-from thinlayer import Model, ThinLayer
+from thinlayer import Structure, ThinLayer
 from thinlayer.output.surface import nodal_forces
 
 QUADS = np.array([[0, 1, 2, 3], [2, 3, 4, 5]])
@@ -54,7 +54,7 @@ def test_thickness_in_the_middle_of_curved_edges():
     found, (a, b, middle) = joint.relative_thickness(profile), joint.surface.T
     assert found[a] == pytest.approx(profile(joint.points[a].T))
     assert found[middle] == pytest.approx((found[a] + found[b]) / 2)
-    layer = inflate(joint, eps, profile=profile, layers=2, bodies="extended")
+    layer = inflate(joint, eps, profile=profile, cells_through=2, bodies="extended")
     for node in middle:
         copies = layer.points[(layer.reference == joint.points[node]).all(axis=1)]
         radii = np.hypot(*copies.T)
@@ -64,7 +64,7 @@ def test_thickness_in_the_middle_of_curved_edges():
 @pytest.mark.parametrize(("strata", "cells"), [((0.3, 0.7), (1, 3)), ((0.45, 0.1, 0.45), (2, 1, 2)), ((), (4,))])
 def test_cells_of_sublayers(strata, cells):
     """The share of the number of cells that is nearest to the sublayer's share of the thickness, at least one."""
-    layer = inflate(two_quadrilaterals(), 0.2, layers=4, strata=strata)
+    layer = inflate(two_quadrilaterals(), 0.2, cells_through=4, fractions=strata)
     assert tuple(np.bincount(layer.region)[2:]) == cells
 
 
@@ -101,8 +101,8 @@ def test_sides_of_the_layer():
     joint, law = sandwich(2.0, 0.8, 1.1, 0.5, cell="quadrilateral"), LinearElastic(3.0, 2.0)
     supports, eps = {"LEFT": {"x": 0.0}, "BOTTOM": 0.0}, 0.2
     for name, height in (("RIGHT", 1.9), ("RIGHT/LAYER", eps), ("RIGHT/UPPER", 1.1)):
-        model = Model.full(joint, layer=ThinLayer(law, eps), body=law, supports=supports, tractions={name: (0.0, 3.0)})
-        load = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V)))
+        model = Structure(joint, body=law, supports=supports, tractions={name: (0.0, 3.0)}).full(ThinLayer(law, eps))
+        load = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
         assert load.x.array.sum() == pytest.approx(3 * height)
         x, y = model.V.tabulate_dof_coordinates()[np.unique(model.supports.held(model.V) // 2), :2].T
         assert ((x < 1e-12) & (np.abs(y) < 0.49 * eps)).sum() == 2 * 4 - 1
@@ -111,10 +111,10 @@ def test_sides_of_the_layer():
 def test_vertices_of_a_point_on_s():
     """A place on S is one vertex of each side; in the meshed layer there are the levels between them too."""
     joint, law = sandwich(2.0, 0.8, 1.1, 0.5), LinearElastic(3.0, 2.0)
-    data = {"layer": ThinLayer(law, 0.2), "body": law, "supports": {"BOTTOM": 0.0}, "sublayers": 3}
+    bodies, layer = Structure(joint, body=law, supports={"BOTTOM": 0.0}), ThinLayer(law, 0.2)
     number = joint.nearest_point((0.0, 0.0))
-    assert len(Model.full(joint, **data).domain.vertices(number)) == 4
-    assert len(Model.interface(joint, **data).domain.vertices(number)) == 1
+    assert len(bodies.full(layer, cells_through=3).domain.vertices(number)) == 4
+    assert len(bodies.interface(layer).domain.vertices(number)) == 1
 
 
 def test_the_square_amid_a_disc_has_straight_edges():

@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 
 from forms import (
     Anisotropic,
+    BulkLaw,
     KelvinVoigt,
-    Law,
     LawError,
     LinearElastic,
     Maxwell,
@@ -30,7 +30,7 @@ from forms.elastic import lame
 from geometry import sandwich
 from tests.own_laws import Slipping
 from tests.test_points import E2, respond, tensor, vector
-from thinlayer import Model, ThinLayer, drive, solve
+from thinlayer import Structure, ThinLayer, drive, solve
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import Columns
 
@@ -40,7 +40,7 @@ from thinlayer.pointwise.columns import Columns
 @pytest.mark.parametrize("h", [0.0, 0.3])
 def test_stress_is_the_slope_of_the_stored_energy(h, theta):
     """Where nothing flows, pressed and pulled alike; differences are exact but for rounding, the energy is quadratic."""
-    law = MohrCoulombMonodirectional(70.0, 40.0, C=5.0, Omega=30.0, h=h, unilateral=True)
+    law = MohrCoulombMonodirectional(70.0, 40.0, cohesion=5.0, friction_angle=30.0, elastic_fraction=h, unilateral=True)
     random, points = np.random.default_rng(3), 200
     n = random.normal(size=(points, 3))
     n /= np.linalg.norm(n, axis=1)[:, None]
@@ -87,12 +87,11 @@ def test_bearings_without_friction():
     """A layer that slides freely between bodies that are held along S."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = {
-        "layer": ThinLayer(Anisotropic.springs(5.0, 0.0), 0.1),
         "body": LinearElastic.young(100.0, 0.0),
         "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}},
         "tractions": {"TOP": (0.0, 0.3)},
     }
-    state = solve(Model.interface(joint, element="Q1", **setup))
+    state = solve(Structure(joint, element="Q1", **setup).interface(ThinLayer(Anisotropic.springs(5.0, 0.0), 0.1)))
     assert np.abs(state.u.x.array).max() == pytest.approx(0.3 / 5.0 + 0.3 / 100.0, rel=1e-9)
     for wrong in (-1.0, np.nan):
         with pytest.raises(LawError, match=r"K_T is .*; allowed: >= 0"):
@@ -104,7 +103,7 @@ def test_bearings_without_friction():
 @pytest.mark.parametrize("gap", [1e-1, 1e-3, 1e-4, 1e-6])
 def test_tangents_next_to_coinciding_stresses(pair, gap):
     """A turn of the principal axes turns the stress: C : (W e - e W) = W s - s W, also just beyond first yield."""
-    law = MohrCoulombReturn(70.0, 40.0, C=0.3, Omega=30.0, psi=12.0)
+    law = MohrCoulombReturn(70.0, 40.0, cohesion=0.3, friction_angle=30.0, dilatancy_angle=12.0)
     angle, n = np.radians(30.0), E2[None]
     shape = np.array([1.0, 0.3, -1.0])
     shape[1] = shape[pair[0] if pair == (0, 1) else 2] + (-gap if pair == (0, 1) else gap)
@@ -127,14 +126,16 @@ def test_tangents_next_to_coinciding_stresses(pair, gap):
 
 @pytest.mark.parametrize("law", [MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn])
 def test_angles_that_look_like_radians(law):
-    with pytest.warns(RangeWarning, match=rf"^{law.__name__}: Omega is 0\.6 degrees.*Omega = 34\.38$") as caught:
-        found = law(70.0, 40.0, C=0.3, Omega=0.6)
+    with pytest.warns(
+        RangeWarning, match=rf"^{law.__name__}: friction_angle is 0\.6 degrees.*friction_angle = 34\.38$"
+    ) as caught:
+        found = law(70.0, 40.0, cohesion=0.3, friction_angle=0.6)
     assert len(caught) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         drive(found, [{"w_T": 0.01, "w_N": -0.01}])  # has been said
         for Omega in (0.0, 2.0, 30.0):
-            law(70.0, 40.0, C=0.3, Omega=Omega)
+            law(70.0, 40.0, cohesion=0.3, friction_angle=Omega)
 
 
 # ---------------------------------------------------------------- columns
@@ -178,7 +179,7 @@ def test_rigid_sublayers_in_time(theta, stiffer):
 
 # ---------------------------------------------------------------- prescribed tractions
 @dataclass(frozen=True)
-class Dashpot(Law):
+class Dashpot(BulkLaw):
     """A power-law dashpot beside a spring, next to rigid at rest, as a user would write it."""
 
     lmbda: float
@@ -212,5 +213,5 @@ def test_laws_that_depend_on_time_need_a_step(law):
     step = {"w_T": 0.01, "w_N": 0.02}
     with pytest.raises(ModelError, match=f"dt is missing: {type(law).__name__} depends on the length of the steps"):
         drive(law, [step, step])
-    plastic = MohrCoulomb(70.0, 40.0, C=0.3, Omega=30.0)
+    plastic = MohrCoulomb(70.0, 40.0, cohesion=0.3, friction_angle=30.0)
     assert (drive(plastic, [step]).tractions == drive(plastic, [step], dt=7.0).tractions).all()

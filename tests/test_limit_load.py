@@ -20,6 +20,7 @@ from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
 from tests.test_parallel import mpirun
 from thinlayer import Adaptive, SolveError, Surface, march, solve
 from thinlayer.errors import LimitLoad
+from thinlayer.parts.compiled import CompiledPart
 from thinlayer.running.cli import OK, SOLVE_FAILED
 from thinlayer.running.cli import main as command
 from thinlayer.running.record import Record
@@ -65,8 +66,12 @@ def test_the_general_return_has_the_same_limit_and_eases():
     law = MohrCoulombReturn(**FULL.parameters())
     error, other = limit(sheared("S", law)), limit(sheared("S", FULL))
     assert (error.t, error.failed_at) == (other.t, other.failed_at)
-    assert law.can_ease
-    assert [law.eased(ease).h for ease in (0, 0.5, 1)] == [FULL.eased(ease).h for ease in (0, 0.5, 1)] != [FULL.h] * 3
+    assert law.traits.eases
+    assert (
+        [law.eased(ease).elastic_fraction for ease in (0, 0.5, 1)]
+        == [FULL.eased(ease).elastic_fraction for ease in (0, 0.5, 1)]
+        != [FULL.elastic_fraction] * 3
+    )
 
 
 def test_adaptive_steps_and_stacks():
@@ -92,7 +97,7 @@ def test_a_moved_block_passes_the_limit_and_stays_there():
 
 
 def test_an_elastic_fraction_has_no_limit():
-    law = MohrCoulombMonodirectional(60.0, 40.0, C=0.1, Omega=30.0, h=0.02)
+    law = MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.1, friction_angle=30.0, elastic_fraction=0.02)
     assert march(sheared("S", law), TIMES).last.t == TIMES[-1]
 
 
@@ -183,7 +188,7 @@ def test_newton_cut_short_is_no_limit(kind, law):
 
 def test_the_sign_scales_with_loads_and_lengths():
     """It is the same for loads and strengths a million times smaller, moduli as they are."""
-    small = MohrCoulombMonodirectional(60.0, 40.0, C=1e-7, Omega=30.0)
+    small = MohrCoulombMonodirectional(60.0, 40.0, cohesion=1e-7, friction_angle=30.0)
     tiny = limit(sheared("S", small, tractions={"TOP": lambda x, t: (1e-6 * t, -1e-6)}))
     error = limit(sheared("S"))
     assert (tiny.t, tiny.failed_at) == pytest.approx((error.t, error.failed_at), abs=1e-12)
@@ -203,7 +208,7 @@ class Tearing(TractionLaw):
     """Springs that are not defined beyond an opening, of a law that says it bounds stresses."""
 
     k: float
-    yields: ClassVar = True
+    bounded: ClassVar = True
 
     def traction(self, step):
         return ufl.conditional(ufl.lt(step.mid[1], 0.013), 1.0, ufl.sqrt(-1 - step.mid[1] ** 2)) * self.k * step.mid
@@ -224,20 +229,25 @@ def test_steps_that_fail_without_the_sign():
 @pytest.mark.parametrize("kind", ["S", "band"])
 def test_continuation_finds_what_newton_finds(kind):
     """Newton's method, allowed fewer steps than it needs, is helped by easier laws."""
-    model = dragged(MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0, h=0.02), far=0.06, eps=1 / 16, kind=kind)
+    model = dragged(
+        MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02),
+        far=0.06,
+        eps=1 / 16,
+        kind=kind,
+    )
     direct = solve(model)
     continued = solve(model, options={"snes_max_it": 3})
     assert direct.report.eased == 0 < continued.report.eased
     assert direct.report.iterations <= 7 < continued.report.iterations
     largest = np.abs(direct.u.x.array).max()
     assert continued.u.x.array == pytest.approx(direct.u.x.array, abs=1e-8 * largest)
-    for one, other in zip(direct.memory, continued.memory, strict=True):
+    for one, other in zip(direct.memory.values(), continued.memory.values(), strict=True):
         assert other == pytest.approx(one, abs=1e-7 * np.abs(one).max())
     assert vars(continued.audit) == pytest.approx(vars(direct.audit), rel=1e-7)
 
 
 def test_continuation_finds_what_newton_does_not_find():
-    model = dragged(MohrCoulombMonodirectional(60.0, 40.0, C=0.0, Omega=30.0))
+    model = dragged(MohrCoulombMonodirectional(60.0, 40.0, cohesion=0.0, friction_angle=30.0))
     with Solver(model) as solver:
         with pytest.raises(SolveError, match="Newton's method failed"):
             solver.step(solver.rest(0.0), 0.0, 1.0, False)
@@ -253,17 +263,17 @@ def test_eased_laws_leave_no_trace():
     model = sheared("S")
     with Solver(model) as solver:
         expected = solver.step(solver.rest(0.3), 0.3)
-        parameters = [p.material.parameters.copy() for p in solver.equations.laws.points]
+        parameters = [p.points.material.parameters.copy() for p in solver.equations.of_kind(CompiledPart)]
         with pytest.raises(SolveError):
             solver.step(expected, 0.7)
-        for p, before in zip(solver.equations.laws.points, parameters, strict=True):
-            assert (p.material.parameters == before).all()
+        for p, before in zip(solver.equations.of_kind(CompiledPart), parameters, strict=True):
+            assert (p.points.material.parameters == before).all()
         again = solver.step(solver.rest(0.3), 0.3)
     assert (again.u.x.array == expected.u.x.array).all()
     with Solver(model) as solver:
-        (points,) = solver.equations.laws.points
+        (part,) = solver.equations.of_kind(CompiledPart)
         with pytest.raises(ValueError, match="not of the kind that is compiled"):
-            points.material.take(FULL)
+            part.points.material.take(FULL)
 
 
 def test_the_schedule_of_eases():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,19 @@ import ufl
 from forms import LinearElastic, Maxwell, NonMonotone, Stack, Tabulated
 from forms.law import LawError
 from geometry import GeometryError, block, disc, sandwich
-from thinlayer import Adaptive, ArcLength, Model, ModelError, Surface, ThinLayer, drive, march, piecewise, solve
+from thinlayer import (
+    Adaptive,
+    ArcLength,
+    ModelError,
+    Structure,
+    Surface,
+    ThinLayer,
+    drive,
+    march,
+    piecewise,
+    solve,
+)
+from thinlayer.parts.compiled import CompiledPart
 from thinlayer.solving.equations import Equations
 
 GLUE = LinearElastic(lmbda=60.0, mu=40.0)
@@ -20,16 +33,16 @@ SIDES = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
 CHI = [[0.0, 0.5], [0.5, 1.0]]
 
 
-def model(load=(0.0, 1.0), law=GLUE, kind=Model.interface, **change):
+def model(load=(0.0, 1.0), law=GLUE, kind=Structure.interface, **change):
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": SIDES, "tractions": {"TOP": load}}
-    return kind(JOINT, layer=ThinLayer(law, 0.1), **(setup | change))
+    return kind(Structure(JOINT, **setup | change), ThinLayer(law, 0.1))
 
 
 def pulled(one, *times):
     """Resultants of the loads along y at some times."""
     equations, out = Equations(one), []
     for t in times:
-        b = equations.loads_at(t)
+        b = equations.history.loads_at(t)
         out.append(float(b.array_r[1::2].sum()))
     return out
 
@@ -138,7 +151,7 @@ def test_a_temperature_from_a_table():
     """Linear between its times, in a layer that forgets; steps end where it breaks."""
     alpha, T = Tabulated([(0.0, 0.5), (100.0, 1.5)]), piecewise({0: 0.0, 0.4: 100.0, 1: 50.0})
     law = NonMonotone(60.0, 40.0, alpha, 0.15, CHI, T=T)
-    laws = Equations(model(law=law)).laws.points[0]
+    (laws,) = (part.points for part in Equations(model(law=law)).of_kind(CompiledPart))
     for t, expected in ((0.2, 1.0), (0.7, 1.25)):
         laws.at_time(t)
         assert laws.material.parameters[:, 2] == pytest.approx(expected, rel=1e-12)
@@ -158,7 +171,8 @@ def test_temperatures_are_asked_for_in_the_joint_before_inflating(bodies, across
         return 20 + 100 * x[1]
 
     law = NonMonotone(60.0, 40.0, Tabulated([(0.0, 0.5), (100.0, 1.5)]), 0.15, CHI, T=T)
-    Equations(model(law=law, kind=Model.full, bodies=bodies)).laws.at_time(0.0)
+    for part in Equations(model(law=law, kind=partial(Structure.full, bodies=bodies))).parts:
+        part.at_time(0.0)
     assert np.abs(seen[-1][1]).max() == pytest.approx(across, rel=0.2, abs=1e-12)
     assert np.ptp(seen[-1][0]) > 0.8
 
@@ -167,7 +181,7 @@ def test_a_rigid_base_does_not_move_with_a_side():
     """Where the side of the layer meets the base two supports overlap."""
     sides = {"LEFT": {"x": 0.01, "y": 0.02}, "RIGHT": {"x": 0.0}}
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": sides, "tractions": {"TOP": (0.0, -1.0)}}
-    one = Model.full(block(1.0, 0.5, 0.25), layer=ThinLayer(GLUE, 0.1), **setup)
+    one = Structure(block(1.0, 0.5, 0.25), **setup).full(ThinLayer(GLUE, 0.1))
     x, u = one.V.tabulate_dof_coordinates(), solve(one).u.x.array.reshape(-1, 2)
     base, left = np.isclose(x[:, 1], x[:, 1].min()), np.isclose(x[:, 0], 0.0)
     assert (base & left).sum() == 1
@@ -207,7 +221,7 @@ MARCHED = Maxwell(60.0, 40.0, t1=0.7)
         (lambda: Stack((True, GLUE)), "a fraction is True"),
         (lambda: Tabulated([(0, True), (1, 2.0)]), "Tabulated needs pairs"),
         (lambda: NonMonotone(60.0, 40.0, Tabulated([(0, 1.0), (9, 2.0)]), 0.15, CHI, T=True), "T is True"),
-        (lambda: model(law=GLUE, kind=Model.full, sublayers=True), "layers is True"),
+        (lambda: model(law=GLUE, kind=partial(Structure.full, cells_through=True)), "cells_through is True"),
         (lambda: sandwich(1.0, True, 0.5), "is True; it must be a number"),
         (lambda: sandwich(1.0, 0.5, 0.5, h=True), "h is True"),
         (lambda: block(1.0, 0.5, depth=np.True_), "depth is "),
@@ -274,7 +288,7 @@ def test_numbers_in_expressions_on_s_are_finite():
 
 def test_a_profile_of_booleans():
     with pytest.raises(GeometryError, match="it returns bool"):
-        Model.interface(JOINT, layer=ThinLayer(GLUE, 0.1, profile=lambda x: x[0] >= 0), body=GLUE, supports=SIDES)
+        Structure(JOINT, body=GLUE, supports=SIDES).interface(ThinLayer(GLUE, 0.1, profile=lambda x: x[0] >= 0))
 
 
 def test_places_are_names_or_points():

@@ -16,17 +16,17 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
-from forms.laws import KelvinVoigt, KernelLaw, Law, LinearElastic, Maxwell, Norton
+from forms.laws import BulkLaw, KelvinVoigt, KernelLaw, LinearElastic, Maxwell, Norton
 from geometry import sandwich
 from tests import marching_run
 from tests.test_parallel import CLEAN, CLONE, mpirun
 from thinlayer import (
     Adaptive,
-    Model,
     ModelError,
     OptionError,
     RangeWarning,
     SolveError,
+    Structure,
     Surface,
     ThinLayer,
     compare,
@@ -43,7 +43,7 @@ JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 
 
 @dataclass(frozen=True)
-class StiffeningSolid(Law):
+class StiffeningSolid(BulkLaw):
     """An energy of second and fourth degree."""
 
     mu: float
@@ -65,7 +65,7 @@ K_N, G_N = 140.0, 60.0 * 0.3 + 80.0 * 0.5
 
 def interface(law=SLOW, tractions=PULL, supports=None):
     setup = SETUP | ({"supports": SETUP["supports"] | supports} if supports else {})
-    return Model.interface(JOINT, layer=ThinLayer(law, 0.1), tractions=tractions, **setup)
+    return Structure(JOINT, tractions=tractions, **setup).interface(ThinLayer(law, 0.1))
 
 
 def opening(model):
@@ -125,7 +125,7 @@ def test_energy_balance(law, theta):
     history = march(interface(law, {"TOP": lambda x, t: (0.0, ufl.cos(3 * t))}, moved), [0.05, 0.1, 0.3], theta=theta)
     table = history.table
     assert np.abs(table["imbalance"]).max() < 1e-10
-    later = slice(3, None) if theta == 0.5 and law.rate else slice(1, None)
+    later = slice(3, None) if theta == 0.5 and law.traits.rate else slice(1, None)
     assert (table["dissipated"][1:] > 0).all()
     remainder = table["remainder"][later] / np.abs(table["supplied"]).max()
     assert (np.abs(remainder) < 1e-13).all() if theta == 0.5 else (remainder > 0).all()
@@ -134,8 +134,8 @@ def test_energy_balance(law, theta):
 def test_energy_of_bodies_that_are_not_linear():
     """What is stored at the ends of steps differs by what the step stores."""
     setup = SETUP | {"body": StiffeningSolid(100.0, 3e4)}
-    for build in (Model.interface, Model.full):
-        model = build(JOINT, layer=ThinLayer(SLOW, 0.1), tractions={"TOP": (0.4, 2.0)}, **setup)
+    for build in (Structure.interface, Structure.full):
+        model = build(Structure(JOINT, tractions={"TOP": (0.4, 2.0)}, **setup), ThinLayer(SLOW, 0.1))
         history = march(model, [0.1, 0.3, 0.35])
         total = [state.audit.total for state in history]
         assert np.diff(total) == pytest.approx(history.table["stored"][1:], rel=1e-9)
@@ -147,7 +147,7 @@ def test_energy_of_bodies_that_are_not_linear():
 def test_states_know_the_loads_of_their_time():
     """Body forces reach S: tractions of earlier states are those of their own loads."""
     setup = SETUP | {"body_force": lambda x, t: (0.0, t)}
-    model = Model.interface(JOINT, layer=ThinLayer(SUDDEN, 0.1), **setup)
+    model = Structure(JOINT, **setup).interface(ThinLayer(SUDDEN, 0.1))
     history, surface = march(model, [1.0, 2.0]), Surface(model)
     for state in history:  # the time of the last solve, or of the last question, is another one
         assert state.energies()["loads"] == pytest.approx(state.t * mean_displacement(state), rel=1e-9, abs=1e-12)
@@ -169,7 +169,7 @@ def test_keep_last():
 
 
 def test_compare_takes_histories_and_states_of_the_same_time():
-    full = Model.full(JOINT, layer=ThinLayer(SLOW, 0.1), tractions=PULL, **SETUP)
+    full = Structure(JOINT, tractions=PULL, **SETUP).full(ThinLayer(SLOW, 0.1))
     one, other = march(full, [0.1, 0.2]), march(interface(), [0.1, 0.2])
     assert compare(one, other)["error_jump"] < 1e-9
     assert compare(one, other, at=0.1)["jump"] < compare(one, other)["jump"]
@@ -298,13 +298,13 @@ def test_moved_sides_of_a_layer_that_is_rigid_at_rest():
         "RIGHT/UPPER": {"x": lambda x, t: 0.01 * ufl.cos(9 * t)},
     }
     layer = ThinLayer(Norton(60.0, 40.0, eta=5.0, p=1.3), 0.1)
-    for build in (Model.full, Model.interface):
-        history = march(build(joint, body=BODY, supports=supports, layer=layer), [0.1, 0.2, 0.3])
+    for build in (Structure.full, Structure.interface):
+        history = march(build(Structure(joint, body=BODY, supports=supports), layer), [0.1, 0.2, 0.3])
         assert np.abs(history.table["imbalance"]).max() < 1e-8
 
 
 @dataclass(frozen=True)
-class Ageing(Law):
+class Ageing(BulkLaw):
     """Linear in the strain at the end of a step, with a modulus that grows with its age."""
 
     k: float
@@ -384,18 +384,20 @@ def test_bad_adaptive_steps():
     ],
 )
 def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, what):
-    data = SETUP | {"layer": ThinLayer(SLOW, 0.1), "tractions": PULL}
-    march(Model.interface(JOINT, **data), [0.1], out=tmp_path)
+    data, layer = SETUP | {"tractions": PULL}, ThinLayer(SLOW, 0.1)
+    march(Structure(JOINT, **data).interface(layer), [0.1], out=tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    other_layer = change.pop("layer", layer)
+    other = Structure(JOINT, **data | change).interface(other_layer)
     for resume in (True, False):
         with pytest.raises(ModelError, match=rf"another march \(.*{what}: .* give another folder"):
-            march(Model.interface(JOINT, **(data | change)), [0.1, 0.2], out=tmp_path, resume=resume)
+            march(other, [0.1, 0.2], out=tmp_path, resume=resume)
     with pytest.raises(ModelError, match=r"start: 0\.0 there, -1\.0 here"):
-        march(Model.interface(JOINT, **data), [0.1, 0.2], out=tmp_path, resume=True, start=-1.0)
+        march(Structure(JOINT, **data).interface(layer), [0.1, 0.2], out=tmp_path, resume=True, start=-1.0)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     same = KelvinVoigt(np.float64(60.0), 40, theta_lmbda=0.3, theta_mu=0.5)
-    data["layer"] = ThinLayer(same, 0.1)
-    assert len(march(Model.interface(JOINT, **data), [0.1, 0.2], out=tmp_path, resume=True)) == 3
+    again = Structure(JOINT, **data).interface(ThinLayer(same, 0.1))
+    assert len(march(again, [0.1, 0.2], out=tmp_path, resume=True)) == 3
 
 
 def test_times_may_be_negative(tmp_path):

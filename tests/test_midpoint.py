@@ -23,7 +23,7 @@ from forms import (
     Norton,
     Stack,
 )
-from forms.law import Law
+from forms.law import BulkLaw
 from forms.traction import TractionLaw
 from geometry import sandwich
 from tests.own_laws import (
@@ -35,8 +35,9 @@ from tests.own_laws import (
     Mises,
     Slipping,
     StandardSolid,
+    layer_of,
 )
-from thinlayer import Model, ModelError, Surface, ThinLayer, march, piecewise
+from thinlayer import ModelError, Structure, Surface, ThinLayer, march, piecewise
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 BODY = LinearElastic.young(100.0, 0.3)
@@ -47,9 +48,9 @@ LOAD = piecewise({0.0: 0.1, 0.5: 1.7, 1.0: 1.7, 1.5: -0.4})  # up, held, turned 
 ENDS = (0.5, 1.0, 1.5)
 
 
-def model(law, kind=Model.interface, **change):
+def model(law, kind=Structure.interface, **change):
     setup = {"body": BODY, "supports": SUPPORTS, "tractions": {"TOP": lambda x, t: (LOAD(x, t), 0.0)}} | change
-    return kind(JOINT, layer=ThinLayer(law, 0.1), **setup)
+    return kind(Structure(JOINT, **setup), layer_of(law, 0.1))
 
 
 def path(one, parts, theta):
@@ -88,12 +89,14 @@ def test_second_order(name):
     assert second < 0.4 * euler
 
 
-def of_order_1(where, layer, **setup):
-    return Model.interface(where, layer=ThinLayer(layer.law, layer.eps, order=1), **setup)
+def of_order_1(structure, layer):
+    return structure.interface(ThinLayer(layer.law, layer.eps, order=1))
 
 
 @pytest.mark.parametrize("growth", [0.0, 0.6])
-@pytest.mark.parametrize("kind", [Model.interface, of_order_1, Model.full], ids=["interface", "order 1", "full"])
+@pytest.mark.parametrize(
+    "kind", [Structure.interface, of_order_1, Structure.full], ids=["interface", "order 1", "full"]
+)
 def test_parameters_that_vary_in_time_are_those_where_forces_balance(kind, growth):
     """A column under a dead load p, in closed form: w - f = p/2mu(t), df/dt = p/(2mu(t) tau(t)); w at the end of all steps.
 
@@ -127,18 +130,18 @@ def test_parameters_that_vary_along_s_alone():
 
 
 @pytest.mark.parametrize("law", [ELASTIC, Incompressible(40.0)], ids=lambda law: type(law).__name__)
-@pytest.mark.parametrize("kind", [Model.interface, Model.full], ids=["interface", "full"])
+@pytest.mark.parametrize("kind", [Structure.interface, Structure.full], ids=["interface", "full"])
 def test_elastic_layers_have_no_error(law, kind):
     """Equilibria within steps and at their ends are the same ones, pressures too."""
     one = model(law, kind)
     midpoint, euler = (march(one, [0.2, 0.5, 0.9, 1.0], theta=theta).last for theta in (0.5, 1.0))
     assert midpoint.u.x.array == pytest.approx(euler.u.x.array, rel=1e-8, abs=1e-12)
-    if law.constrained:
+    if law.traits.constrained:
         assert midpoint.p.x.array == pytest.approx(euler.p.x.array, rel=1e-7, abs=1e-9)
 
 
 @dataclass(frozen=True)
-class Stiffening(Law):
+class Stiffening(BulkLaw):
     """Elastic, without memory: it answers at once."""
 
     k: float

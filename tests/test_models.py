@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms import Anisotropic, Law, LawError, LinearElastic, MohrCoulomb, Stack
+from forms import Anisotropic, BulkLaw, LawError, LinearElastic, MohrCoulomb, Stack
+from forms.work import work
 from geometry import GeometryError, block, sandwich
 from tests.limit_load_run import dragged
-from thinlayer import Model, ModelError, OptionError, SolveError, Surface, ThinLayer, compare, solve
+from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
 from thinlayer.errors import RangeWarning
 from thinlayer.output.surface import nodal_forces
 from thinlayer.solving.solvers import Solver
@@ -21,18 +24,18 @@ from thinlayer.solving.solvers import Solver
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)
 BODY = LinearElastic.young(100.0, 0.3)
 GLUE = LinearElastic(lmbda=15.0, mu=7.0)
-SETUP = {
-    "body": BODY,
-    "layer": ThinLayer(GLUE, 0.05),
-    "supports": {"BOTTOM": 0.0},
-    "tractions": {"TOP": (0.4, -0.9)},
-}
+LAYER = ThinLayer(GLUE, 0.05)
+SETUP = {"body": BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.4, -0.9)}}
 
 
-def measure(build, **change):
-    """(|[u]|, |t|, energy of the bodies) of a model."""
-    state = solve(build(JOINT, **(SETUP | change)))
-    surface = Surface(Model.interface(JOINT, **(SETUP | change)))
+def structure(**change):
+    return Structure(JOINT, **SETUP | change)
+
+
+def measure(build, layer=LAYER, meshing=None, **change):
+    """(|[u]|, |t|, energy of the bodies) of a model; `meshing` are options of a meshed layer."""
+    plates = structure(**change)
+    state, surface = solve(build(plates, layer, **meshing or {})), Surface(plates.interface(layer))
     return np.array(
         [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), state.energies()["bodies"]]
     )
@@ -42,7 +45,7 @@ def same(a, b):
     return a == pytest.approx(b, rel=1e-10)
 
 
-@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize("build", [Structure.full, Structure.interface])
 @pytest.mark.parametrize(
     "change",
     [
@@ -68,24 +71,28 @@ def test_options_that_change_both_models(build, change):
     assert not same(measure(build), measure(build, **change))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [dict(bodies="extended"), dict(sublayers=2), dict(tractions={"TOP": (0.4, -0.9), "LEFT/LAYER": (0.3, 0.0)})],
-)
-def test_options_that_change_the_full_model_only(change):
-    assert same(measure(Model.interface), measure(Model.interface, **change))
-    assert not same(measure(Model.full), measure(Model.full, **change))
+@pytest.mark.parametrize("meshing", [dict(bodies="extended"), dict(cells_through=2)])
+def test_options_of_a_meshed_layer(meshing):
+    assert not same(measure(Structure.full), measure(Structure.full, meshing=meshing))
+
+
+def test_a_load_on_the_side_of_the_layer_changes_the_full_model_only():
+    loads = {"TOP": (0.4, -0.9), "LEFT/LAYER": (0.3, 0.0)}
+    assert same(measure(Structure.interface), measure(Structure.interface, tractions=loads))
+    assert not same(measure(Structure.full), measure(Structure.full, tractions=loads))
 
 
 def test_thickness_matters_to_the_interface_law_through_its_moduli_only():
     other = ThinLayer(GLUE, 0.01)
-    assert same(measure(Model.interface), measure(Model.interface, layer=other))
-    assert not same(measure(Model.full), measure(Model.full, layer=other))
+    assert same(measure(Structure.interface), measure(Structure.interface, layer=other))
+    assert not same(measure(Structure.full), measure(Structure.full, layer=other))
     real = LinearElastic(lmbda=15.0 * 0.05, mu=7.0 * 0.05)
-    assert same(measure(Model.interface), measure(Model.interface, layer=ThinLayer(real.per_thickness(0.05), 0.05)))
+    assert same(
+        measure(Structure.interface), measure(Structure.interface, layer=ThinLayer(real.per_thickness(0.05), 0.05))
+    )
 
 
-@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize("build", [Structure.full, Structure.interface])
 def test_different_words_for_the_same_thing(build):
     reference = measure(build)
     assert same(reference, measure(build, body={"UPPER": BODY, "LOWER": BODY}))
@@ -98,15 +105,15 @@ def test_different_words_for_the_same_thing(build):
 def test_stack_of_one_law_is_that_law():
     """On S; the meshed layer's cells are placed otherwise, so its errors differ a little."""
     stack = ThinLayer(Stack((0.3, GLUE), (0.7, GLUE)), 0.05)
-    assert same(measure(Model.interface), measure(Model.interface, layer=stack))
-    assert measure(Model.full) == pytest.approx(measure(Model.full, layer=stack), rel=1e-2)
+    assert same(measure(Structure.interface), measure(Structure.interface, layer=stack))
+    assert measure(Structure.full) == pytest.approx(measure(Structure.full, layer=stack), rel=1e-2)
 
 
 def test_coordinates_of_loads_belong_to_the_bodies():
     """In kept geometry the meshed layer moves the bodies apart; loads stay on the same material points."""
     load = {"TOP": lambda x, t: (0.0, x[1] * x[0]), "RIGHT": lambda x, t: (ufl.exp(x[1]), 0.0)}
-    states = [solve(build(JOINT, **(SETUP | {"tractions": load}))) for build in (Model.full, Model.interface)]
-    work = [s.integral(s.model.external_work(ufl.as_vector([1.0, 2.0]))) for s in states]
+    states = [solve(build(structure(tractions=load), LAYER)) for build in (Structure.full, Structure.interface)]
+    work = [s.integral(s.model.external_work(ufl.as_vector([1.0, 2.0]), s.t)) for s in states]
     exact = (np.exp(0.7) - np.exp(-0.5)) + 2 * 0.7 * 0.5
     assert work == pytest.approx([exact, exact], rel=1e-6)  # quadrature of exp
 
@@ -116,7 +123,7 @@ def test_time_dependent_loads_and_supports():
         "tractions": {"TOP": lambda x, t: (0.0, 3.0 * t)},
         "supports": {"BOTTOM": {"x": 0.0, "y": lambda x, t: 0.01 * t * (1 + x[0])}, "LEFT": {"x": 0.0}},
     }
-    model = Model.interface(JOINT, **(SETUP | change))
+    model = structure(**change).interface(LAYER)
     surface = Surface(model)
     norms = [surface.norm(surface.traction(solve(model, t))) for t in (1.0, 2.0)]
     assert norms[1] == pytest.approx(2 * norms[0], rel=1e-9)
@@ -124,14 +131,14 @@ def test_time_dependent_loads_and_supports():
 
 
 def test_clapeyron():
-    for build in (Model.full, Model.interface):
-        energies = solve(build(JOINT, **SETUP)).energies()
+    for build in (Structure.full, Structure.interface):
+        energies = solve(build(structure(), LAYER)).energies()
         assert energies["bodies"] + energies["layer"] == pytest.approx(energies["loads"] / 2, rel=1e-10)
         assert energies["layer"] > 0
 
 
 def test_point_support_holds_both_sides_of_s():
-    model = Model.interface(JOINT, **(SETUP | {"supports": {"BOTTOM": 0.0, (0.0, 0.0): {"x": 0.0}}}))
+    model = structure(**{"supports": {"BOTTOM": 0.0, (0.0, 0.0): {"x": 0.0}}}).interface(LAYER)
     state = solve(model)
     at = np.flatnonzero(np.all(np.abs(model.V.tabulate_dof_coordinates()[:, :2]) < 1e-12, axis=1))
     values = state.u.x.array.reshape(-1, 2)[at]
@@ -140,7 +147,7 @@ def test_point_support_holds_both_sides_of_s():
     assert np.abs(values[:, 1]).min() > 0
 
 
-class Hardening(Law):
+class Hardening(BulkLaw):
     """Stress 2 k e + c (e:e) e, for tests of Newton's method: a user's law in a dozen lines."""
 
     powers = {"k": 1, "c": 3}
@@ -161,27 +168,27 @@ def test_newton_on_a_users_law(eps):
     """Uniform opening w of a hardening layer: 2 k w + c w^3 = pull, in both models, with quadratic convergence."""
     k, c, pull = 5.0, 4e5, 0.6
     rollers = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    change = {"layer": ThinLayer(Hardening(k, c), eps), "supports": rollers, "tractions": {"TOP": (0.0, pull)}}
+    pulled, layer = structure(supports=rollers, tractions={"TOP": (0.0, pull)}), ThinLayer(Hardening(k, c), eps)
     opening = np.roots([c, 0.0, 2 * k, -pull])
     opening = float(opening[np.abs(opening.imag) < 1e-12].real[0])
-    limit = solve(Model.interface(JOINT, **(SETUP | change)))
+    limit = solve(pulled.interface(layer))
     surface = Surface(limit.model)
-    for state in (limit, solve(Model.full(JOINT, **(SETUP | change)))):
+    for state in (limit, solve(pulled.full(layer))):
         assert surface.integral(surface.jump(state)[1]) == pytest.approx(opening, rel=1e-9)
         assert state.report.method == "newton"
         assert 3 <= state.report.iterations <= 12
 
 
 def test_newton_and_linear_agree():
-    for build in (Model.full, Model.interface):
-        model = build(JOINT, **SETUP)
+    for build in (Structure.full, Structure.interface):
+        model = build(structure(), LAYER)
         linear, newton = solve(model), solve(model, method="newton")
         assert newton.report.iterations == 1
         assert np.abs(linear.u.x.array - newton.u.x.array).max() < 1e-11 * np.abs(linear.u.x.array).max()
 
 
 def test_petsc_options():
-    model = Model.interface(JOINT, **SETUP)
+    model = structure().interface(LAYER)
     direct = solve(model)
     iterative = solve(model, options={"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-12})
     assert iterative.report.iterations > 3
@@ -201,24 +208,24 @@ def test_petsc_options():
 
 def test_a_looser_tolerance_takes_fewer_steps():
     """Options given in a script are heeded: Newton's residuals fall as 1e-4, 1e-8, 1e-16, and the last is not needed."""
-    hard = Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(Hardening(5.0, 4e5), 0.1)}))
+    hard = structure().interface(ThinLayer(Hardening(5.0, 4e5), 0.1))
     usual, loose = solve(hard), solve(hard, options={"snes_rtol": 1e-5})
     assert loose.report.iterations < usual.report.iterations
     assert usual.report.residual < 1e-10 < loose.report.residual < 1e-5
 
 
 def test_a_line_search_that_is_given_is_the_only_one():
-    model = dragged(MohrCoulomb(60.0, 40.0, C=0.05, Omega=30.0))
+    model = dragged(MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0))
     for options, number in (({}, 2), ({"snes_linesearch_type": "bt"}, 1)):
         with Solver(model, options=options) as solver:
             assert len(solver._searches) == number
 
 
 def test_failed_solves_say_why():
-    model = Model.interface(JOINT, **SETUP)
+    model = structure().interface(LAYER)
     with pytest.raises(SolveError, match=r"DIVERGED_MAX_IT.*relative residual"):
         solve(model, options={"ksp_type": "cg", "pc_type": "jacobi", "ksp_max_it": 2})
-    hard = Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(Hardening(5.0, 4e9), 0.1)}))
+    hard = structure().interface(ThinLayer(Hardening(5.0, 4e9), 0.1))
     with pytest.raises(SolveError, match=r"failed after \d steps: DIVERGED.*residual.*try"):
         solve(hard, options={"snes_max_it": 2})
     with pytest.raises(ValueError, match="linear, newton"):
@@ -227,7 +234,7 @@ def test_failed_solves_say_why():
         solve(hard, method="linear")
 
 
-@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize("build", [Structure.full, Structure.interface])
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
@@ -251,11 +258,9 @@ def test_failed_solves_say_why():
         (dict(body={"LOWER": BODY}), ModelError, "body 'UPPER' has no law"),
         (dict(body={"LOWER": BODY, "UPER": BODY}), ModelError, "did you mean 'UPPER'"),
         (dict(body=Anisotropic.springs(1.0, 1.0)), LawError, "in a body use frame='global'"),
-        (dict(bodies="keep"), GeometryError, "did you mean 'kept'"),
-        (dict(sublayers=0), GeometryError, "whole number >= 1"),
         (dict(plane="stres"), ModelError, "did you mean 'stress'"),
         (dict(element="Q2"), ModelError, "does not exist on triangle cells; allowed: P1, P2"),
-        (dict(layer=GLUE), ModelError, "give layer=ThinLayer"),
+        (dict(layer=GLUE), ModelError, r"give ThinLayer\(law, eps\)"),
         (
             dict(layer=ThinLayer(Hardening(1.0, 1.0), 0.1), plane="stress"),
             LawError,
@@ -264,24 +269,36 @@ def test_failed_solves_say_why():
     ],
 )
 def test_models_that_cannot_be_built(build, change, error, message):
+    layer = change.get("layer", LAYER)
     with pytest.raises(error, match=message):
-        solve(build(JOINT, **(SETUP | change)))
+        solve(build(structure(**{name: value for name, value in change.items() if name != "layer"}), layer))
 
 
-def test_unknown_option_of_a_model():
-    for build in (Model.full, Model.interface, Model.bonded):
-        with pytest.raises(ModelError, match=r"unknown option of a model 'traction', did you mean 'tractions'"):
-            build(JOINT, **SETUP, traction={})
-        with pytest.raises(ModelError, match="a model needs supports"):
-            build(JOINT, body=BODY, layer=SETUP["layer"])
+def test_meshed_layers_that_cannot_be_built():
+    with pytest.raises(GeometryError, match="did you mean 'kept'"):
+        structure().full(LAYER, bodies="keep")
+    with pytest.raises(GeometryError, match=r"cells_through is 0; .* whole number >= 1"):
+        structure().full(LAYER, cells_through=0)
+
+
+def test_options_are_in_the_signatures():
+    """Python itself, editors and type checkers know them."""
+    known = set(inspect.signature(Structure).parameters)
+    assert known == {"joint", "body", "supports", "tractions", "body_force", "parts", "plane", "element", "comm"}
+    with pytest.raises(TypeError, match="unexpected keyword argument 'traction'"):
+        Structure(JOINT, **SETUP, traction={})
+    with pytest.raises(TypeError, match="required keyword-only argument: 'supports'"):
+        Structure(JOINT, body=BODY)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'cells_through'"):
+        structure().interface(LAYER, cells_through=2)
 
 
 def test_bonded_bodies_are_the_stiff_limit():
     """Two bodies, and a body on a rigid base, which then does not move on S."""
     for joint, name in ((JOINT, "BOTTOM"), (block(1.0, 0.7, 0.25), "RIGHT")):
         setup = SETUP | {"supports": {name: 0.0}}
-        bonded = solve(Model.bonded(joint, **setup))
-        stiff = solve(Model.interface(joint, **(setup | {"layer": ThinLayer(Anisotropic.springs(1e9, 1e9), 1.0)})))
+        bonded = solve(Structure(joint, **setup).bonded())
+        stiff = solve(Structure(joint, **setup).interface(ThinLayer(Anisotropic.springs(1e9, 1e9), 1.0)))
         surface = Surface(stiff.model)
         difference = surface.displacement(bonded).x.array - stiff.u.x.array
         assert np.abs(difference).max() < 1e-6 * np.abs(stiff.u.x.array).max()
@@ -294,10 +311,9 @@ def test_bonded_bodies_are_the_stiff_limit():
 
 def test_components_that_supports_hold_on_both_sides_are_those_of_no_jump():
     """The reactions there are the supports' too."""
-    change = {"supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}}
-    for build in (Model.full, Model.interface):
-        state = solve(build(JOINT, **(SETUP | change)))
-        surface = Surface(Model.interface(JOINT, **(SETUP | change)))
+    held = structure(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}})
+    for model in (held.full(LAYER), held.interface(LAYER)):
+        state, surface = solve(model), Surface(held.interface(LAYER))
         x, t = surface.profile(surface.traction(state))
         assert (x[0, 0], t[0, 0]) == pytest.approx((0.0, 0.0), abs=1e-12)
         assert abs(t[0, 1]) > 1e-3
@@ -310,7 +326,7 @@ LOCKS = getattr(MPI, "_comm_lock_table", None) or getattr(MPI, "_lock_table", No
 @pytest.mark.skipif(LOCKS is None, reason="this mpi4py does not show its locks")
 def test_meshes_communicators_are_not_used_for_pickled_collectives():
     """If they were, freeing a mesh amid another pickled collective could deadlock mpi4py 4.0 (`Domain.comm`)."""
-    full, limit = solve(Model.full(JOINT, **SETUP)), solve(Model.interface(JOINT, **SETUP))
+    full, limit = solve(structure().full(LAYER)), solve(structure().interface(LAYER))
     compare(full, limit)
     Surface(limit.model).profile(Surface(limit.model).jump(full))
     for state in (full, limit):
@@ -319,16 +335,16 @@ def test_meshes_communicators_are_not_used_for_pickled_collectives():
 
 
 def test_compare_refuses_other_pairs():
-    full, limit = solve(Model.full(JOINT, **SETUP)), solve(Model.interface(JOINT, **SETUP))
+    full, limit = solve(structure().full(LAYER)), solve(structure().interface(LAYER))
     with pytest.raises(ModelError, match="not interface and full"):
         compare(limit, full)
     other = sandwich(1.0, 0.5, 0.7, 0.5)
     with pytest.raises(ModelError, match="same joint"):
-        compare(solve(Model.full(other, **SETUP)), limit)
+        compare(solve(Structure(other, **SETUP).full(LAYER)), limit)
 
 
 def test_compare_on_a_part_of_s():
-    full, limit = solve(Model.full(JOINT, **SETUP)), solve(Model.interface(JOINT, **SETUP))
+    full, limit = solve(structure().full(LAYER)), solve(structure().interface(LAYER))
     inner = compare(full, limit, where=lambda x: ufl.And(ufl.gt(x[0], 0.25), ufl.lt(x[0], 0.75)))
     outer = compare(full, limit, where=lambda x: ufl.Or(ufl.lt(x[0], 0.25), ufl.gt(x[0], 0.75)))
     whole = compare(full, limit)
@@ -339,10 +355,53 @@ def test_compare_on_a_part_of_s():
         assert sizes[0] + sizes[1] == pytest.approx(sizes[2], rel=1e-9)
 
 
+# ---------------------------------------------------------------- terms of one's own
+def test_a_term_beside_those_of_a_model():
+    """At the equilibrium of a model the forces that are added alone are left, by the model's measures and by plain ones."""
+    model = structure(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}).interface(LAYER)
+    u, v = solve(model).u, ufl.TestFunction(model.V)
+    x = ufl.SpatialCoordinate(model.domain.mesh)
+    own = work(model.terms, u, v) - model.external_work(v, 0.0)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.supports.on(model.V).held)
+    f, w = ufl.as_vector([x[0], 2.0]), model.sides.jump(v)
+    for term, alone in (
+        (ufl.inner(f, v) * model.dx, ufl.inner(f, v) * ufl.dx),
+        (ufl.inner(f, v) * model.ds, ufl.inner(f, v) * ufl.ds),
+        (ufl.inner(f, w) * model.dS, ufl.inner(f, w) * model.dS),
+    ):
+        expected = fem.assemble_vector(fem.form(alone)).array
+        for form in (fem.form(own + term), model.form(own + term), model.form(own + alone)):
+            found = fem.assemble_vector(form).array
+            assert found[free] == pytest.approx(expected[free], abs=1e-12 * np.abs(expected).max() + 1e-13)
+    everywhere = ufl.inner(ufl.jump(u), ufl.jump(u))
+    assert solve(model).integral(everywhere * ufl.dS) == pytest.approx(solve(model).integral(everywhere * model.dS))
+    with pytest.raises(ModelError, match=r"two measures dx with different tags; use model\.dx"):
+        model.form(own + ufl.inner(f, v) * ufl.dx(subdomain_data=model.domain.facet_tags))
+
+
+def test_a_form_keeps_the_time_it_was_taken_at():
+    """Of a load with a table, one that moves along the body, and one that is asked for another time."""
+    table = piecewise({0: (0.0, 1.0), 1: (2.0, 1.0), 3: (2.0, 5.0)})
+    pull = lambda x, t: [ufl.sin(t * x[0]) * a + b for a, b in zip(table(x, t), table(x, t / 2), strict=True)]
+    model = structure(tractions={"TOP": pull}, supports={"BOTTOM": {"x": 0.0, "y": lambda x, t: t * x[0]}}).full(LAYER)
+    times, v = (0.5, 2.0), ufl.as_vector([1.0, -3.0])
+    compiled = [model.form(model.external_work(v, t)) for t in times]
+    assert compiled[0].module.__file__ == compiled[1].module.__file__  # for all times one
+    solve(model, 1.0)
+    s = np.linspace(0, 1, 10001)
+    for t, form in zip(times, compiled, strict=True):
+        now, half = ([np.interp(at, [0, 1, 3], values) for values in ((0, 2, 2), (1, 1, 5))] for at in (t, t / 2))
+        expected = np.trapezoid(np.sin(t * s), s) * (now[0] - 3 * now[1]) + half[0] - 3 * half[1]
+        assert fem.assemble_scalar(form) == pytest.approx(expected, rel=1e-4)
+    moved = model.supports.on(model.V)
+    first, last = moved.at(0.5), moved.at(2.0)
+    assert (first.max(), last.max()) == pytest.approx((0.5, 2.0))
+
+
 # ---------------------------------------------------------------- loads on sides
 def total(model):
     """Sum of the nodal forces of its loads, (d,)."""
-    forces = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V)))
+    forces = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
     own = model.V.dofmap.index_map.size_local * model.joint.dim
     return forces.x.array[:own].reshape(-1, model.joint.dim).sum(axis=0)
 
@@ -353,27 +412,24 @@ def test_a_load_on_a_side_is_the_same_in_all_models(name, depth):
     """Where the bodies gave up room, the layer carries what acted there, but for a load of its own."""
     joint = sandwich(1.0, 0.2, 0.5, 0.5, depth=depth)
     load, area = np.array([0.7, -0.2, 0.4])[: joint.dim], depth or 1.0
-    data = {"layer": ThinLayer(GLUE, 0.1), "body": BODY, "supports": {"BOTTOM": 0.0}}
+    data, layer = {"body": BODY, "supports": {"BOTTOM": 0.0}}, ThinLayer(GLUE, 0.1)
     height = {"LEFT": 0.7, "LEFT/UPPER": 0.5, "LEFT/LOWER": 0.2}[name]
-    models = [
-        Model.interface(joint, tractions={name: load}, **data),
-        Model.full(joint, tractions={name: load}, **data),
-        Model.full(joint, tractions={name: load}, bodies="extended", **data),
-    ]
-    for model in models:
+    loaded = Structure(joint, tractions={name: load}, **data)
+    for model in (loaded.interface(layer), loaded.full(layer), loaded.full(layer, bodies="extended")):
         assert total(model) == pytest.approx(load * height * area, rel=1e-10)
-    alone = Model.full(joint, tractions={name: load, "LEFT/LAYER": 3 * load}, bodies="extended", **data)
+    alone = Structure(joint, tractions={name: load, "LEFT/LAYER": 3 * load}, **data).full(layer, bodies="extended")
     given_up = 0.1 if name == "LEFT" else 0.05
     assert total(alone) == pytest.approx(load * (height - given_up + 3 * 0.1) * area, rel=1e-10)
 
 
 def test_a_load_on_a_side_of_a_base_or_under_a_profile():
     pillar = block(1.0, 0.5, 0.25)
-    data = {"layer": ThinLayer(GLUE, 0.1), "body": BODY, "supports": {"TOP": 0.0}, "bodies": "extended"}
-    assert total(Model.full(pillar, tractions={"LEFT": (2.0, 0.5)}, **data)) == pytest.approx([1.0, 0.25])
-    joint = sandwich(1.0, 0.5, 0.5, 0.25)
-    wedge = data | {"layer": ThinLayer(GLUE, 0.1, profile=lambda x: 1 + x[0])}
-    assert total(Model.full(joint, tractions={"RIGHT/UPPER": (2.0, 0.5)}, **wedge)) == pytest.approx([1.0, 0.25])
+    data = {"body": BODY, "supports": {"TOP": 0.0}}
+    column = Structure(pillar, tractions={"LEFT": (2.0, 0.5)}, **data)
+    assert total(column.full(ThinLayer(GLUE, 0.1), bodies="extended")) == pytest.approx([1.0, 0.25])
+    blocks = Structure(sandwich(1.0, 0.5, 0.5, 0.25), tractions={"RIGHT/UPPER": (2.0, 0.5)}, **data)
+    wedge = ThinLayer(GLUE, 0.1, profile=lambda x: 1 + x[0])
+    assert total(blocks.full(wedge, bodies="extended")) == pytest.approx([1.0, 0.25])
 
 
 def test_a_load_that_the_layer_cannot_share():
@@ -383,6 +439,6 @@ def test_a_load_that_the_layer_cannot_share():
     sides = np.concatenate([joint.facets["LEFT"], joint.facets["RIGHT"]])
     parts = {"regions": (*joint.regions, "END"), "region": np.where(far, 2, joint.region), "upper": ("UPPER", "END")}
     joint = replace(joint, facets={**joint.facets, "SIDES": sides}, **parts)
-    data = {"layer": ThinLayer(GLUE, 0.1), "body": BODY, "supports": {"BOTTOM": 0.0}, "bodies": "extended"}
+    loaded = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"SIDES/END": (1.0, 0.0)})
     with pytest.warns(RangeWarning, match=r"'SIDES/END': other bodies than 'END'.*Load 'SIDES', or 'SIDES/LAYER'"):
-        Model.full(joint, tractions={"SIDES/END": (1.0, 0.0)}, **data)
+        loaded.full(ThinLayer(GLUE, 0.1), bodies="extended")

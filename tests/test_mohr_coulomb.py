@@ -48,8 +48,8 @@ MONO = MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA)
 LAWS = {
     "closed form and return": LAW,
     "return": RETURN,
-    "psi = 12": MohrCoulombReturn(LMBDA, MU, C, OMEGA, psi=12.0),
-    "psi = Omega": MohrCoulombReturn(LMBDA, MU, C, OMEGA, psi=OMEGA),
+    "psi = 12": MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=12.0),
+    "psi = Omega": MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=OMEGA),
     "elastic fraction": MohrCoulombReturn(LMBDA, MU, C, OMEGA, 0.2, 12.0),
     "monodirectional": MONO,
     "unilateral": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, unilateral=True),
@@ -213,7 +213,7 @@ def kinds(s, q):
 def test_the_return_is_the_solution_of_the_six_planes(name, lmbda):
     """One stress only, whatever set of planes; none for psi = 0 beyond the apex, where the stress is cut off."""
     Omega, psi = ANGLES[name]
-    law = MohrCoulombReturn(lmbda, MU, C, Omega, psi=psi)
+    law = MohrCoulombReturn(lmbda, MU, C, Omega, dilatancy_angle=psi)
     e = strains(np.random.default_rng(8), 300, 0.004)
     answer = respond(law, e, 0 * e, at_rest(law, len(e)), normals(len(e)))
     assert answer.failed == 0
@@ -241,7 +241,7 @@ def test_the_return_is_the_solution_of_the_six_planes(name, lmbda):
 
 def test_another_dilatancy_is_not_the_solution():
     e = strains(np.random.default_rng(8), 50, 0.004)
-    law = MohrCoulombReturn(LMBDA, MU, C, 35.0, psi=12.0)
+    law = MohrCoulombReturn(LMBDA, MU, C, 35.0, dilatancy_angle=12.0)
     found = respond(law, e, 0 * e, at_rest(law, len(e)), normals(len(e)))
     for k in np.flatnonzero(kinds(found.stress, found.q) == 1):
         solutions = enumerated(principal(elastic(e[k])), 10.0, C, 35.0)
@@ -260,7 +260,9 @@ def test_associated_return_is_the_closest_stress():
     assert len(others) > 100
     others = np.concatenate([others, returned])
     assert (np.einsum("ki,kmi->km", away, others[None] - returned[:, None]) <= 1e-12).all()
-    other = MohrCoulombReturn(LMBDA, MU, C, OMEGA, psi=12.0)  # which is not associated: some stress is closer
+    other = MohrCoulombReturn(
+        LMBDA, MU, C, OMEGA, dilatancy_angle=12.0
+    )  # which is not associated: some stress is closer
     returned = respond(other, e, 0 * e, at_rest(other, 100), normals(100)).stress
     away = compliance(trial - returned)
     assert (np.einsum("ki,kmi->km", away, others[None] - returned[:, None]) > 1e-6).any()
@@ -269,7 +271,7 @@ def test_associated_return_is_the_closest_stress():
 @pytest.mark.parametrize("lmbda", [-18.9, 60.0, 2e4])
 def test_friction_next_to_ninety_degrees(lmbda):
     """Planes of an edge that are next to parallel: yield is kept, and no admissible stress is closer (psi = Omega)."""
-    law = MohrCoulombReturn(lmbda, MU, C, 89.9, psi=89.9)
+    law = MohrCoulombReturn(lmbda, MU, C, 89.9, dilatancy_angle=89.9)
     e = strains(np.random.default_rng(6), 300, 0.004)
     e[::2, [0, 1]] = e[::2, [1, 0]] = (e[::2, :1] + e[::2, 1:2]) / 2
     e[::2, 3:] = 0
@@ -323,7 +325,7 @@ def test_random_paths(name, theta, plane):
         answer = respond(law, e, old, q, n, 1.0, theta)
         assert answer.failed == 0
         mid = theta * e + (1 - theta) * old
-        plastic = (answer.stress - law.h * elastic(mid)) / (1 - law.h)
+        plastic = (answer.stress - law.elastic_fraction * elastic(mid)) / (1 - law.elastic_fraction)
         scale = np.abs(elastic(mid)).max() + C
         if isinstance(law, MohrCoulombMonodirectional):
             t = traction(plastic, n)
@@ -396,7 +398,7 @@ def situation(law, e, answer, theta, slots):
     whole[:, slots] = e
     zero = 0 * whole
     full = respond(law, whole, zero, at_rest(law, len(e)), normals(len(e)), 1.0, theta)
-    stress = (full.stress - law.h * theta * elastic(whole)) / (1 - law.h)
+    stress = (full.stress - law.elastic_fraction * theta * elastic(whole)) / (1 - law.elastic_fraction)
     flows = np.abs(full.q).max(axis=1) > 0
     if isinstance(law, MohrCoulombMonodirectional):
         t_N = theta * elastic(whole)[:, 1]
@@ -461,7 +463,7 @@ def test_opening_held():
     errors = [np.abs(t - exact) for t in ends]
     assert np.log2(errors[1] / errors[2]) == pytest.approx([1, 1], abs=0.01)
     assert 2 * ends[2] - ends[1] == pytest.approx(exact, abs=5e-6)
-    for law in (MONO, MohrCoulombReturn(LMBDA, MU, C, OMEGA, psi=10.0), MohrCoulomb(LMBDA, MU, C, 29.9)):
+    for law in (MONO, MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=10.0), MohrCoulomb(LMBDA, MU, C, 29.9)):
         assert np.abs(closing_and_shearing(law, 400).tractions[-1] - exact).max() > 5e-4
     mono = closing_and_shearing(MONO, 10).tractions[-1]  # any number of steps: it is penalised Coulomb
     assert mono == pytest.approx([C + np.tan(np.radians(OMEGA)) * 1.4, -1.4], rel=1e-12)
@@ -498,7 +500,7 @@ def test_friction_of_the_layer():
     assert limits.first_yield_ratio(0.2, OMEGA) == 0.0
     for psi, value in ((0.0, 0.5), (10.0, 0.539221272), (20.0, 0.566769624), (30.0, 0.577350269)):
         assert limits.apparent_friction(OMEGA, psi) == pytest.approx(value, rel=2e-9)
-        dilatant = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, psi=psi)
+        dilatant = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
         held = drive(dilatant, [{"w_T": w, "t_N": -1.4} for w in np.linspace(0, 2.0, 60)]).tractions[-1]
         assert held == pytest.approx([1.4 * value, -1.4], rel=1e-7)
     pressed = [{"w_T": w, "w_N": -0.01} for w in np.linspace(0, 0.3, 50)]
@@ -675,7 +677,7 @@ def test_sublayers_that_all_yield(name):
     assert (alone.energies[:, 1] > 0).any()
     assert stack.tractions == pytest.approx(alone.tractions, abs=1e-9 * size)
     assert stack.energies == pytest.approx(alone.energies, abs=1e-8 * np.abs(alone.energies).max())
-    mixed = Stack((0.2, law), (0.5, LinearElastic(30.0, 50.0)), (0.3, law.with_parameters({"C": 0.3})))
+    mixed = Stack((0.2, law), (0.5, LinearElastic(30.0, 50.0)), (0.3, law.with_parameters({"cohesion": 0.3})))
     reverse = Stack(*mixed.sublayers[::-1])
     pressed = [step | {"w_N": -0.002 - abs(step["w_N"])} for step in path]
     one, other = drive(mixed, pressed), drive(reverse, pressed)
@@ -752,26 +754,32 @@ def test_elastic_and_full_sublayers():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: MohrCoulomb(LMBDA, MU, -0.1, 30.0), "MohrCoulomb: C is -0.1; allowed: >= 0"),
-        (lambda: MohrCoulomb(LMBDA, MU, float("inf"), 30.0), "C is inf"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 90.0), "Omega is 90.0; allowed: 0 <= Omega < 90 degrees"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.1, -1.0), "Omega is -1.0"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.1, float("nan")), "Omega is nan"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.0, 0.0), "C is 0.0; allowed: > 0 where Omega = 0"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, psi=31.0), "psi is 31.0; allowed: 0 <= psi <= Omega = 30 degrees"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, psi=-1.0), "psi is -1.0"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, h=1.0), "h is 1.0; allowed: 0 <= h < 1"),
-        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, h=-0.1), "h is -0.1"),
+        (lambda: MohrCoulomb(LMBDA, MU, -0.1, 30.0), "MohrCoulomb: cohesion is -0.1; allowed: >= 0"),
+        (lambda: MohrCoulomb(LMBDA, MU, float("inf"), 30.0), "cohesion is inf"),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 90.0), "friction_angle is 90.0; allowed: 0 <= friction_angle < 90 degrees"),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.1, -1.0), "friction_angle is -1.0"),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.1, float("nan")), "friction_angle is nan"),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.0, 0.0), "cohesion is 0.0; allowed: > 0 where friction_angle = 0"),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, dilatancy_angle=31.0),
+            "dilatancy_angle is 31.0; allowed: 0 <= dilatancy_angle <= friction_angle = 30 degrees",
+        ),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, dilatancy_angle=-1.0), "dilatancy_angle is -1.0"),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, elastic_fraction=1.0),
+            "elastic_fraction is 1.0; allowed: 0 <= elastic_fraction < 1",
+        ),
+        (lambda: MohrCoulomb(LMBDA, MU, 0.1, 30.0, elastic_fraction=-0.1), "elastic_fraction is -0.1"),
         (lambda: MohrCoulomb(LMBDA, 0.0, 0.1, 30.0), "mu is 0.0; allowed: > 0"),
         (lambda: MohrCoulomb(-30.0, MU, 0.1, 30.0), "lmbda is -30.0"),
-        (lambda: MohrCoulombReturn(LMBDA, MU, 0.1, 30.0, psi=31.0), "MohrCoulombReturn: psi is 31.0"),
-        (lambda: MohrCoulombReturn(LMBDA, MU, -0.1, 30.0), "MohrCoulombReturn: C is -0.1"),
-        (lambda: MohrCoulomb(LMBDA, MU, "0.1", 30.0), "C is '0.1'; allowed: a number"),
-        (lambda: MohrCoulombMonodirectional(LMBDA, MU, -0.1, 30.0), "MohrCoulombMonodirectional: C is -0.1"),
-        (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 95.0), "Omega is 95.0"),
+        (lambda: MohrCoulombReturn(LMBDA, MU, 0.1, 30.0, dilatancy_angle=31.0),
+            "MohrCoulombReturn: dilatancy_angle is 31.0",
+        ),
+        (lambda: MohrCoulombReturn(LMBDA, MU, -0.1, 30.0), "MohrCoulombReturn: cohesion is -0.1"),
+        (lambda: MohrCoulomb(LMBDA, MU, "0.1", 30.0), "cohesion is '0.1'; allowed: a number"),
+        (lambda: MohrCoulombMonodirectional(LMBDA, MU, -0.1, 30.0), "MohrCoulombMonodirectional: cohesion is -0.1"),
+        (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 95.0), "friction_angle is 95.0"),
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 30.0, unilateral=1), "unilateral is 1; allowed: True or False"),
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 30.0, unilateral="no"), "unilateral is 'no'"),
-        (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 30.0, psi=1.0), "no parameter 'psi'"),
+        (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 30.0, dilatancy_angle=1.0), "no parameter 'dilatancy_angle'"),
         (lambda: LAW.eased(1.5), "ease is 1.5; allowed: 0 to 1"),
         (lambda: LAW.eased("a bit"), "ease is 'a bit'; allowed: 0 to 1"),
         (lambda: LAW.plane_stress(), "plane stress is not defined for MohrCoulomb"),

@@ -16,7 +16,7 @@ from tests.mohr_coulomb_run import numbers
 from tests.test_columns_in_time import both, check_balance, check_same
 from tests.test_columns_in_time import column as tall_column
 from tests.test_parallel import mpirun
-from thinlayer import Model, Surface, ThinLayer, march, solve
+from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.pointwise.drive import PointHistory, drive
 
 # layers whose thickness tends to zero under the same load, and columns of any height
@@ -24,12 +24,14 @@ pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 
 BODY = LinearElastic.young(100.0, 0.3)
 LMBDA, MU = 60.0, 40.0
-FULL = MohrCoulomb(LMBDA, MU, C=0.1, Omega=30.0)
+FULL = MohrCoulomb(LMBDA, MU, cohesion=0.1, friction_angle=30.0)
 LAWS = {
     "psi = 0": FULL,
-    "edges": MohrCoulomb(30.0, MU, C=0.02, Omega=12.0),  # nu = 0.21 < (1 - sin(Omega))/2: s_33 is not between
-    "psi = 10": MohrCoulomb(LMBDA, MU, C=0.1, Omega=30.0, h=0.02, psi=10.0),
-    "monodirectional": MohrCoulombMonodirectional(LMBDA, MU, C=0.1, Omega=30.0),
+    "edges": MohrCoulomb(
+        30.0, MU, cohesion=0.02, friction_angle=12.0
+    ),  # nu = 0.21 < (1 - sin(Omega))/2: s_33 is not between
+    "psi = 10": MohrCoulomb(LMBDA, MU, cohesion=0.1, friction_angle=30.0, elastic_fraction=0.02, dilatancy_angle=10.0),
+    "monodirectional": MohrCoulombMonodirectional(LMBDA, MU, cohesion=0.1, friction_angle=30.0),
 }
 # jumps (w_T, w_N): pressed, sheared until it yields, unloaded, sheared back, opened beyond the apex, pressed again
 PATH = np.array(
@@ -79,10 +81,10 @@ def column(law, jumps, eps: float, angle: float = 0.0, flip: bool = False) -> tu
     where = block(1.0, 0.5, 0.25, structured=True, depth=0.5 if d == 3 else None).rotated(angle)
     support = {axis: component(i) for i, axis in enumerate("xyz"[:d])}
     sides = ["LEFT", "RIGHT", "TOP"] + ["BACK", "FRONT"] * (d == 3)
-    setup = {"body": BODY, "supports": dict.fromkeys(sides, support), "layer": ThinLayer(law, eps), "element": "P1"}
+    turned = Structure(where, body=BODY, supports=dict.fromkeys(sides, support), element="P1")
     times = [float(k + 1) for k in range(len(w))]
-    limit = march(Model.interface(where, **setup), times)
-    return limit, march(Model.full(where, sublayers=1, **setup), times), point
+    limit = march(turned.interface(ThinLayer(law, eps)), times)
+    return limit, march(turned.full(ThinLayer(law, eps), cells_through=1), times), point
 
 
 def check_path(limit, full, point: PointHistory) -> None:
@@ -181,7 +183,7 @@ def test_studies(tmp_path):
 def test_newton_is_quadratic(capfd):
     """The bar of Fig. 2 without cohesion, all loads in one step: the residual's exponent doubles at the end."""
     joint, setup, _ = bar_r1(quick=True)
-    model = Model.interface(joint, layer=ThinLayer(glue(0.0), 1.0), **setup)
+    model = Structure(joint, **setup).interface(ThinLayer(glue(0.0), 1.0))
     state = solve(model, options={"snes_monitor": None})
     norms = [float(line.split()[-1]) for line in capfd.readouterr().out.splitlines() if "SNES Function norm" in line]
     assert state.report.iterations <= 7

@@ -12,7 +12,8 @@ from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, St
 from forms.non_monotone import lamination_gain
 from geometry import sandwich
 from tests.test_points import jump_strain, material, respond, tensor, traction, vector
-from thinlayer import Model, ThinLayer, drive
+from thinlayer import Structure, ThinLayer, drive
+from thinlayer.discretisation.layer import real_law
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import TIE
 
@@ -49,7 +50,7 @@ def random_strains(law, points, seed=4, spread=2.5):
     random, d = np.random.default_rng(seed), len(law.chi)
     a = 0.006 * random.normal(size=(points, d, d))
     e = lifted((a + np.swapaxes(a, 1, 2)) / 2)
-    wanted = np.linspace(-spread, spread, points) * law.C / law.alpha
+    wanted = np.linspace(-spread, spread, points) * law.transformation_energy / law.alpha
     chi = lifted(law.chi)
     return vector(e + ((wanted - np.sum(e * chi, axis=(1, 2))) / np.sum(chi * chi))[:, None, None] * chi)
 
@@ -220,7 +221,7 @@ def test_what_is_not_convex():
         law = NonMonotone(LMBDA, MU, ALPHA, C, ALONG, mixing=mixing)
         t = traction(at(law, along).stress, np.broadcast_to(E2, (41, 3)))[:, 0]
         assert (np.diff(t).min() > -1e-12) == monotone
-        assert law.softens == (not monotone)
+        assert law.traits.softens == (not monotone)
     swelling = NonMonotone(LMBDA, MU, ALPHA, C, np.eye(2))
     e = np.linspace(0, 2 * C / ALPHA, 101)[:, None] * np.array([0.5, 0.5, 0, 0, 0, 0])
     assert np.diff(at(swelling, e).stored, 2).min() < -1e-6
@@ -285,7 +286,7 @@ def test_tangent_is_the_derivative_of_the_stress(name, theta):
     law = LAWS[name]
     e, old = random_strains(law, 200) / theta, random_strains(law, 200, seed=8, spread=0.0)
     mid = lambda strain: at(law, theta * strain + (1 - theta) * old, phase=phase)
-    phase = np.resize([0, 1, -1], 200) if law.switches else None
+    phase = np.resize([0, 1, -1], 200) if law.traits.switches else None
     direction = 0.01 * np.random.default_rng(1).normal(size=e.shape)
     now, kinds, sizes = at(law, e, old, theta, phase=phase), branch(law, mid(e)), (1e-2, 1e-3)
     for h in sizes:
@@ -299,7 +300,7 @@ def test_tangent_is_the_derivative_of_the_stress(name, theta):
     change = (elastic - now.tangent) / theta
     mixed = np.abs(kinds) == 1
     chi = vector(lifted(law.chi))
-    if law.switches:
+    if law.traits.switches:
         assert set(kinds) == {-2, 0, 2}
         assert np.abs(change).max() < 1e-12
     else:
@@ -314,8 +315,8 @@ def test_both_signs(name):
     law = LAWS[name]
     e = random_strains(law, 100)
     other = type(law)(**{**{k: v for k, v in law.parameters().items() if k not in ("T", "G")}, "chi": -law.chi})
-    phase = np.resize([0, 1, -1], 100) if law.switches else None
-    back = -phase if law.switches else None
+    phase = np.resize([0, 1, -1], 100) if law.traits.switches else None
+    back = -phase if law.traits.switches else None
     now, mirrored, renamed = at(law, e, phase=phase), at(law, -e, phase=back), at(other, e, phase=back)
     assert set(np.sign(now.q[:, 0])) == {-1, 0, 1}
     for answer, sign in ((mirrored, -1), (renamed, 1)):
@@ -518,14 +519,14 @@ def test_phases_of_the_two_laws_agree_where_phases_are_pure():
 def test_scaling(name):
     """Moduli ~ eps, alpha ~ eps^0, C ~ 1/eps: traction and eps times the energy of sym([u] (x) n)/eps do not know eps."""
     law = LAWS[name]
-    phase = np.resize([0, 1, -1], 50) if law.switches else None
+    phase = np.resize([0, 1, -1], 50) if law.traits.switches else None
     w, n = jumps_and_normals(law, 50)
     E = jump_strain(w, n)
     there = at(law, E, n=n, phase=phase)
     for eps in (1e-3, 0.5):
-        real = ThinLayer(law, eps).real_law("strain")
+        real = real_law(ThinLayer(law, eps), "strain")
         numbers = real.parameters()
-        assert (numbers["lmbda"], numbers["mu"], numbers["alpha"], numbers["C"]) == pytest.approx(
+        assert (numbers["lmbda"], numbers["mu"], numbers["alpha"], numbers["transformation_energy"]) == pytest.approx(
             (LMBDA * eps, MU * eps, ALPHA, C / eps), rel=1e-15
         )
         built = type(law)(LMBDA * eps, MU * eps, ALPHA, C / eps, law.chi, **extra(law))
@@ -537,13 +538,15 @@ def test_scaling(name):
         per_thickness = built.per_thickness(eps).parameters()
         for key, value in law.parameters().items():
             assert per_thickness[key] == pytest.approx(value, rel=1e-14)
-    wrong = law.with_parameters({"lmbda": LMBDA * eps, "mu": MU * eps, "C": C})  # "the same power" for alpha and C
-    if not law.switches:
+    wrong = law.with_parameters(
+        {"lmbda": LMBDA * eps, "mu": MU * eps, "transformation_energy": C}
+    )  # "the same power" for alpha and C
+    if not law.traits.switches:
         assert np.abs(at(wrong, E / eps, n=n).stress - there.stress).max() > 0.1
 
 
 def extra(law):
-    return {} if law.switches else {"mixing": law.mixing}
+    return {} if law.traits.switches else {"mixing": law.mixing}
 
 
 # ---------------------------------------------------------------- temperature
@@ -588,7 +591,7 @@ def test_the_layer_switches_only_above_a_temperature():
         )
         assert drive(cold, jump).memory[0, 0] == 0
         assert drive(hot, jump).memory[0, 0] == 1
-        number = kind(LMBDA, MU, ALPHA, float(hot.parameters()["C"]), CHI2)
+        number = kind(LMBDA, MU, ALPHA, float(hot.parameters()["transformation_energy"]), CHI2)
         assert drive(hot, jump).tractions == pytest.approx(drive(number, jump).tractions, rel=1e-14)
     just = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, falling, CHI2, T=19.9)
     assert drive(just, jump).memory[0, 0] == 0
@@ -600,15 +603,15 @@ def test_the_layer_switches_only_above_a_temperature():
 def test_a_field_of_temperatures():
     """Each point has its parameters; and eps is that of the layer, whose real C is C/eps."""
     law = NonMonotone(LMBDA, MU, ALPHA, lambda T: 0.01 + 0.001 * T, CHI2, T=lambda x, t: 10 * x[0] + t)
-    assert law.varies
+    assert law.traits.varies
     x = np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
     values = law.at(x, 3.0)
     assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
-    assert values["C"] == pytest.approx([0.013, 0.023, 0.033])
+    assert values["transformation_energy"] == pytest.approx([0.013, 0.023, 0.033])
     assert values["alpha"] == pytest.approx(3 * [ALPHA])
-    real = ThinLayer(law, EPS).real_law("strain")
-    assert real.at(x, 3.0)["C"] == pytest.approx(values["C"] / EPS)
-    assert real.per_thickness(EPS).at(x, 3.0)["C"] == pytest.approx(values["C"])
+    real = real_law(ThinLayer(law, EPS), "strain")
+    assert real.at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"] / EPS)
+    assert real.per_thickness(EPS).at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"])
     w = np.array([[0.0, 0.02, 0.0]] * 3)
     n = np.tile(E2, (3, 1))
     for one, eps in ((law, 1.0), (real, EPS)):
@@ -633,8 +636,10 @@ def test_functions_of_temperature_per_thickness():
     for T in (15.0, lambda x, t: 15.0 + 0 * x[0]):
         real = NonMonotone(LMBDA * EPS, MU * EPS, lambda T: 0.08 * T, lambda T: T / 1000 / EPS, CHI2, T=T)
         law = real.per_thickness(EPS)
-        values = law.at(np.zeros((2, 1)), 0.0) if law.varies else law.parameters()
-        assert [*np.ravel(values["alpha"]), *np.ravel(values["C"])] == pytest.approx([1.2, 0.015], rel=1e-14)
+        values = law.at(np.zeros((2, 1)), 0.0) if law.traits.varies else law.parameters()
+        assert [*np.ravel(values["alpha"]), *np.ravel(values["transformation_energy"])] == pytest.approx(
+            [1.2, 0.015], rel=1e-14
+        )
         assert abs(law.G / lamination_gain(LMBDA, MU, CHI2) - 1) < 1e-13
 
 
@@ -648,11 +653,11 @@ X = np.array([[0.0, 1.0], [0.0, 0.5]])
         (lambda T: 1 / 0, C, None, r"alpha\(T\) fails .*ZeroDivisionError"),
         (lambda T: "warm", C, None, r"alpha\(T\) fails"),
         (lambda: 1.0, C, None, r"alpha\(T\) fails .*TypeError"),
-        (ALPHA, lambda T: np.nan * T, None, r"C\(T\) is not finite at T = 5"),
-        (ALPHA, lambda T: None, None, r"C\(T\) fails .*it gives object values"),
-        (ALPHA, lambda T: 5 - T, None, r"C at x = \(1, 0.5\), t = 0.5 is -5; allowed: > 0"),
+        (ALPHA, lambda T: np.nan * T, None, r"transformation_energy\(T\) is not finite at T = 5"),
+        (ALPHA, lambda T: None, None, r"transformation_energy\(T\) fails .*it gives object values"),
+        (ALPHA, lambda T: 5 - T, None, r"transformation_energy at x = \(1, 0.5\), t = 0.5 is -5; allowed: > 0"),
         (lambda T: 0 * T, C, None, r"alpha at x = \(0, 0\), t = 0.5 is 0; allowed: > 0"),
-        (lambda T: 0.3 * T, C, None, r"C at x = .* is 0.02; allowed: >= mixing alpha\^2 G/2 = "),
+        (lambda T: 0.3 * T, C, None, r"transformation_energy at x = .* is 0.02; allowed: >= mixing alpha\^2 G/2 = "),
         (TABLE, C, lambda x, t: 50 * x[0], r"alpha\(T\): T is 50; the table knows 0 to 40"),
         (ALPHA, C, lambda x, t: np.zeros(3), r"T\(x, t\) fails for x of shape \(2, 2\)"),
         (ALPHA, C, lambda x: 1.0, r"T\(x, t\) fails .*TypeError"),
@@ -693,8 +698,8 @@ def in_series(w):
 @pytest.mark.parametrize("order", [1, -1])
 def test_in_series_with_an_elastic_sublayer(order):
     law = Stack(*[(SHARE, STIFF), (1 - SHARE, RELAXED["2D"])][::order])
-    assert law.phases
-    assert not law.softens
+    assert law.traits.phases
+    assert not law.traits.softens
     path = np.array([*PATHS[2], (0.02, 0.03), (0.0, 0.02), (0.0, -0.02)])
     found = drive(law, pulled("w", path))
     expected = [in_series(w) for w in path]
@@ -712,13 +717,14 @@ def test_in_series_with_an_elastic_sublayer(order):
 
 
 # ---------------------------------------------------------------- bad input
-GOOD = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "C": C, "chi": CHI2}
+GOOD = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI2}
 BOUND = ALPHA**2 * lamination_gain(LMBDA, MU, CHI2) / 2
 BAD = [
     *(({name: value}, f"{name} is .*allowed: .*")
-      for name in ("alpha", "C") for value in (0.0, -1.0, np.nan, np.inf, "1", None, [1.0, 2.0], True, 1j)),
+      for name in ("alpha", "transformation_energy")
+      for value in (0.0, -1.0, np.nan, np.inf, "1", None, [1.0, 2.0], True, 1j)),
     ({"alpha": -0.1}, "alpha is -0.1; allowed: > 0"),
-    ({"C": 0}, "C is 0; allowed: > 0"),
+    ({"transformation_energy": 0}, "transformation_energy is 0; allowed: > 0"),
     ({"mu": 0.0}, "mu is 0.0; allowed: > 0"),
     ({"lmbda": -27.0}, "lmbda is -27.0; allowed: > -2 mu/3 = -26.6"),
     ({"lmbda": "soft"}, "lmbda is 'soft'; allowed: a number"),
@@ -739,16 +745,22 @@ BAD = [
     ({"T": "warm"}, "T is 'warm'; allowed: "),
     ({"T": np.nan}, "T is nan; allowed: a number, a function"),
     ({"alpha": TABLE}, r"alpha is a function of T; give T, a number or a function \(x, t\)"),
-    ({"C": lambda T: T}, "C is a function of T; give T"),
+    ({"transformation_energy": lambda T: T}, "transformation_energy is a function of T; give T"),
     ({"alpha": TABLE, "T": 41.0}, r"alpha\(T\): T is 41; the table knows 0 to 40"),
-    ({"C": lambda T: -T, "T": 2.0}, "C is -2; allowed: > 0"),
+    ({"transformation_energy": lambda T: -T, "T": 2.0}, "transformation_energy is -2; allowed: > 0"),
 ]  # fmt: skip
 BAD_RELAXED = [
-    ({"C": 0.999 * BOUND}, rf"C is {0.999 * BOUND:g}; allowed: >= mixing alpha\^2 G/2 = {BOUND:g}: phases 1 and -1"),
-    ({"C": 0.499 * BOUND, "mixing": 0.5}, "C is .*: phases 1 and -1 would mix"),
-    ({"C": lambda T: 0.999 * BOUND + 0 * T, "T": 20.0}, "C is .*: phases 1 and -1 would mix"),
+    (
+        {"transformation_energy": 0.999 * BOUND},
+        rf"transformation_energy is {0.999 * BOUND:g}; allowed: >= mixing alpha\^2 G/2 = {BOUND:g}: phases 1 and -1",
+    ),
+    ({"transformation_energy": 0.499 * BOUND, "mixing": 0.5}, "transformation_energy is .*: phases 1 and -1 would mix"),
+    (
+        {"transformation_energy": lambda T: 0.999 * BOUND + 0 * T, "T": 20.0},
+        "transformation_energy is .*: phases 1 and -1 would mix",
+    ),
     *(({"mixing": value}, "mixing is .*allowed: .*") for value in (0.0, -0.5, 1.0001, np.nan, np.inf, "all", None)),
-    ({"G": 0.01}, "has no parameter 'G'; known: lmbda, mu, alpha, C, chi, T, mixing"),
+    ({"G": 0.01}, "has no parameter 'G'; known: lmbda, mu, alpha, transformation_energy, chi, T, mixing"),
 ]
 
 
@@ -767,14 +779,14 @@ def test_bad_parameters_of_the_relaxed_law(change, message):
 
 def test_parameters_that_are_just_allowed():
     """C = g/2 to rounding; a chi whose symmetry is lost by rounding; whole numbers; an unrelaxed law of any C."""
-    assert drive(NonMonotone(**{**GOOD, "C": BOUND}), [{"w_T": 0.0, "w_N": 0.0}]).tractions == pytest.approx(
-        0, abs=1e-14
-    )
-    assert NonMonotone(**{**GOOD, "C": BOUND / 2, "mixing": 0.5}).mixing == 0.5
+    assert drive(
+        NonMonotone(**{**GOOD, "transformation_energy": BOUND}), [{"w_T": 0.0, "w_N": 0.0}]
+    ).tractions == pytest.approx(0, abs=1e-14)
+    assert NonMonotone(**{**GOOD, "transformation_energy": BOUND / 2, "mixing": 0.5}).mixing == 0.5
     rounded = NonMonotone(**{**GOOD, "chi": np.array([[1.0, 1e-17], [3e-17, 0.5]])})
     assert (rounded.chi == rounded.chi.T).all()
     assert NonMonotone(60, 40, 1, 1, [[0, 1], [1, 2]]).chi.dtype == float
-    assert NonMonotoneUnrelaxed(**{**GOOD, "C": 0.01 * BOUND}).C == 0.01 * BOUND
+    assert NonMonotoneUnrelaxed(**{**GOOD, "transformation_energy": 0.01 * BOUND}).transformation_energy == 0.01 * BOUND
     given = CHI2.copy()
     law = NonMonotone(LMBDA, MU, ALPHA, C, given)
     given[:] = 0
@@ -792,7 +804,10 @@ def test_a_law_equals_itself_alone():
 
 @pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 def test_unknown_names(kind):
-    with pytest.raises(LawError, match=f"{kind.__name__} has no parameter 'cbar'; known: lmbda, mu, alpha, C, chi, T"):
+    with pytest.raises(
+        LawError,
+        match=f"{kind.__name__} has no parameter 'cbar'; known: lmbda, mu, alpha, transformation_energy, chi, T",
+    ):
         kind(LMBDA, MU, ALPHA, cbar=C, chi=CHI2)
     if kind is NonMonotoneUnrelaxed:
         with pytest.raises(LawError, match="no parameter 'mixing'"):
@@ -818,21 +833,21 @@ def test_where_the_laws_have_no_place():
     setup = dict(supports={"BOTTOM": 0.0}, element="Q1")
     for build, law, body, error, message in (
         (
-            Model.interface,
+            Structure.interface,
             relaxed,
             relaxed,
             ModelError,
             "body '.*': NonMonotone is for layers; bodies take elastic laws",
         ),
-        (Model.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
+        (Structure.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
         (
-            Model.interface,
+            Structure.interface,
             RELAXED["3D"],
             STIFF,
             LawError,
             r"chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2",
         ),
-        (Model.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
+        (Structure.full, STEEP, STIFF, ModelError, "falls as strains grow.*take mixing=1, or NonMonotoneUnrelaxed"),
     ):
         with pytest.raises(error, match=message):
-            build(plates, layer=ThinLayer(law, 0.1), body=body, **setup)
+            build(Structure(plates, body=body, **setup), ThinLayer(law, 0.1))

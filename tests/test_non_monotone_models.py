@@ -23,7 +23,8 @@ from tests.test_columns_in_time import K as STIFFNESS
 from tests.test_columns_in_time import column as tall_column
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from tests.test_parallel import mpirun
-from thinlayer import Model, ModelError, PhaseReport, Surface, ThinLayer, march, piecewise, solve
+from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, piecewise, solve
+from thinlayer.parts.places import quadratures
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
@@ -111,7 +112,7 @@ def test_loop(mode, element, eps):
     K, compliance = STIFFNESS[mode], COMPLIANCE[mode]
     law = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.02, CHIS[mode])
     a = ALPHA * (CHIS[mode][1, 1] if mode == "normal" else CHIS[mode][0, 1])
-    up = law.C * (1 + compliance * K) / a
+    up = law.transformation_energy * (1 + compliance * K) / a
     down, far = up - a * compliance, 2 * up
     move = piecewise({0: 0, 1: far, 3: -far, 4: -0.1 * far})  # it turns within a step
     setup = tall_column(mode, move=move) | {"element": element}
@@ -136,9 +137,8 @@ def test_bar(element):
     strip = block(1.0, 1.0, 1.0, cell=cell, structured=True)
     layer = ThinLayer(NonMonotone(0.0, BAR.kbar / 2, BAR.alpha, BAR.cbar, np.diag([0.0, 1.0])), BAR.eps)
     supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": lambda x, t: t}}
-    setup = {"body": LinearElastic(0.0, BAR.K / 2), "supports": supports, "element": element, "layer": layer}
-    limit = Model.interface(strip, **setup)
-    full = Model.full(strip, bodies="extended", sublayers=4, **setup)
+    bar = Structure(strip, body=LinearElastic(0.0, BAR.K / 2), supports=supports, element=element)
+    limit, full = bar.interface(layer), bar.full(layer, bodies="extended", cells_through=4)
     surface = Surface(limit)
     deltas = np.array([0.9, 1.4, 1.6, 1.8])
     for model, bar in ((limit, replace(BAR, eps=0.0)), (full, BAR)):
@@ -162,14 +162,15 @@ def test_order_and_wrong_laws():
     """Oblique chi with all phases on S: order 1; a law with lmbda + mu or without phase -1 leaves its error."""
     law, shear, pull = CASES[""]
     where, setup = blocks(1 / 8, shear, pull)
-    setup |= {"sublayers": 1}
     on_s = {"right": law, "formula": Formula.of(law), "lmbda + mu": Formula.of(law, K_N=LMBDA + MU)}
     on_s["one branch"] = Formula.of(law, minus=0.0)
-    surface = Surface(Model.interface(where, layer=ThinLayer(law, 1.0), **setup))
-    full = {eps: solve(Model.full(where, layer=ThinLayer(law, eps), **setup)) for eps in (1 / 32, 1 / 64)}
+    surface = Surface(Structure(where, **setup).interface(ThinLayer(law, 1.0)))
+    full = {
+        eps: solve(Structure(where, **setup).full(ThinLayer(law, eps), cells_through=1)) for eps in (1 / 32, 1 / 64)
+    }
     errors = {}
     for name, one in on_s.items():
-        state = solve(Model.interface(where, layer=ThinLayer(one, 1.0), **setup))
+        state = solve(Structure(where, **setup).interface(one if isinstance(one, Formula) else ThinLayer(one, 1.0)))
         fields = [(surface.traction, state), (surface.jump, state)]
         sizes = [surface.norm(field(state)) for field, state in fields]
         differences = {e: [surface.norm(f(full[e]) - f(state)) for f, state in fields] for e in full}
@@ -212,7 +213,7 @@ def test_work_of_a_change_of_temperature():
     """A layer in phase 1 under a dead load: what alpha(T) and C(T) do to its energy at held strains is in `remainder`."""
     alpha, K, load = (lambda T: 1.2 - 0.3 * T), STIFFNESS["normal"], 100.0
     law = NonMonotone(LMBDA, MU, alpha, lambda T: 0.3 + 0.05 * T, CHIS["normal"], T=lambda x, t: t + 0 * x[0])
-    model = Model.interface(joint(), layer=ThinLayer(law, 0.02), **tall_column("normal", load=load))
+    model = Structure(joint(), **tall_column("normal", load=load)).interface(ThinLayer(law, 0.02))
     history = march(model, [0.5, 1.0])
     a = 0.7 * alpha(np.array(history.t))
     w = (load + a) / K
@@ -232,25 +233,25 @@ def test_temperature_along_s():
     drive, middle = ALPHA * 0.7 * 0.02, np.arange(8) / 8 + 1 / 16
     switched = OF_T(25 + 60 * middle) < drive
     assert 2 < switched.sum() < 6
-    for make in (Model.interface, Model.full):
-        pure = PhaseReport(solve(make(where, layer=ThinLayer(heated(T), 0.02), **setup)))
+    for make in (Structure.interface, Structure.full):
+        pure = PhaseReport(solve(make(Structure(where, **setup), ThinLayer(heated(T), 0.02))))
         assert pure.profile()[0][:, 0] == pytest.approx(middle)
         assert pure.profile()[1] == pytest.approx(switched.astype(float))
     alpha = Tabulated([(20.0, 0.9), (100.0, 1.1)])
     law = heated(T, kind=NonMonotone, alpha=alpha)
-    state = solve(Model.interface(where, layer=ThinLayer(law, 0.02), **setup))
-    x = state.model.quadratures[0].joint_x[0]
+    state = solve(Structure(where, **setup).interface(ThinLayer(law, 0.02)))
+    x = quadratures(state.model)["layer"].joint_x[0]
     a, C = alpha(25 + 60 * x), OF_T(25 + 60 * x)
     expected = np.clip(0.5 + (a * 0.7 * 0.02 - C) / (a**2 * law.G), 0, 1)
-    assert state.memory[0][:, 0] == pytest.approx(expected, abs=1e-5)  # bodies of 1e9 give way a little
+    assert state.memory["layer"][:, 0] == pytest.approx(expected, abs=1e-5)  # bodies of 1e9 give way a little
     assert np.ptp(expected) > 0.3
 
 
 def test_temperature_beyond_its_table(tmp_path):
     """A march that would get there is refused before its first step, in every model."""
     law, seen = heated(lambda x, t: 50 + 60 * t * x[0]), []
-    for make in (Model.interface, Model.full):
-        model = make(joint(), layer=ThinLayer(law, 0.02), **tall_column("normal", move=0.01))
+    for make in (Structure.interface, Structure.full):
+        model = make(Structure(joint(), **tall_column("normal", move=0.01)), ThinLayer(law, 0.02))
         with pytest.raises(LawError, match=r"C\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"):
             march(model, [0.5, 1.0], out=tmp_path / "out", observe={"seen": lambda state: seen.append(1) or 1.0})
         with pytest.raises(LawError, match="the table knows 20 to 100"):
@@ -265,9 +266,9 @@ def test_phases_by_hand():
     for model in models(HEATED):
         history = march(model, [0.6, 1.0])
         for state in history:
-            x, report = model.quadratures[0].joint_x[0], PhaseReport(state)
+            x, report = quadratures(model)["layer"].joint_x[0], PhaseReport(state)
             places, phases = report.profile()
-            by_hand = [state.memory[0][np.floor(8 * x).astype(int) == k, 0].mean() for k in range(8)]
+            by_hand = [state.memory["layer"][np.floor(8 * x).astype(int) == k, 0].mean() for k in range(8)]
             assert places[:, 0] == pytest.approx(np.arange(8) / 8 + 1 / 16)
             assert phases == pytest.approx(by_hand, abs=1e-12)
             assert set(np.round(by_hand, 12)) <= {-1, 0, 1}
@@ -294,7 +295,7 @@ def test_sublayer(eps):
     K, g = STIFFNESS["normal"], ALPHA**2 * law.G
 
     def share(d):
-        phase = lambda t: np.clip(0.5 + (a * (d - below * t) / 0.7 - law.C) / g, 0, 1)
+        phase = lambda t: np.clip(0.5 + (a * (d - below * t) / 0.7 - law.transformation_energy) / g, 0, 1)
         return phase(brentq(lambda t: t - K * (d - below * t) / 0.7 + a * phase(t), -100, 100))
 
     move = piecewise({0: 0, 1: 0.04, 2: -0.041})
@@ -333,18 +334,18 @@ def solid():
 @pytest.mark.parametrize("kind", [NonMonotone, NonMonotoneUnrelaxed])
 def test_refused(kind):
     law, deep = kind(LMBDA, MU, ALPHA, 0.02, CHI), kind(LMBDA, MU, ALPHA, 0.02, CHI3)
-    setup = {"body": BODY, "supports": FIXED, "layer": ThinLayer(law, 0.1)}
-    for make in (Model.interface, Model.full):
+    setup, layer = {"body": BODY, "supports": FIXED}, ThinLayer(law, 0.1)
+    for make in (Structure.interface, Structure.full):
         with pytest.raises(LawError, match=r"shape of chi is \(2, 2\); allowed: \(3, 3\) in a model of dimension 3"):
-            make(solid(), **setup)
+            make(Structure(solid(), **setup), layer)
         with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2"):
-            make(joint(), **setup | {"layer": ThinLayer(deep, 0.1)})
+            make(Structure(joint(), **setup), ThinLayer(deep, 0.1))
         with pytest.raises(LawError, match=f"plane stress is not defined for {kind.__name__}; use plane='strain'"):
-            make(joint(), plane="stress", **setup)
+            make(Structure(joint(), plane="stress", **setup), layer)
         with pytest.raises(ModelError, match=f"{kind.__name__} is for layers; bodies take elastic laws"):
-            make(joint(), **setup | {"body": law})
-    bonded = solve(Model.bonded(joint(), **setup))
-    elastic = solve(Model.interface(joint(), **setup | {"layer": ThinLayer(BODY, 0.1)}))
+            make(Structure(joint(), **setup | {"body": law}), layer)
+    bonded = solve(Structure(joint(), **setup).bonded())
+    elastic = solve(Structure(joint(), **setup).interface(ThinLayer(BODY, 0.1)))
     for state in (bonded, elastic):
         with pytest.raises(ModelError, match="PhaseReport needs a layer whose law has phases"):
             PhaseReport(state)
@@ -358,6 +359,6 @@ def test_refused_pure_phases():
     with pytest.raises(LawError, match="Stack: a sublayer is NonMonotoneUnrelaxed"):
         Stack((0.5, PURE), (0.5, BODY))
     deep = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, 0.02, CHI3)
-    state = solve(Model.interface(solid(), body=BODY, supports={"BOTTOM": 0.0, "TOP": 0.0}, layer=ThinLayer(deep, 0.1)))
+    state = solve(Structure(solid(), body=BODY, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(deep, 0.1)))
     with pytest.raises(ModelError, match=r"in 3D look at profile\(\)"):
         assert PhaseReport(state).fronts

@@ -13,7 +13,7 @@ from geometry import block
 from studies.fig4_bar import BAR, meet, straight
 from studies.measured import MeanJump, SupportForce
 from studies.snap_structures import distance
-from thinlayer import Model, Surface, ThinLayer, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
 from thinlayer.running.cli import main
 
 
@@ -59,25 +59,24 @@ def test_snap(tmp_path):
         assert (tmp_path / name).stat().st_size > 10_000, name
 
 
-@pytest.mark.parametrize("kind", [Model.full, Model.interface])
+@pytest.mark.parametrize("kind", [Structure.full, Structure.interface])
 def test_force_of_a_support_is_conjugate_to_its_displacement(kind):
     """Clapeyron: half of force times displacement is the energy; the jump of a column follows from its stiffness."""
     joint = block(1.4, 0.8, 0.4, cell="quadrilateral", structured=True)
     body, layer = LinearElastic(3.0, 2.0), ThinLayer(LinearElastic(0.4, 0.7), 0.1)
-    data = {"body": body, "layer": layer}
     shape = lambda x: 1.2 - 0.3 * x[0]
     sides = {"LEFT": {"x": 0}, "RIGHT": {"x": 0}}
-    model = kind(joint, supports=sides | {"TOP": {"y": lambda x, t: 0.05 * shape(x)}}, **data)
+    model = kind(Structure(joint, supports=sides | {"TOP": {"y": lambda x, t: 0.05 * shape(x)}}, body=body), layer)
     state = solve(model)
     energies = state.energies()
     force = SupportForce(model, "TOP", "y", shape)(state)
     assert force * 0.05 / 2 == pytest.approx(energies["bodies"] + energies["layer"], rel=1e-9)
     assert abs(SupportForce(model, "TOP", "y")(state) - force) > 0.01 * force
 
-    model = kind(joint, supports=sides | {"TOP": {"x": 0, "y": 0.05}}, **data)
+    model = kind(Structure(joint, supports=sides | {"TOP": {"x": 0, "y": 0.05}}, body=body), layer)
     compliances = np.array([0.8 / 7.0, 1 / 1.8])
     stress = 0.05 / compliances.sum()
-    surface = Surface(Model.interface(joint, supports=sides, **data))
+    surface = Surface(Structure(joint, supports=sides, body=body).interface(layer))
     state = solve(model)
     assert MeanJump(surface)(state) == pytest.approx(stress / 1.8, rel=1e-9)
     assert MeanJump(surface, 0)(state) == pytest.approx(0, abs=1e-12)

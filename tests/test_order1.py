@@ -13,7 +13,7 @@ from geometry import block, sandwich
 from studies.hard_layer import LAYERS
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
-from thinlayer import Model, ModelError, Surface, ThinLayer, compare, march, observed_orders, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.errors import RangeWarning
 
 # |t_full - t_order1| in L2(S) of the Fourier problem, from transfer matrices
@@ -25,8 +25,8 @@ def rows(law_at, eps, cell, order=1, h=1 / 32):
     found = []
     for e in eps:
         layer = ThinLayer(law_at(e), e, order=order)
-        limit = solve(Model.interface(joint, layer=layer, **setup))
-        found.append(compare(solve(Model.full(joint, layer=layer, **setup)), limit))
+        limit = solve(Structure(joint, **setup).interface(layer))
+        found.append(compare(solve(Structure(joint, **setup).full(layer)), limit))
     return found
 
 
@@ -62,7 +62,7 @@ def test_fourier_states_of_the_next_order():
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     eps, law = 1 / 8, LinearElastic.shear(40.0, 0.499)
     with pytest.warns(RangeWarning):
-        state = solve(Model.interface(joint, layer=ThinLayer(law, eps, order=1), **setup))
+        state = solve(Structure(joint, **setup).interface(ThinLayer(law, eps, order=1)))
     body = expm(reference.strip(*reference.BODY) * reference.HEIGHT)
     found = []
     for locked in (False, True):
@@ -104,10 +104,10 @@ def test_rigid_base():
     eps = (1 / 64, 1 / 128)
     errors = {0: [], 1: []}
     for e in eps:
-        full = solve(Model.full(joint, layer=ThinLayer(FOURIER_LAYER, e), **setup))
+        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, e)))
         for order, found in errors.items():
             layer = ThinLayer(FOURIER_LAYER, e, order=order)
-            found.append(compare(full, solve(Model.interface(joint, layer=layer, **setup)))["error_jump"])
+            found.append(compare(full, solve(Structure(joint, **setup).interface(layer)))["error_jump"])
     assert observed_orders(eps, errors[0])[-1] == pytest.approx(1.0, abs=0.1)
     assert observed_orders(eps, errors[1])[-1] == pytest.approx(2.0, abs=0.1)
 
@@ -122,9 +122,9 @@ def test_memory_and_rate(law):
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     eps, errors, times = (1 / 16, 1 / 32), {0: [], 1: []}, [0.1, 0.2, 0.4]
     for e in eps:
-        full = march(Model.full(joint, layer=ThinLayer(law, e), **setup), times)
+        full = march(Structure(joint, **setup).full(ThinLayer(law, e)), times)
         for order, found in errors.items():
-            limit = Model.interface(joint, layer=ThinLayer(law, e, order=order), **setup)
+            limit = Structure(joint, **setup).interface(ThinLayer(law, e, order=order))
             found.append(compare(full, march(limit, times))["error_traction"])
     assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
     assert observed_orders(eps, errors[1])[1] == pytest.approx(2.0, abs=0.1)
@@ -137,28 +137,23 @@ def test_free_ends():
     setup = {"body": body, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, -1.0)}}
     eps, errors = (1 / 32, 1 / 64), {0: [], 1: []}
     for e in eps:
-        full = solve(Model.full(joint, layer=ThinLayer(FOURIER_LAYER, e), **setup))
+        full = solve(Structure(joint, **setup).full(ThinLayer(FOURIER_LAYER, e)))
         for order, found in errors.items():
             layer = ThinLayer(FOURIER_LAYER, e, order=order)
-            found.append(compare(full, solve(Model.interface(joint, layer=layer, **setup)))["error_jump"])
+            found.append(compare(full, solve(Structure(joint, **setup).interface(layer)))["error_jump"])
     assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
     assert 0.5 < observed_orders(eps, errors[1])[1] < 0.95
     assert all(second < first / 5 for first, second in zip(*errors.values(), strict=True))
 
 
-@pytest.mark.parametrize("build", [Model.full, Model.interface])
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (dict(bodies="extended"), "order=1 needs bodies='kept'"),
-        (dict(element="P1"), "order=1 needs elements of degree 2"),
-    ],
-)
-def test_refused(build, change, message):
-    joint = sandwich(1.0, 0.5, 0.5, 0.25)
-    setup = {"body": FOURIER_LAYER, "supports": {"BOTTOM": 0.0}, "layer": ThinLayer(FOURIER_LAYER, 0.1, order=1)}
-    with pytest.raises(ModelError, match=message):
-        build(joint, **setup, **change)
+def test_refused():
+    joint, layer = sandwich(1.0, 0.5, 0.5, 0.25), ThinLayer(FOURIER_LAYER, 0.1, order=1)
+    setup = {"body": FOURIER_LAYER, "supports": {"BOTTOM": 0.0}}
+    with pytest.raises(ModelError, match="order=1 needs bodies='kept'"):
+        Structure(joint, **setup).full(layer, bodies="extended")
+    for build in (Structure.full, Structure.interface):
+        with pytest.raises(ModelError, match="order=1 needs elements of degree 2"):
+            build(Structure(joint, **setup, element="P1"), layer)
 
 
 def test_orders():

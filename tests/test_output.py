@@ -11,7 +11,19 @@ from matplotlib.image import imread
 
 from forms import LawError
 from studies.problems import FOURIER_LAYER, fourier
-from thinlayer import History, Model, ModelError, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
+from thinlayer import (
+    History,
+    ModelError,
+    Structure,
+    Surface,
+    Table,
+    ThinLayer,
+    fields,
+    march,
+    plotting,
+    solve,
+    sweep,
+)
 
 
 def test_rows_are_committed_one_by_one(tmp_path):
@@ -124,7 +136,10 @@ def states(request):
     cell, element = request.param
     joint, setup = fourier(1 / 8, cell=cell)
     layer = ThinLayer(FOURIER_LAYER, 0.1)
-    return [solve(build(joint, layer=layer, element=element, **setup)) for build in (Model.full, Model.interface)]
+    return [
+        solve(build(Structure(joint, element=element, **setup), layer))
+        for build in (Structure.full, Structure.interface)
+    ]
 
 
 def nodes_at(grid, height):
@@ -148,9 +163,9 @@ def test_gathered_field_keeps_the_jump(states):
 
 def test_files_for_paraview(states, tmp_path):
     for state in states:
-        fields.write(state, tmp_path / f"{state.model.kind}.pvd")
-        fields.write(state, tmp_path / f"{state.model.kind}.bp")
-        assert any((tmp_path / f"{state.model.kind}.bp").iterdir())
+        fields.write(state, tmp_path / f"{state.model.name}.pvd")
+        fields.write(state, tmp_path / f"{state.model.name}.bp")
+        assert any((tmp_path / f"{state.model.name}.bp").iterdir())
     grid = pyvista.read(next(tmp_path.glob("interface*.vtu")))
     u = grid.point_data["u"]
     at_s = np.abs(grid.points[:, 1]) < 1e-12

@@ -7,10 +7,10 @@ import pytest
 import ufl
 
 from forms import Anisotropic
-from studies.fig6_stratified import EPS, GLUE, GLUE_MODULI, K_T, PLACE, Bar
+from studies.fig6_stratified import EPS, GLUE, GLUE_MODULI, K_T, PLACE, StratifiedBar
 from studies.limits import BONDED_JUMP, BONDED_TRACTION, SLIDING_JUMP, SLIDING_TRACTION
 from studies.problems import fourier
-from thinlayer import Model, Surface, ThinLayer, observed_orders, solve
+from thinlayer import Structure, Surface, ThinLayer, observed_orders, solve
 from thinlayer.running.record import Record
 
 # t_T/u_T (N/mm^3) of the meshed layer at some x (mm), P1 on a graded mesh, from an independent code
@@ -20,7 +20,7 @@ DISPLACEMENTS = {10.0: 2.67658075e-4, 20.0: 1.49923258e-4, 30.0: 6.87843475e-5} 
 
 @pytest.fixture(scope="module")
 def bar(tmp_path_factory):
-    return Bar(Record("test", tmp_path_factory.mktemp("bar"), {}), 4.0, 0.4, 0.04)
+    return StratifiedBar(Record("test", tmp_path_factory.mktemp("bar"), {}), 4.0, 0.4, 0.04)
 
 
 def test_tangential_stiffness_of_the_meshed_layer(bar):
@@ -75,14 +75,14 @@ def fourier_problem():
 
 def springs(problem, k_n: float, k_t: float):
     joint, setup = problem
-    state = solve(Model.interface(joint, layer=ThinLayer(Anisotropic.springs(K_N=k_n, K_T=k_t), 1.0), **setup))
+    state = solve(Structure(joint, **setup).interface(ThinLayer(Anisotropic.springs(K_N=k_n, K_T=k_t), 1.0)))
     return state, Surface(state.model)
 
 
 def test_stiff_law_bonds(fourier_problem):
     """The distance to the bonded bodies of the same mesh is C/kappa, with the exact solution's C."""
     joint, setup = fourier_problem
-    bonded = solve(Model.bonded(joint, **setup))
+    bonded = solve(Structure(joint, **setup).bonded())
     for kappa, accuracy in ((1e4, 1e-2), (1e5, 1e-3), (1e6, 2e-4)):
         state, surface = springs(fourier_problem, kappa, kappa)
         assert surface.norm(surface.jump(state)) * kappa == pytest.approx(BONDED_JUMP, rel=accuracy)

@@ -78,7 +78,9 @@ DIFFERENT = {
     "cached values": None,
     "what a load refers to": r"different tractions: TOP\.factor is 1.0 on rank 0, 2.0 on rank 1",
     "element": "rank 1: element 'P7' does not exist",
-    "option": "rank 1: unknown option of a model 'colour'",
+    "option": "different options: cells_through is 2.0 on rank 0, 3.0 on rank 1",
+    "wrong option": "rank 1: unknown way to make room .*did you mean 'kept'",
+    "kind of model": 'different model: "interface" on rank 0, "full" on rank 1',
     "no model": "rank 1: model is None",
     "t": "different t: 0.0 on rank 0, 0.5 on rank 1",
     "models": "different models",
@@ -119,7 +121,7 @@ def test_an_error_of_one_rank_ends_all(tmp_path):
     (tmp_path / "file").write_text("")
     script.write_text(
         "import sys\n"
-        "from thinlayer import Model, sweep\n"
+        "from thinlayer import Structure, sweep\n"
         "sweep(lambda e: {'eps': e, 'error_traction': e, 'error_jump': e}, [0.2, 0.1], out=sys.argv[1])\n"
         "from mpi4py import MPI\n"
         "MPI.COMM_WORLD.Barrier()\n"
@@ -135,14 +137,14 @@ from mpi4py import MPI
 import thinlayer.parallel.agreement
 from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
-from thinlayer import Model, ThinLayer, march, sweep
+from thinlayer import Structure, ThinLayer, march, sweep
 
 COMM, joint = MPI.COMM_WORLD, sandwich(1.0, 0.5, 0.5, 0.5)
 
 def model():
     layer = ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.1)
     body, supports = LinearElastic.young(100.0, 0.3), {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
-    return Model.interface(joint, layer=layer, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)})
+    return Structure(joint, body=body, supports=supports, tractions={"TOP": (0.0, 1.0)}).interface(layer)
 """
 
 

@@ -8,7 +8,7 @@ from matplotlib.image import imread
 
 from forms import LinearElastic
 from geometry import block, sandwich
-from thinlayer import Model, ThinLayer, fields, plotting, solve
+from thinlayer import Structure, ThinLayer, fields, plotting, solve
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = 0.015
@@ -17,8 +17,8 @@ SIZE = (1.5, 0.4, 0.8)  # of a body: width, height, depth
 
 
 def both(joint, **setup):
-    options = dict(layer=LAYER, body=BODY, sublayers=1, **setup)
-    return {"meshed": solve(Model.full(joint, **options)), "law": solve(Model.interface(joint, **options))}
+    boxes = Structure(joint, body=BODY, **setup)
+    return {"meshed": solve(boxes.full(LAYER, cells_through=1)), "law": solve(boxes.interface(LAYER))}
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_errors(pulled, tmp_path):
     with pytest.raises(ValueError, match="nothing to draw"):
         plotting.deformed(law, save=path, zoom=(5, 6, 5, 6))
     plane = sandwich(1.0, 0.4, 0.4, 0.4)
-    model = Model.interface(plane, layer=LAYER, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (1, 0)})
+    model = Structure(plane, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (1, 0)}).interface(LAYER)
     for option in ({"view": (0, 0, 1)}, {"cut": True}):
         with pytest.raises(ValueError, match="for three-dimensional structures"):
             plotting.deformed(solve(model), save=path, **option)

@@ -12,12 +12,12 @@ import ufl
 from dolfinx import fem
 from scipy.special import iv
 
-from forms import Anisotropic, KelvinVoigt, Law, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Stack
+from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell, MohrCoulombMonodirectional, Norton, Stack
 from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
 from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.test_parallel import mpirun
-from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, march, solve
+from thinlayer import ModelError, SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
 from thinlayer.solving.ranges import Stratum, _Faces, _strata, free_rim, pressure_excess, pressure_length, warn_of_model
@@ -39,10 +39,10 @@ def told(action):
 
 # ---------------------------------------------------------------- stiffness at rest
 @dataclass(frozen=True)
-class Unnamed(Law):
+class Unnamed(BulkLaw):
     """Anisotropic elasticity that says nothing of its stiffness, and is not linear."""
 
-    law: Law
+    law: BulkLaw
 
     def stress(self, step):
         return self.law.stress(step) * (1 + ufl.tr(step.e) ** 2)
@@ -104,14 +104,14 @@ def test_order_1_of_laws_that_lock(name):
     with pytest.raises(
         ModelError, match=r"lmbda/mu = 12\.12 at rest .nu = 0\.4619.*at most 12 .nu = 0\.4615.*use order=0"
     ):
-        Model.interface(joint, layer=ThinLayer(rubber(1.01)[name], 0.1, order=1), **setup)
-    Model.interface(joint, layer=ThinLayer(rubber(0.99)[name], 0.1, order=1), **setup)
-    Model.interface(joint, layer=ThinLayer(rubber(1.01)[name], 0.1), **setup)
+        Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1, order=1))
+    Structure(joint, **setup).interface(ThinLayer(rubber(0.99)[name], 0.1, order=1))
+    Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1))
 
 
 def test_order_1_in_plane_stress_does_not_lock():
     joint, setup = fourier(1 / 8, cell="quadrilateral")
-    Model.interface(joint, layer=ThinLayer(rubber(100.0)["Anisotropic"], 0.1, order=1), plane="stress", **setup)
+    Structure(joint, plane="stress", **setup).interface(ThinLayer(rubber(100.0)["Anisotropic"], 0.1, order=1))
 
 
 # ---------------------------------------------------------------- nearly incompressible layers
@@ -121,7 +121,7 @@ def opened(model, upper):
     cells = np.flatnonzero(model.sides_of_cells > 0).astype(np.int32)
     u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
     u.x.scatter_forward()
-    return _Faces.of(State(model, u, 0.0, Report("none", 0, 0.0, 0.0)))
+    return _Faces.of(State(model, u, 0.0, Report("none", 0, 0.0, 0.0)), model.thin_layer)
 
 
 def excess(model, upper):
@@ -142,8 +142,8 @@ def test_strip(nu, supports, half_width):
     """Between rigid faces that move apart; a side that is held is a plane of symmetry."""
     joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
     law, eps = LinearElastic.shear(3.0, nu), 1 / 16
-    model = Model.interface(
-        joint, layer=ThinLayer(law, eps), body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}).interface(
+        ThinLayer(law, eps)
     )
     x = half_width / (eps * np.sqrt(law.lmbda / law.mu / 12))
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(strip_excess(x), rel=3e-3)
@@ -155,7 +155,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
     profile = lambda x: 1 + 0.5 * x[0]
     law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
     layer = ThinLayer(law, eps, profile=profile)
-    model = Model.interface(joint, layer=layer, body=STIFF, supports={"TOP": 0.0})
+    model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(layer)
     found = excess(model, lambda x: (0 * x[0], 1e-3 * (1 + x[0])))
     n = 1000
     x = (np.arange(n) + 0.5) / n
@@ -174,7 +174,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
 def test_disc(cell):
     joint = disc(1.0, 0.4, 0.4, h=0.2, cell=cell)
     law, eps = LinearElastic.shear(3.0, 0.499), 0.08
-    model = Model.interface(joint, layer=ThinLayer(law, eps), body=STIFF, supports={"BOTTOM": 0.0})
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(ThinLayer(law, eps))
     x = 1 / (eps * np.sqrt(law.lmbda / law.mu / 12))
     wanted = 1 / (1 - 2 * iv(1, x) / (x * iv(0, x))) - 1
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=0.1)
@@ -185,7 +185,7 @@ def test_wave_between_rollers():
     joint, setup = fourier(1 / 32, cell="quadrilateral")
     law, eps = LinearElastic.shear(40.0, 0.499), 1 / 16
     for order in (0, 1):
-        model = Model.interface(joint, layer=ThinLayer(law, eps, order=order), **setup)
+        model = Structure(joint, **setup).interface(ThinLayer(law, eps, order=order))
         mode = lambda x: (0.3 * np.sin(np.pi * x[0]), np.cos(np.pi * x[0]))
         assert excess(model, mode) == pytest.approx(np.pi**2 * eps**2 * law.lmbda / law.mu / 12, rel=3e-3)
 
@@ -201,13 +201,11 @@ def test_ends():
         ({"RIGHT": {"x": 0.0}}, 1),
         ({"LEFT": 0.0, "RIGHT/LAYER": 0.0}, 0),
     ):
-        model = Model.interface(joint, layer=layer, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}, **data)
+        model = Structure(joint, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}, **data).interface(layer)
         assert len(free_rim(model).vertices) == ends
-    turned = Model.interface(
-        joint.rotated(np.pi / 2), layer=layer, supports={"BOTTOM": 0.0, "RIGHT": {"y": 0.0}}, **data
-    )
+    turned = Structure(joint.rotated(np.pi / 2), supports={"BOTTOM": 0.0, "RIGHT": {"y": 0.0}}, **data).interface(layer)
     assert free_rim(turned).outward == pytest.approx(np.array([[0.0, -1.0]]))
-    closed = Model.interface(ring(1.0, 1.5, 2.0, h=0.4), layer=layer, supports={"INSIDE": 0.0}, **data)
+    closed = Structure(ring(1.0, 1.5, 2.0, h=0.4), supports={"INSIDE": 0.0}, **data).interface(layer)
     assert len(free_rim(closed).vertices) == 0
 
 
@@ -223,7 +221,7 @@ def test_rubber_is_told_before_and_after():
         (0.4999, "20.7", "20.6"),
     ):
         layer = ThinLayer(LinearElastic.shear(1.0, nu).per_thickness(eps), eps)
-        model = Model.interface(joint, layer=layer, **setup)
+        model = Structure(joint, **setup).interface(layer)
         _, found = told(lambda model=model: solve(model))
         if before is None:
             assert found == []
@@ -241,7 +239,7 @@ def test_rubber_in_series():
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}}
     soft, shim, foam = LinearElastic.shear(1.0, 0.4999), LinearElastic.young(1e6, 0.3), LinearElastic.young(0.1, 0.0)
     for other, messages in ((shim, 1), (foam, 0)):
-        model = Model.interface(joint, layer=ThinLayer(Stack((0.8, soft), (0.2, other)), 0.05), **setup)
+        model = Structure(joint, **setup).interface(ThinLayer(Stack((0.8, soft), (0.2, other)), 0.05))
         _, found = told(lambda model=model: solve(model))
         assert sum("nearly incompressible" in message for message in found) == messages
 
@@ -268,11 +266,11 @@ def test_rubber_beside_a_soft_sublayer():
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     rubber, soft = LinearElastic.shear(16.0, 0.499), LinearElastic.shear(16.0, 0.3)
     for share, told_once in ((0.9, True), (0.1, False)):
-        data = setup | {"layer": ThinLayer(Stack((share, rubber), (1 - share, soft)), 1 / 16)}
-        model = Model.interface(joint, **data)
+        plates, layer = Structure(joint, **setup), ThinLayer(Stack((share, rubber), (1 - share, soft)), 1 / 16)
+        model = plates.interface(layer)
         state, found = told(lambda model=model: solve(model))
         surface = Surface(model)
-        meshed, law = (surface.integral(surface.jump(s)[1]) for s in (solve(Model.full(joint, **data)), state))
+        meshed, law = (surface.integral(surface.jump(s)[1]) for s in (solve(plates.full(layer)), state))
         assert len(found) == told_once
         if told_once:
             assert factor(found[0]) == pytest.approx(meshed / law, rel=0.03)  # 1.25 of rigid bodies, 1.228
@@ -301,15 +299,15 @@ def test_becomes_nearly_incompressible(law, end, lasting, ratio):
     """Told with the moduli that lasting loads meet (stress over strain of one step) is what the meshed layer shows."""
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral"), 1 / 32
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-    data, times = setup | {"layer": ThinLayer(law, eps)}, np.linspace(0, end, 6)[1:]
-    model = Model.interface(joint, **data)
+    layer, times = ThinLayer(law, eps), np.linspace(0, end, 6)[1:]
+    model = Structure(joint, **setup).interface(layer)
     history, found = told(lambda: march(model, times))
     y = np.sqrt(ratio / 12) * eps / 0.5
     assert len(found) == 2
     assert f"nearly incompressible under loads that last {lasting}:" in found[0]
     assert factor(found[0]) == pytest.approx(1 / (1 - np.tanh(1 / y) * y), rel=5e-3)  # three digits are told
     assert f"under loads that last {end:g} (lmbda/mu" in found[1]
-    surface, full = Surface(model), march(Model.full(joint, **data), times)
+    surface, full = Surface(model), march(Structure(joint, **setup).full(layer), times)
     meshed, jumps = ([surface.integral(surface.jump(h.at(t))[1]) for t in times] for h in (full, history))
     ratios = np.divide(meshed, jumps)
     assert factor(found[0]) == pytest.approx(max(ratios), rel=0.1)  # exp(-t) is no 1/(1 + t)
@@ -330,7 +328,7 @@ def test_ordinary_viscous_layers(law):
     """Both parts relax alike, or nearly so; Norton's dashpot resists changes of volume, too."""
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
     layer = ThinLayer(law.per_thickness(eps), eps)
-    model = Model.interface(joint, layer=layer, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)})
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
     for end in (1e-3, 1e3):
         assert told(lambda end=end: march(model, [end / 3, end]))[1] == []
 
@@ -340,7 +338,7 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
     spring = LinearElastic.shear(16.0, 0.499)
     layer = ThinLayer(KelvinVoigt(spring.lmbda, spring.mu, 0.0, 10.0), eps)
-    model = Model.interface(joint, layer=layer, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)})
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
     assert told(lambda: march(model, [0.1, 0.2]))[1] == []
     assert len(told(lambda: march(model, [100.0, 200.0]))[1]) == 2
 
@@ -350,7 +348,7 @@ def test_relaxing_behind_a_closed_surface():
     joint = ring(1.0, 1.5, 2.0, h=0.3, degree=2)
     layer = ThinLayer(Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)).per_thickness(0.1), 0.1)
     for load, messages in (((1.0, 0.0), 1), (lambda x, t: (-x[1], x[0]), 0)):
-        model = Model.interface(joint, layer=layer, body=STIFF, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": load})
+        model = Structure(joint, body=STIFF, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": load}).interface(layer)
         _, found = told(lambda model=model: march(model, [100.0, 200.0]))
         assert len(found) == messages
         assert not found or "under loads that last 200 (lmbda/mu" in found[0]
@@ -369,7 +367,7 @@ def test_slip_alone():
         (sandwich(8.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), rubber, along),
         (sandwich(2.0, 0.3, 0.5, 1 / 8, cell="quadrilateral"), LinearElastic.shear(16.0, 0.4999999), alike),
     ):
-        model = Model.interface(joint, layer=ThinLayer(law, 1 / 64), body=STIFF, **data)
+        model = Structure(joint, body=STIFF, **data).interface(ThinLayer(law, 1 / 64))
         assert told(lambda model=model: solve(model))[1] == []
 
 
@@ -378,7 +376,7 @@ def test_slip_on_straight_facets():
     supports, tractions = {"OUTSIDE": 0.0}, {"INSIDE": lambda x, t: (-x[1], x[0])}
     layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 0.05)
     joint = ring(1.0, 1.5, 2.0, h=0.3)
-    model = Model.interface(joint, layer=layer, body=STIFF, supports=supports, tractions=tractions)
+    model = Structure(joint, body=STIFF, supports=supports, tractions=tractions).interface(layer)
     _, (before, after) = told(lambda: solve(model))
     assert factor(before) == pytest.approx(factor(after), rel=0.02)
     assert factor(after) > 2
@@ -396,13 +394,13 @@ def test_slip_that_nothing_resists_but_facets(degree):
     }
     joint = ring(1.0, 1.5, 2.0, h=0.2, degree=degree)
     for law in (springs, Stack((0.4, glue), (0.6, springs))):
-        model = Model.interface(joint, layer=ThinLayer(law, 0.05), **data)
+        model = Structure(joint, **data).interface(ThinLayer(law, 0.05))
         if degree == 1:
             assert "which resists by the mesh alone" in told(lambda model=model: solve(model))[1][0]
         else:
             with pytest.raises(SolveError, match=r"can turn|can move freely"):
                 solve(model)
-    stuck = Model.interface(joint, layer=ThinLayer(glue, 0.05), **data)
+    stuck = Structure(joint, **data).interface(ThinLayer(glue, 0.05))
     assert told(lambda: solve(stuck))[1] == []
 
 
@@ -413,7 +411,7 @@ def test_corners_are_no_facets_of_a_curve():
         shift = slope * np.abs(flat.points[:, :1] - 0.5) * np.array([0.0, 1.0])
         joint = replace(flat, points=flat.points - shift)
         layer = ThinLayer(Anisotropic.springs(700.0, 2.0), 0.05)
-        model = Model.interface(joint, layer=layer, body=STIFF, supports={"BOTTOM": 0.0})
+        model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(layer)
         assert len(told(lambda model=model: warn_of_model(model))[1]) == messages, slope
 
 
@@ -422,7 +420,7 @@ def test_slip_beside_opening(slip):
     """The work of shear, mu/eps |w_T|^2, is asked for by both, the law and the layer."""
     law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
     joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
-    model = Model.interface(joint, layer=ThinLayer(law, eps), body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0})
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0}).interface(ThinLayer(law, eps))
     found = excess(model, lambda x: (slip + 0 * x[0], 1e-3 + 0 * x[0]))
     pure = strip_excess(0.5 / (eps * np.sqrt(law.lmbda / law.mu / 12)))
     work = law.lmbda * 1e-6 / (1 + pure)
@@ -434,12 +432,12 @@ def test_slip_beside_opening(slip):
 def test_thicker_than_a_body(rigid):
     joint = block(2.0, 0.4, 0.2) if rigid else sandwich(2.0, 0.4, 0.7, 0.2)
     for eps, messages in ((0.39, 0), (0.41, 1)):
-        model = Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, eps), body=STIFF, supports={"TOP": 0.0})
+        model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(FOURIER_LAYER, eps))
         _, found = told(lambda model=model: solve(model))
         assert len(found) == messages
     assert "the layer is 0.41 thick, the thinner body 0.4 " in found[0]
     springs = ThinLayer(Anisotropic.springs(60.0, 40.0), 1.0)  # of jumps: there is no thickness in them
-    assert told(lambda: solve(Model.interface(joint, layer=springs, body=STIFF, supports={"TOP": 0.0})))[1] == []
+    assert told(lambda: solve(Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(springs)))[1] == []
 
 
 def test_harder_than_a_body():
@@ -447,7 +445,7 @@ def test_harder_than_a_body():
     bodies = {"LOWER": LinearElastic.young(70.0, 0.3), "UPPER": LinearElastic.young(100.0, 0.3)}
     for factor, order, messages in ((0.99, 0, 0), (1.01, 0, 1), (1.01, 1, 0)):
         layer = ThinLayer(LinearElastic.young(70.0 * factor, 0.3).per_thickness(0.01), 0.01, order=order)
-        _, found = told(lambda layer=layer: solve(Model.interface(joint, layer=layer, **(setup | {"body": bodies}))))
+        _, found = told(lambda layer=layer: solve(Structure(joint, **setup | {"body": bodies}).interface(layer)))
         assert len(found) == messages
         assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]
         assert not found or "order=1" in found[0]
@@ -457,8 +455,8 @@ def test_bodies_that_overlap():
     """A layer pressed to more than twice its thickness, on average; in a march at a time in between."""
     joint = sandwich(2.0, 0.5, 0.5, 0.25)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: -t * (1 + 0.5 * x[0])}}}
-    law = MohrCoulombMonodirectional(1.0, 1.0, C=100.0, Omega=30.0)
-    model = Model.interface(joint, layer=ThinLayer(law, 0.1), **setup)
+    law = MohrCoulombMonodirectional(1.0, 1.0, cohesion=100.0, friction_angle=30.0)
+    model = Structure(joint, **setup).interface(ThinLayer(law, 0.1))
     assert told(lambda: solve(model, t=0.13))[1] == []
     _, found = told(lambda: solve(model, t=0.14))
     assert len(found) == 1
@@ -467,23 +465,23 @@ def test_bodies_that_overlap():
         in found[0]
     )
     there_and_back = setup["supports"] | {"TOP": {"x": 0.0, "y": lambda x, t: -0.4 * t * (2 - t)}}
-    model = Model.interface(joint, layer=ThinLayer(law, 0.1), **(setup | {"supports": there_and_back}))
+    model = Structure(joint, **setup | {"supports": there_and_back}).interface(ThinLayer(law, 0.1))
     _, found = told(lambda: march(model, [0.5, 1.0, 2.0]))
     assert len(found) == 1
     assert "at t = 1 the layer closes by 4 times" in found[0]
-    linear = Model.interface(joint, layer=ThinLayer(LinearElastic(1.0, 1.0), 0.1), **setup)
+    linear = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1))
     assert told(lambda: solve(linear, t=1.0))[1] == []  # as good as a smaller one
 
 
 ON_RANKS = """
 from forms import LinearElastic
 from geometry import sandwich
-from thinlayer import Model, ThinLayer, solve
+from thinlayer import Structure, ThinLayer, solve
 
 joint = sandwich(1.0, 0.5, 0.5, 0.25, h_S=0.125)
 layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 1 / 16)
 setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-solve(Model.interface(joint, layer=layer, body=LinearElastic.young(1e5, 0.3), **setup))
+solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), **setup).interface(layer))
 """
 
 

@@ -12,10 +12,10 @@ import ufl
 
 from forms import (
     Anisotropic,
+    BulkLaw,
     Incompressible,
     KelvinVoigt,
     KernelLaw,
-    Law,
     LawError,
     LinearElastic,
     Maxwell,
@@ -26,15 +26,15 @@ from forms.elastic import lame
 from forms.tangent import tangent_at_rest, tangent_over
 from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
-from tests.own_laws import Mises, StandardSolid
-from thinlayer import Model, ThinLayer, march, solve
+from tests.own_laws import Mises, StandardSolid, layer_of
+from thinlayer import Model, Structure, ThinLayer, march, solve
 from thinlayer.errors import RangeWarning
 
 STIFF = LinearElastic.young(1e5, 0.3)
 
 
 @dataclass(frozen=True)
-class Own(Law):
+class Own(BulkLaw):
     """Isotropic elasticity that says nothing of its stiffness."""
 
     a: float
@@ -113,7 +113,7 @@ def test_an_own_law_that_becomes_nearly_incompressible():
     """As its bulk modulus stays and all but a thousandth of its shear modulus relaxes."""
     law, joint = StandardSolid(24.0, 0.016, 16.0, 0.4), sandwich(1.0, 0.5, 0.5, 1 / 8)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
-    model = Model.interface(joint, layer=ThinLayer(law, 1 / 32), **setup)
+    model = Structure(joint, **setup).interface(ThinLayer(law, 1 / 32))
     assert told(lambda: march(model, [0.1, 0.2])) == []
     found = told(lambda: march(model, [100.0, 200.0]))
     assert ["under loads that last 200" in message for message in found] == [True, True]
@@ -125,7 +125,7 @@ def test_thicker_than_a_body(law):
     joint = sandwich(2.0, 0.4, 0.7, 0.2)
     held = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     for eps, messages in ((0.39, 0), (0.41, 1)):
-        model = Model.interface(joint, layer=ThinLayer(law, eps), body=STIFF, supports=held)
+        model = Structure(joint, body=STIFF, supports=held).interface(ThinLayer(law, eps))
         found = told(lambda model=model: solve(model))
         assert len(found) == messages
     assert "the layer is 0.41 thick, the thinner body 0.4 " in found[0]
@@ -140,7 +140,7 @@ def test_harder_than_a_body(kind):
     for factor, messages in ((0.99, 0), (1.01, 1)):
         e = LinearElastic.young(70.0 * factor, 0.3).per_thickness(0.01)
         law = {"layer": Own(e.lmbda, e.mu), "bodies": e, "incompressible": Incompressible(e.mu * 1.3 / 2 / 0.91)}[kind]
-        model = Model.interface(joint, layer=ThinLayer(law, 0.01), **(setup | {"body": bodies}))
+        model = Structure(joint, **setup | {"body": bodies}).interface(ThinLayer(law, 0.01))
         found = told(lambda model=model: solve(model))
         assert len(found) == messages
         assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]
@@ -152,7 +152,7 @@ def test_nearly_incompressible():
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     rubber = LinearElastic.shear(16.0, 0.499)
     messages = [
-        told(lambda law=law: solve(Model.interface(joint, layer=ThinLayer(law, 1 / 16), **setup)))
+        told(lambda law=law: solve(Structure(joint, **setup).interface(ThinLayer(law, 1 / 16))))
         for law in (rubber, Own(rubber.lmbda, rubber.mu))
     ]
     assert len(messages[0]) == 2
@@ -165,23 +165,21 @@ def test_incompressible_with_free_ends():
     for sides, messages in (({}, 1), ({"LEFT": {"x": 0.0}}, 1), ({"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, 0)):
         supports = {"BOTTOM": 0.0, **sides}
         data = dict(body=STIFF, supports=supports, tractions={"TOP": (0.0, -1.0)})
-        found = told(
-            lambda data=data: solve(Model.interface(joint, layer=ThinLayer(Incompressible(40.0), 0.1), **data))
-        )
+        found = told(lambda data=data: solve(Structure(joint, **data).interface(ThinLayer(Incompressible(40.0), 0.1))))
         assert len(found) == messages
         assert not found or "the layer is incompressible and S has free ends" in found[0]
     base = block(1.0, 0.5, 0.25, structured=True)
     data = dict(body=STIFF, supports={"TOP": {"x": 0.0}})
-    assert told(lambda: solve(Model.interface(base, layer=ThinLayer(Incompressible(40.0), 0.1), **data)))
+    assert told(lambda: solve(Structure(base, **data).interface(ThinLayer(Incompressible(40.0), 0.1))))
 
 
 # ---------------------------------------------------------------- negative stiffness
-def model_of(layer: Law, kind: Any = Model.interface, body: Law = STIFF, **data: Any) -> Model:
+def model_of(layer: BulkLaw, kind: Any = Structure.interface, body: BulkLaw = STIFF, **data: Any) -> Model:
     joint, setup = fourier(1 / 8, cell="quadrilateral")
-    return kind(joint, layer=ThinLayer(layer, 0.1), **(setup | {"body": body} | data))
+    return kind(Structure(joint, **setup | {"body": body} | data), layer_of(layer, 0.1))
 
 
-@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+@pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 @pytest.mark.parametrize(
     "law",
     [
@@ -221,7 +219,7 @@ class Springs(TractionLaw):
 
 
 @dataclass(frozen=True)
-class Hill(Law):
+class Hill(BulkLaw):
     """Falls from the beginning, and rises later."""
 
     k: float

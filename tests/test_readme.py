@@ -14,19 +14,20 @@ import pytest
 
 from forms import LinearElastic
 from geometry import sandwich
-from thinlayer import ArcLength, Model, Surface, ThinLayer, march
+from thinlayer import ArcLength, Structure, Surface, ThinLayer, march
 from thinlayer.running.catalogue import studies
 
 CLONE = Path(__file__).parent.parent
 README = (CLONE / "README.md").read_text()
+OWN = "## In your own script"  # has scripts of its own, see test_own_scripts
+SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[0], re.DOTALL)
 
 
 @pytest.mark.parametrize("number", [0, 1], ids=["lap", "creep"])
 def test_script(tmp_path, number):
-    scripts = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
-    assert len(scripts) == len(tables) + 3 == 5
-    (tmp_path / "script.py").write_text(scripts[number])
+    assert len(SCRIPTS) == len(tables) + 3 == 5
+    (tmp_path / "script.py").write_text(SCRIPTS[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     wanted = [[float(x) for x in line.split()] for line in tables[number].splitlines()[1:] if line.strip()]
@@ -43,7 +44,7 @@ def printed_by(tmp_path, monkeypatch, capsys):
 
     def run(number):
         monkeypatch.chdir(tmp_path)
-        Path("script.py").write_text(re.findall(r"```python\n(.*?)```", README, re.DOTALL)[number])
+        Path("script.py").write_text(SCRIPTS[number])
         runpy.run_path("script.py", run_name="__main__")
         return capsys.readouterr().out
 
@@ -84,7 +85,7 @@ def test_limit_script(printed_by):
 
 
 def test_scripts_are_short():
-    first, second, *_ = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    first, second, *_ = SCRIPTS
     assert len([line for line in first.splitlines() if line.strip()]) <= 20
     law = second[second.index("@dataclass") : second.index("steel =")]
     assert len([line for line in law.splitlines() if line.strip()]) <= 17
@@ -105,10 +106,11 @@ def test_laws_of_the_documentation_work():
         "Mises": names["Mises"](kappa=80.0, mu=20.0, limit=0.6),
         "Cohesive": names["Cohesive"](k=20.0, w_0=1.0),
     }.items():
-        model = Model.interface(joint, body=body, supports=supports, tractions=pull, layer=ThinLayer(law, 0.05))
+        layer = law if law.traits.of_jumps else ThinLayer(law, 0.05)
+        model = Structure(joint, body=body, supports=supports, tractions=pull).interface(layer)
         surface = Surface(model)
         slip = {"slip": lambda state, s=surface: s.integral(s.jump(state)[0])}
-        times = ArcLength(end=0.4, first=0.2) if law.softens else [0.2, 0.4]
+        times = ArcLength(end=0.4, first=0.2) if law.traits.softens else [0.2, 0.4]
         slips[name] = march(model, times, observe=slip).table["slip"]
     w = slips["Hardening"][-1]
     assert 20.0 * w + 5.0 * w**3 / 4 == pytest.approx(0.4, rel=1e-8)

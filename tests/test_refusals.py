@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,25 +12,39 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from geometry import GeometryError, sandwich
 from tests.meshes import grid
-from thinlayer import Model, ModelError, SolveError, Surface, ThinLayer, compare, fields, plotting, solve, sweep
+from thinlayer import (
+    ModelError,
+    SolveError,
+    Structure,
+    Surface,
+    Table,
+    ThinLayer,
+    ThinlayerError,
+    compare,
+    fields,
+    plotting,
+    solve,
+    sweep,
+)
 from thinlayer.solving import linear_solvers
 
 GLUE = LinearElastic(lmbda=3.0, mu=2.0)
 JOINT = sandwich(2.0, 1.0, 1.0, 0.5)
-SETUP = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}, "layer": ThinLayer(GLUE, 0.1)}
+SETUP = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}}
+LAYER = ThinLayer(GLUE, 0.1)
 
 
 @pytest.fixture(scope="module")
 def states():
-    setup = SETUP | {"tractions": {"TOP": (0.1, 1.0)}}
-    return solve(Model.full(JOINT, **setup)), solve(Model.interface(JOINT, **setup))
+    pulled = Structure(JOINT, tractions={"TOP": (0.1, 1.0)}, **SETUP)
+    return solve(pulled.full(LAYER)), solve(pulled.interface(LAYER))
 
 
 def test_tractions_inside_are_refused():
     with pytest.raises(ModelError, match="'UPPER_FACE': its facets lie inside"):
-        Model.full(JOINT, tractions={"UPPER_FACE": (1.0, 0.0)}, **SETUP)
+        Structure(JOINT, tractions={"UPPER_FACE": (1.0, 0.0)}, **SETUP).full(LAYER)
     with pytest.raises(ModelError, match="a traction on S is what the model computes"):
-        Model.full(JOINT, tractions={"S": (1.0, 0.0)}, **SETUP)
+        Structure(JOINT, tractions={"S": (1.0, 0.0)}, **SETUP).full(LAYER)
 
 
 @pytest.mark.parametrize(
@@ -37,11 +52,11 @@ def test_tractions_inside_are_refused():
 )
 def test_loads_that_are_no_vectors(load):
     with pytest.raises(ModelError, match=r"traction on 'TOP' .*needs 2 "):
-        Model.interface(JOINT, tractions={"TOP": load}, **SETUP)
+        Structure(JOINT, tractions={"TOP": load}, **SETUP).interface(LAYER)
 
 
 def test_states_of_other_joints(states):
-    other = solve(Model.full(sandwich(2.0, 1.0, 1.0, 0.4), tractions={"TOP": (0.1, 1.0)}, **SETUP))
+    other = solve(Structure(sandwich(2.0, 1.0, 1.0, 0.4), tractions={"TOP": (0.1, 1.0)}, **SETUP).full(LAYER))
     surface = Surface(states[1].model)
     for field in (surface.traction, surface.jump):
         with pytest.raises(ModelError, match="another joint"):
@@ -65,7 +80,7 @@ def test_where_that_is_no_condition(states, where):
 @pytest.mark.parametrize("profile", [lambda x: 1j * x[0], lambda x, y: x, lambda x: ufl.sin(x[0]), lambda x: "thick"])
 def test_profiles_that_are_no_numpy_functions(profile):
     with pytest.raises(GeometryError, match="thickness profile is no numpy function"):
-        Model.interface(JOINT, **(SETUP | {"layer": ThinLayer(GLUE, 0.1, profile=profile)}))
+        Structure(JOINT, **SETUP).interface(ThinLayer(GLUE, 0.1, profile=profile))
 
 
 @pytest.mark.parametrize(
@@ -82,7 +97,9 @@ def test_profiles_that_are_no_numpy_functions(profile):
 )
 def test_other_structures_are_not_compared(states, change, what):
     full, interface = states
-    model = Model.interface(JOINT, **(SETUP | {"tractions": {"TOP": (0.1, 1.0)}} | change))
+    other = {"tractions": {"TOP": (0.1, 1.0)}} | change
+    layer = other.pop("layer", LAYER)
+    model = Structure(JOINT, **SETUP | other).interface(layer)
     with pytest.raises(ModelError, match=f"compare needs the same {what}"):
         compare(full, replace(interface, model=model))
 
@@ -93,12 +110,11 @@ def test_structures_that_are_written_in_other_words_are_compared():
     supports = [{"BOTTOM": 0.0}, {"BOTTOM": np.int64(0)}]
     layers = [ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0 * x[0]), ThinLayer(LinearElastic(lmbda=3.0, mu=2.5), 0.1)]
     full, interface = (
-        solve(build(JOINT, **(SETUP | {"layer": layer, "supports": support, "tractions": load})))
+        solve(build(Structure(JOINT, body=SETUP["body"], supports=support, tractions=load), layer))
         for build, layer, support, load in zip(
-            (lambda joint, **data: Model.full(joint, bodies="extended", **data), Model.interface),
-            layers, supports, words, strict=True,
+            (partial(Structure.full, bodies="extended"), Structure.interface), layers, supports, words, strict=True
         )
-    )  # fmt: skip
+    )
     assert 0 < compare(full, interface)["error_jump"] < 1
 
 
@@ -149,11 +165,11 @@ def test_pictures(states, tmp_path):
 
 
 def test_numbers_of_numpy_and_texts():
-    Model.interface(JOINT, **(SETUP | {"supports": {"BOTTOM": np.int64(0), "TOP": {"y": np.float32(0.5)}}}))
+    Structure(JOINT, **SETUP | {"supports": {"BOTTOM": np.int64(0), "TOP": {"y": np.float32(0.5)}}}).interface(LAYER)
     with pytest.raises(GeometryError, match="width is '10'; it must be a number"):
         sandwich("10", 1.0, 1.0)
     with pytest.raises(GeometryError, match=r"unknown facet tag 'bottom', did you mean 'BOTTOM'"):
-        Model.interface(JOINT, **(SETUP | {"supports": {"bottom": 0.0}}))
+        Structure(JOINT, **SETUP | {"supports": {"bottom": 0.0}}).interface(LAYER)
 
 
 def test_crossing_pieces_of_s():
@@ -161,7 +177,7 @@ def test_crossing_pieces_of_s():
     axis = np.linspace(0.0, 1.0, 5)
     joint = grid([axis, axis], lambda x: (x[:, 0] < 0.5) == (x[:, 1] > 0.5), "quadrilateral")
     with pytest.raises(GeometryError, match=r"S branches at \(0.5, 0.5\)"):
-        Model.interface(joint, **SETUP)
+        Structure(joint, **SETUP).interface(LAYER)
 
 
 def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):
@@ -169,13 +185,34 @@ def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):
     monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 100)
     joint = sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron")
     layer = ThinLayer(Anisotropic(np.diag([1.0, 1, 1, 0, 0, 0]), "layer"), 0.05)
-    model = Model.interface(joint, **(SETUP | {"layer": layer, "tractions": {"TOP": (1.0, 0.0, 0.0)}, "element": "Q1"}))
+    model = Structure(joint, **SETUP | {"tractions": {"TOP": (1.0, 0.0, 0.0)}, "element": "Q1"}).interface(layer)
     with pytest.raises(SolveError):
         solve(model)
 
 
 def test_energies_of_bonded_bodies():
-    state = solve(Model.bonded(JOINT, tractions={"TOP": (0.1, 1.0)}, **SETUP))
+    state = solve(Structure(JOINT, tractions={"TOP": (0.1, 1.0)}, **SETUP).bonded())
     energies = state.energies()
     assert energies["layer"] == 0.0
     assert energies["bodies"] == pytest.approx(energies["loads"] / 2)
+
+
+def test_every_error_is_one_of_the_package(states, tmp_path):
+    """One base class of all; those of bad input are ValueErrors, as Python's own."""
+    state = states[1]
+    refused = [
+        lambda: solve(state.model, method="fast"),
+        lambda: Table([{"a": 1.0}])["b"],
+        lambda: Table([{"a": 1.0}]).append({"b": 1.0}),
+        lambda: plotting.deformed(state, save=tmp_path / "u.xyz"),
+        lambda: fields.write(state, tmp_path / "u.xyz"),
+        lambda: sweep(lambda e: {}, [0.1], tmp_path),
+        lambda: LinearElastic(lmbda=1.0, mu=-1.0),
+        lambda: sandwich(1.0, -1.0, 1.0, 0.5),
+    ]
+    for one in refused:
+        with pytest.raises(ThinlayerError) as found:
+            one()
+        assert isinstance(found.value, ValueError)
+    assert issubclass(SolveError, ThinlayerError)
+    assert issubclass(SolveError, RuntimeError)

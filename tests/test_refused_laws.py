@@ -9,12 +9,12 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import HolonomicCoulomb, KernelLaw, Law, LawError, LinearElastic, Stack
+from forms import BulkLaw, HolonomicCoulomb, KernelLaw, LawError, LinearElastic, Stack
 from geometry import sandwich
 from tests.test_parallel import mpirun
-from thinlayer import Model, ThinLayer, drive, march
+from thinlayer import Structure, ThinLayer, drive, march
 from thinlayer.compiling.compiled import _FILES, _LOADED
-from thinlayer.identity.identity import described
+from thinlayer.identity.described import described
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)
@@ -96,7 +96,7 @@ def test_bad_declarations(tmp_path, declared, message):
 
 # ---------------------------------------------------------------- laws that hold in part
 @dataclass(frozen=True)
-class Soft(Law):
+class Soft(BulkLaw):
     """A spring with a memory that it does not use."""
 
     k: float
@@ -130,7 +130,7 @@ def opens(law, step):
     return ufl.gt(step.e[1, 1], 0)
 
 
-def partly(holds=opens, **declared: Any) -> Law:
+def partly(holds=opens, **declared: Any) -> BulkLaw:
     """A soft law that holds in part; `otherwise` gives the law for the other points."""
     otherwise = declared.pop("otherwise", lambda law: Stiff(law.k))
     names = {"__annotations__": {}, "__module__": __name__, "holds": holds, "otherwise": property(otherwise)}
@@ -146,7 +146,7 @@ def test_a_law_that_holds_in_part():
     setup = {"body": LinearElastic.young(1e6, 0.0), "supports": sides}
     forces = []
     for law in (partly(), Soft(5.0), partly(lambda law, step: ufl.lt(step.e[1, 1], 0)), Stiff(5.0)):
-        state = march(Model.interface(in_plane, layer=ThinLayer(law, 1.0), **setup), [1.0]).last
+        state = march(Structure(in_plane, **setup).interface(ThinLayer(law, 1.0)), [1.0]).last
         forces.append(state.energies()["bodies"])
     assert forces[0] == pytest.approx(forces[1], rel=1e-9)
     assert forces[2] == pytest.approx(forces[3], rel=1e-9) != forces[1]
@@ -183,7 +183,7 @@ def test_a_condition_is_not_forgotten_without_memory():
     """A law without memory would be a part of the form, where nobody asks whether it holds."""
 
     @dataclass(frozen=True)
-    class Static(Law):
+    class Static(BulkLaw):
         k: float
         otherwise: ClassVar = LinearElastic(1.0, 1.0)
         holds = opens
@@ -191,7 +191,7 @@ def test_a_condition_is_not_forgotten_without_memory():
         def stress(self, step):
             return self.k * step.mid
 
-    assert Static(5.0).pointwise
+    assert Static(5.0).traits.compiled
     with pytest.raises(LawError, match=r"Static\.otherwise has the parameters"):
         drive(Static(5.0), STEP)
 
@@ -202,7 +202,7 @@ def main() -> None:
     layer = ThinLayer(from_c(5.0, source="no/such/file.c"), 0.1)
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.1, -1.0)}}
     try:
-        march(Model.interface(sandwich(1.0, 0.5, 0.5, 0.5), layer=layer, **setup), [1.0], out="no/such/folder")
+        march(Structure(sandwich(1.0, 0.5, 0.5, 0.5), **setup).interface(layer), [1.0], out="no/such/folder")
     except LawError as error:
         texts = MPI.COMM_WORLD.gather(str(error))
         if MPI.COMM_WORLD.rank == 0:

@@ -9,7 +9,7 @@ import pytest
 from forms import LinearElastic
 from geometry import GeometryError, inflate, read, sandwich
 from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, save, sides, squares, volume
-from thinlayer import Model, Surface, ThinLayer, solve
+from thinlayer import Structure, Surface, ThinLayer, solve
 
 
 @pytest.fixture
@@ -97,8 +97,8 @@ def test_arguments(tmp_path):
         (dict(), "'S' lies inside LOW and UP; name the regions above it in upper.*regions: LOW, UP"),
         (dict(upper="UP", scale=0.0), "scale is 0.0; it must be a number > 0"),
         (dict(upper="UP", S="TOPP"), "unknown set of facets 'TOPP', did you mean 'TOP'"),
-        (dict(upper="UP", lower="LOW", S=None), "the file names other facets 'S'"),
-        (dict(upper="UP", S="TOP"), "the file names other facets 'S'"),
+        (dict(upper="UP", lower="LOW", S=None), "other facets are named 'S'"),
+        (dict(upper="UP", S="TOP"), "other facets are named 'S'"),
         (dict(upper="UP", lower="TOP"), "unknown region 'TOP'"),
         (dict(upper=["LOW", "UP"], direction=(0, 0, 1)), "it needs 2 components"),
     ]:
@@ -177,7 +177,7 @@ def test_several_joints_in_one_body(draw, tmp_path):
         inflate(joint, 0.1)
     law, k = LinearElastic(3.0, 2.0), 0.7
     held = {"BOTTOM": {"y": 0}, "TOP": {"y": 0.1}, (0.0, 0.0): {"x": 0}}
-    model = Model.interface(joint, layer=ThinLayer(LinearElastic(0.0, k / 2), 1.0), body=law, supports=held)
+    model = Structure(joint, body=law, supports=held).interface(ThinLayer(LinearElastic(0.0, k / 2), 1.0))
     x, t = Surface(model).profile(Surface(model).traction(solve(model)))
     stiffness = 4 * 2 * (3 + 2) / (3 + 2 * 2)  # of the body pulled along y that is free along x, over its height
     assert t[:, 1] == pytest.approx(0.1 / (3 / stiffness + 2 / k), rel=1e-9)
@@ -248,14 +248,14 @@ def test_arguments_of_inflate():
     for data, message in (
         ({"eps": "thin"}, "eps is 'thin'; it must be > 0"),
         ({"eps": True}, "eps is True"),
-        ({"strata": "ab"}, "fractions .* must be numbers > 0"),
-        ({"layers": 0}, "layers is 0; the layer needs"),
+        ({"fractions": "ab"}, "fractions .* must be numbers > 0"),
+        ({"cells_through": 0}, "cells_through is 0; the layer needs"),
     ):
         with pytest.raises(GeometryError, match=message):
             inflate(joint, **{"eps": 0.1} | data)
     law, supports = LinearElastic(1.0, 1.0), {"BOTTOM": 0}
-    with pytest.raises(GeometryError, match="sublayers is 0; the layer needs a whole number >= 1 of cells"):
-        Model.full(joint, layer=ThinLayer(law, 0.1), body=law, supports=supports, sublayers=0)
+    with pytest.raises(GeometryError, match="cells_through is 0; the layer needs a whole number >= 1 of cells"):
+        Structure(joint, body=law, supports=supports).full(ThinLayer(law, 0.1), cells_through=0)
     with pytest.raises(GeometryError, match="angle is nan"):
         joint.rotated(float("nan"))
     with pytest.raises(GeometryError, match=r"point 3\.0 is no place; give 2 coordinates"):

@@ -11,10 +11,22 @@ import pytest
 import ufl
 from mpi4py import MPI
 
-from forms import Law, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
+from forms import BulkLaw, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
 from geometry import GeometryError, sandwich
 from tests.test_parallel import mpirun
-from thinlayer import Adaptive, ArcLength, History, Model, ModelError, PhaseReport, ThinLayer, drive, march, solve
+from thinlayer import (
+    Adaptive,
+    ArcLength,
+    History,
+    Model,
+    ModelError,
+    PhaseReport,
+    Structure,
+    ThinLayer,
+    drive,
+    march,
+    solve,
+)
 
 JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
 SETUP = {"body": LinearElastic.young(1e4, 0.3), "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0}}}
@@ -23,16 +35,18 @@ SLIP_AND_OPENING = [[0.0, 0.3], [0.3, 1.0]]
 
 
 def pure(**changed: Any) -> NonMonotoneUnrelaxed:
-    return NonMonotoneUnrelaxed(**{"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "C": 0.3, "chi": SLIP_AND_OPENING, **changed})
+    return NonMonotoneUnrelaxed(
+        **{"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "transformation_energy": 0.3, "chi": SLIP_AND_OPENING, **changed}
+    )
 
 
-def model(law: Law, pull: float = 1.0) -> Model:
+def model(law: BulkLaw, pull: float = 1.0) -> Model:
     """Two blocks with a layer of this law, pulled by pull * t."""
     loads = {"TOP": lambda x, t: (0.0, pull * t * (1 + 0.1 * x[0]))}
-    return Model.interface(JOINT, layer=ThinLayer(law, 0.1), tractions=loads, **SETUP)
+    return Structure(JOINT, tractions=loads, **SETUP).interface(ThinLayer(law, 0.1))
 
 
-def refused(law: Law, message: str, tmp_path: Any) -> None:
+def refused(law: BulkLaw, message: str, tmp_path: Any) -> None:
     """A march with this law is refused, and writes nothing."""
     with pytest.raises(LawError, match=message):
         march(model(law), [0.5, 1.0], out=tmp_path / "run")
@@ -47,7 +61,10 @@ def refused(law: Law, message: str, tmp_path: Any) -> None:
         ({"T": lambda x, t: x[0] > 1}, r"T\(x, t\) fails .*it gives bool values"),
         ({"alpha": lambda T: 1 + 1j * T, "T": lambda x, t: x[0]}, r"alpha\(T\) fails .*it gives complex128 values"),
         ({"T": lambda x, t: 20 + 100 * t}, r"alpha\(T\): T is 120; the table knows 0 to 100"),
-        ({"C": lambda T: 0.5 - T, "T": lambda x, t: t + 0 * x[0]}, r"C at x = \(\S+, 0\), t = 0.5 is 0; allowed: > 0"),
+        (
+            {"transformation_energy": lambda T: 0.5 - T, "T": lambda x, t: t + 0 * x[0]},
+            r"transformation_energy at x = \(\S+, 0\), t = 0.5 is 0; allowed: > 0",
+        ),
     ],
     ids=["complex", "condition", "complex alpha", "later", "place"],
 )
@@ -55,7 +72,7 @@ def test_fields_that_are_no_temperatures(changed, message, tmp_path):
     refused(pure(**{"alpha": TABLE, **changed}), f"^NonMonotoneUnrelaxed: {message}", tmp_path)
 
 
-@pytest.mark.parametrize("name", ["alpha", "C", "T"])
+@pytest.mark.parametrize("name", ["alpha", "transformation_energy", "T"])
 def test_temperatures_in_ufl(name):
     mesh = ufl.Mesh(basix.ufl.element("Lagrange", "triangle", 1, shape=(2,)))
     space = ufl.FunctionSpace(mesh, basix.ufl.element("Lagrange", "triangle", 1))
@@ -86,7 +103,7 @@ def test_a_table_of_no_temperatures():
 
 # ---------------------------------------------------------------- laws of one's own
 @dataclass(frozen=True)
-class Switch(Law):
+class Switch(BulkLaw):
     """A spring whose phase tells whether it is open."""
 
     k: float
@@ -101,7 +118,7 @@ class Switch(Law):
         return self.k * step.mid
 
 
-def kind(**declared: Any) -> Law:
+def kind(**declared: Any) -> BulkLaw:
     """The spring, of a class that declares this."""
     return dataclass(frozen=True)(type("Own", (Switch,), {"__annotations__": {}, "__module__": __name__} | declared))(
         5.0
@@ -176,7 +193,7 @@ def test_parameters_that_do_not_vary_as_they_should(way, tmp_path):
 def test_parameters_of_a_law_without_memory_vary():
     """Such a law would be a part of the form, where nobody asks for its parameters at a place."""
     twice = {"varies": True, "at": lambda self, x, t: {"k": np.full(x.shape[1], 10 * self.k)}}
-    plain = {"phases": False, "internal": {}, "advance": Law.advance}
+    plain = {"phases": False, "internal": {}, "advance": BulkLaw.advance}
     moved = [np.abs(solve(model(kind(**plain, **vary)), 1.0).u.x.array).max() for vary in ({}, twice)]
     assert moved[1] < 0.5 * moved[0]
 
@@ -210,12 +227,12 @@ def test_a_point_with_pure_phases_holds_at_the_ends_of_steps():
 def test_loads_and_supports_that_are_no_numbers():
     layer = ThinLayer(pure(), 0.1)
     with pytest.raises(ModelError, match=r"traction on 'TOP' gives \(0, nan\); it needs 2 finite components"):
-        Model.interface(JOINT, layer=layer, tractions={"TOP": lambda x, t: (0, np.nan)}, **SETUP)
+        Structure(JOINT, tractions={"TOP": lambda x, t: (0, np.nan)}, **SETUP).interface(layer)
     moved = SETUP | {"supports": {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: np.inf}}}
     with pytest.raises(ModelError, match=r"support on 'TOP': a component gives inf; it must be a finite number"):
-        Model.interface(JOINT, layer=layer, **moved)
+        Structure(JOINT, **moved).interface(layer)
     with pytest.raises(GeometryError, match="layers is '4'; the layer needs a whole number"):
-        Model.full(JOINT, layer=layer, sublayers="4", **SETUP)
+        Structure(JOINT, **SETUP).full(layer, cells_through="4")
 
 
 def test_a_stack_of_pure_phases():

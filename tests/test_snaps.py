@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Law, LinearElastic, NonMonotoneUnrelaxed
+from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
 from geometry import sandwich
-from thinlayer import Model, PhaseReport, SolveError, ThinLayer, march, piecewise
+from thinlayer import PhaseReport, SolveError, Structure, ThinLayer, march, piecewise
+from thinlayer.parts.places import quadratures
 from thinlayer.pointwise.columns import TIE
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
@@ -21,7 +22,7 @@ SOFT = LinearElastic.young(100.0, 0.3)
 
 
 @dataclass(frozen=True)
-class Stiffening(Law):
+class Stiffening(BulkLaw):
     mu: float
     c: float
 
@@ -33,21 +34,23 @@ class Stiffening(Law):
         return 0.4 * self.mu * ufl.tr(e) ** 2 + self.mu * ufl.inner(e, e) + self.c / 4 * ufl.inner(e, e) ** 2
 
 
-def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Model.interface):
+def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Structure.interface):
     """Eight columns, sheared and pulled, more at the right end; they switch in four snaps as of_t goes from 0 to 1."""
     joint = sandwich(1.0, 0.5, 0.5, 0.125, cell="quadrilateral", structured=True)
     top = top or {"x": lambda x, t: 0.03 * of_t(t), "y": lambda x, t: of_t(t) * (0.05 * x[0] - 0.01)}
-    return kind(
-        joint, layer=ThinLayer(law, 0.05), sublayers=2, body=body, supports={"BOTTOM": 0.0, "TOP": top}, element="Q1"
+    plates, layer = (
+        Structure(joint, body=body, supports={"BOTTOM": 0.0, "TOP": top}, element="Q1"),
+        ThinLayer(law, 0.05),
     )
+    return plates.full(layer, cells_through=2) if kind is Structure.full else kind(plates, layer)
 
 
 def excesses(history):
     """Of every state the largest excess of a column."""
     law = history.model.layer.law
     for state in history:
-        columns = state.model.quadratures[0].columns
-        phase, drive, bound = (columns.mean(state.memory[0][:, k]) for k in (0, 2, 3))
+        columns = quadratures(state.model)["layer"].columns
+        phase, drive, bound = (columns.mean(state.memory["layer"][:, k]) for k in (0, 2, 3))
         yield law.excess(np.rint(phase), drive, bound).max()
 
 
@@ -129,7 +132,7 @@ def test_bodies_that_stiffen():
     assert abs(one.snaps[0].t - reference()[0][0]) > 1e-3
 
 
-@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+@pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 def test_columns_that_tie(kind):
     """Columns left and right that come to their threshold together switch together."""
     law = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, np.diag([0.2, 1.0]))

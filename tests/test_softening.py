@@ -10,11 +10,11 @@ from typing import ClassVar
 import pytest
 import ufl
 
-from forms import Law, LinearElastic
+from forms import BulkLaw, LinearElastic
 from forms.elastic import lame
 from forms.kinematics import lift
 from geometry import disc, sandwich
-from thinlayer import Model, ThinLayer, march, solve
+from thinlayer import Structure, ThinLayer, march, solve
 from thinlayer.errors import RangeWarning
 
 EPS = 0.05
@@ -22,7 +22,7 @@ STIFF = LinearElastic.young(1e6, 0.3)
 
 
 @dataclass(frozen=True)
-class Falling(Law):
+class Falling(BulkLaw):
     """k e exp(-e:e/s^2), which falls beyond e = s/sqrt 2."""
 
     k: float
@@ -34,7 +34,7 @@ class Falling(Law):
 
 
 @dataclass(frozen=True)
-class WeakInShear(Law):
+class WeakInShear(BulkLaw):
     """From an energy: as the layer opens by e_N = c, nothing resists its slip; across S it never softens."""
 
     k: float
@@ -49,7 +49,7 @@ class WeakInShear(Law):
 
 
 @dataclass(frozen=True)
-class Rising(Law):
+class Rising(BulkLaw):
     k: float
     powers: ClassVar = {"k": 1}
 
@@ -58,7 +58,7 @@ class Rising(Law):
 
 
 @dataclass(frozen=True)
-class Loop(Law):
+class Loop(BulkLaw):
     """Falls between two branches that rise, 0.5 and 1.5 about: a step may pass over it."""
 
     k: float
@@ -76,14 +76,14 @@ def told(joint, law, kind, times):
     """RangeWarnings of a march, or of a solve at one time, in which the layer opens by t times its thickness."""
     supports = {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: EPS * t}}
     sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} if joint.dim == 2 else {}
-    model = kind(joint, layer=ThinLayer(law.per_thickness(EPS), EPS), body=STIFF, supports=supports | sides)
+    model = kind(Structure(joint, body=STIFF, supports=supports | sides), ThinLayer(law.per_thickness(EPS), EPS))
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         march(model, times) if isinstance(times, list) else solve(model, times)
     return [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
 
 
-@pytest.mark.parametrize("kind", [Model.interface, Model.full])
+@pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
 @pytest.mark.parametrize(("law", "onset"), [(Falling(3.0, 0.4), 0.4 / math.sqrt(2)), (WeakInShear(3.0, 0.3), 0.3)])
 def test_where_stresses_fall(law, onset, kind):
     """Wherever the unit of stress; a march tells it once, at the first step beyond, a solve only beyond."""
@@ -99,19 +99,19 @@ def test_where_stresses_fall(law, onset, kind):
 
 def test_rising_stresses_are_not_told():
     joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
-    for kind in (Model.interface, Model.full):
+    for kind in (Structure.interface, Structure.full):
         assert told(joint, Rising(3.0), kind, [0.3, 0.8]) == []
 
 
 def test_a_step_over_a_fall_is_told():
     """Both states rise, on branches that a fall parts."""
     joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
-    assert told(joint, Loop(3.0), Model.interface, [0.3, 0.5]) == []
-    assert len(told(joint, Loop(3.0), Model.interface, [0.3, 0.5, 1.4])) == 1
+    assert told(joint, Loop(3.0), Structure.interface, [0.3, 0.5]) == []
+    assert len(told(joint, Loop(3.0), Structure.interface, [0.3, 0.5, 1.4])) == 1
 
 
 def test_in_three_dimensions():
     joint = disc(1.0, 0.4, 0.4, h=0.6, cell="hexahedron")
     law = WeakInShear(3.0, 0.3)
-    assert told(joint, law, Model.interface, 0.2) == []
-    assert len(told(joint, law, Model.interface, 0.4)) == 1
+    assert told(joint, law, Structure.interface, 0.2) == []
+    assert len(told(joint, law, Structure.interface, 0.4)) == 1

@@ -11,7 +11,7 @@ from tests.limit_load_run import FULL, SLIDING, sheared
 from tests.own_laws import Mises, StandardSolid
 from tests.test_limit_load import LIMITS
 from tests.test_marching import JOINT, SETUP, SLOW, SUDDEN, interface
-from thinlayer import Adaptive, Model, Surface, ThinLayer, march, piecewise
+from thinlayer import Adaptive, Structure, Surface, ThinLayer, march, piecewise
 from thinlayer.errors import LimitLoad
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
@@ -33,7 +33,7 @@ def test_a_peak_between_two_times_is_met(law):
 REMEMBERING = {
     "rate": SLOW,
     "relaxing": SUDDEN,
-    "plastic": MohrCoulomb(60.0, 40.0, C=9.0, Omega=30.0),
+    "plastic": MohrCoulomb(60.0, 40.0, cohesion=9.0, friction_angle=30.0),
     "of one's own": Mises(60.0, 40.0, 9.0),
     "stacked": Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, SUDDEN)),
 }
@@ -51,7 +51,7 @@ def test_steps_of_a_layer_with_memory_end_where_loads_break(name):
 @pytest.mark.parametrize(("law", "stops"), [(HolonomicCoulomb, False), (IncrementalCoulomb, True)])
 def test_contact_that_remembers_its_slip(law, stops):
     supports = {"BOTTOM": 0.0, "TOP": {"x": piecewise({0: 0.0, 2: 0.06, 4: -0.06}), "y": -0.02}}
-    model = Model.interface(JOINT, layer=law(100.0, 80.0, 0.3), body=SETUP["body"], supports=supports, element="P1")
+    model = Structure(JOINT, body=SETUP["body"], supports=supports, element="P1").interface(law(100.0, 80.0, 0.3))
     assert (2.0 in march(model, [1.0, 4.0]).t) is stops
 
 
@@ -66,7 +66,7 @@ HELD = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0
 
 
 def column(law, joint=JOINT, **supports):
-    return Model.interface(joint, layer=ThinLayer(law, 0.1), body=SETUP["body"], supports=HELD | supports)
+    return Structure(joint, body=SETUP["body"], supports=HELD | supports).interface(ThinLayer(law, 0.1))
 
 
 def pull(model):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, HolonomicCoulomb, KelvinVoigt, Law, LinearElastic
+from forms import Anisotropic, BulkLaw, HolonomicCoulomb, KelvinVoigt, LinearElastic
 from geometry import block, sandwich
-from thinlayer import Model, Surface, ThinLayer, compare, march, piecewise, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, piecewise, solve
 
 BODY = LinearElastic(30.0, 20.0)
 LAYER = ThinLayer(LinearElastic(3.0, 2.0), 0.05)
@@ -64,7 +64,7 @@ def test_a_support_of_one_body_takes_nothing_from_the_traction(cell, element, an
     one = joint(cell, angle)
     (lower, upper), loads, t = uniform(one, angle)
     supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper}
-    model = Model.interface(one, layer=LAYER, body=BODY, supports=supports, tractions=loads, element=element)
+    model = Structure(one, body=BODY, supports=supports, tractions=loads, element=element).interface(LAYER)
     surface = Surface(model)
     found = surface.traction(solve(model))
     x, values = surface.profile(found)
@@ -79,7 +79,7 @@ def test_a_support_of_one_body_in_contact():
     (lower, upper), loads, t = uniform(one)
     law = HolonomicCoulomb(K_N, K_T, 0.5)
     supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper}
-    model = Model.interface(one, layer=law, body=BODY, supports=supports, tractions=loads, element="Q1")
+    model = Structure(one, body=BODY, supports=supports, tractions=loads, element="Q1").interface(law)
     x, found = Surface(model).profile(Surface(model).traction(solve(model)))
     assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=1e-7)  # the contact solver's tolerance
 
@@ -99,7 +99,7 @@ def test_supports_that_move_the_bodies_apart(cell, element, layer, tolerance):
     (lower, upper), loads, t = uniform(one)
     supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper, "RIGHT/LOWER": lower}
     del loads["RIGHT/LOWER"]
-    model = Model.interface(one, layer=layer, body=BODY, supports=supports, tractions=loads, element=element)
+    model = Structure(one, body=BODY, supports=supports, tractions=loads, element=element).interface(layer)
     x, found = Surface(model).profile(Surface(model).traction(solve(model)))
     assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=tolerance)
 
@@ -119,13 +119,13 @@ def test_a_support_that_moves_a_body_on_a_rigid_base(cell):
     normals = {"TOP": n, "RIGHT": np.eye(d)[0]} | ({"BACK": -np.eye(d)[2], "FRONT": np.eye(d)[2]} if d == 3 else {})
     loads = {name: tuple(map(float, stress @ normal)) for name, normal in normals.items()}
     data = {"supports": {"LEFT": moved}, "tractions": loads, "element": "P1" if d == 2 else "Q1"}
-    model = Model.interface(one, layer=LAYER, body=BODY, **data)
+    model = Structure(one, body=BODY, **data).interface(LAYER)
     x, found = Surface(model).profile(Surface(model).traction(solve(model)))
     assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=EXACT)
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "hexahedron"])
-@pytest.mark.parametrize("build", [Model.full, Model.interface])
+@pytest.mark.parametrize("build", [Structure.full, Structure.interface])
 def test_ends_that_hold_both_bodies_together(build, cell):
     """Stretched along S with a layer of the bodies' material: [u] = 0 and t_N = lmbda e_xx, at the ends as elsewhere.
 
@@ -134,14 +134,15 @@ def test_ends_that_hold_both_bodies_together(build, cell):
     one = joint(cell)
     supports = {"LEFT": {"x": 0, "y": 0}, "RIGHT": {"x": 0.03, "y": 0}, "TOP": {"y": 0}, "BOTTOM": {"y": 0}}
     supports |= {"BACK": {"z": 0}, "FRONT": {"z": 0}} if one.dim == 3 else {}
-    data = {"layer": ThinLayer(BODY.per_thickness(0.05), 0.05, order=1), "body": BODY, "supports": supports}
-    surface = Surface(Model.interface(one, **data))
-    _, found = surface.profile(surface.traction(solve(build(one, **data))))
+    layer = ThinLayer(BODY.per_thickness(0.05), 0.05, order=1)
+    stretched = Structure(one, body=BODY, supports=supports)
+    surface = Surface(stretched.interface(layer))
+    _, found = surface.profile(surface.traction(solve(build(stretched, layer))))
     assert found[:, 1] == pytest.approx(BODY.lmbda * 0.03 / 1.6, rel=EXACT)
 
 
 @dataclass(frozen=True)
-class Swelling(Law):
+class Swelling(BulkLaw):
     """t = K [u] - p n."""
 
     lmbda: float
@@ -159,7 +160,7 @@ def test_a_layer_that_swells_in_a_rigid_box(make):
     """The law tells the traction, at held ends, too: to less than what the projection to degree 1 leaves of it."""
     one = make()
     supports = dict.fromkeys({"BOTTOM", "TOP", "LEFT", "RIGHT"} & one.facets.keys(), 0)
-    model = Model.interface(one, layer=ThinLayer(Swelling(3.0, 2.0, 0.6), 0.05), body=BODY, supports=supports)
+    model = Structure(one, body=BODY, supports=supports).interface(ThinLayer(Swelling(3.0, 2.0, 0.6), 0.05))
     surface, state = Surface(model), solve(model)
     t, w = surface.traction(state), surface.jump(state)
     law = K_N * w[1] - 0.6
@@ -172,7 +173,7 @@ def test_ends_that_come_together_at_a_rate():
     law, one, up = KelvinVoigt(2.0, 1.0, 1.5, 0.5), joint(), piecewise({0: 0.0, 1: 0.1, 2: 0.0})
     held = {"BOTTOM": 0, "LEFT/LOWER": 0, "RIGHT/LOWER": 0}
     held |= {name: {"x": 0, "y": up} for name in ("TOP", "LEFT/UPPER", "RIGHT/UPPER")}
-    model = Model.interface(one, layer=ThinLayer(law, 0.05), body=LinearElastic(3e5, 2e5), supports=held)
+    model = Structure(one, body=LinearElastic(3e5, 2e5), supports=held).interface(ThinLayer(law, 0.05))
     surface = Surface(model)
     _, t = surface.profile(surface.traction(march(model, [0.5, 1.0, 1.5, 2.0]).last))
     assert t[:, 1] == pytest.approx((2.0 * 1.5 + 2 * 1.0 * 0.5) * -0.1, rel=1e-3)  # what the bodies yield
@@ -183,8 +184,8 @@ def test_a_layer_pressed_onto_a_body_between_walls(cell):
     """t_N = -1 of stiff bodies, in both models: at the walls as elsewhere, and in sum."""
     one = sandwich(4.0, 1.0, 1.0, 0.5, cell=cell)
     walls = {"BOTTOM": 0.0, "LEFT/LOWER": 0.0, "RIGHT/LOWER": 0.0}
-    data = {"layer": LAYER, "body": LinearElastic(3e5, 2e5), "supports": walls, "tractions": {"TOP": (0.0, -1.0)}}
-    limit, full = (solve(build(one, **data)) for build in (Model.interface, Model.full))
+    pressed = Structure(one, body=LinearElastic(3e5, 2e5), supports=walls, tractions={"TOP": (0.0, -1.0)})
+    limit, full = solve(pressed.interface(LAYER)), solve(pressed.full(LAYER))
     surface = Surface(limit.model)
     for state, local, total in ((limit, 1e-3, 1e-6), (full, 0.02, 1e-3)):  # the meshed layer bulges at its sides
         t = surface.traction(state)
@@ -199,7 +200,7 @@ def test_tractions_of_any_size(scale):
     one = joint("triangle")
     (lower, upper), loads, t = uniform(one, scale=scale)
     supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper}
-    model = Model.interface(one, layer=LAYER, body=BODY, supports=supports, tractions=loads)
+    model = Structure(one, body=BODY, supports=supports, tractions=loads).interface(LAYER)
     surface = Surface(model)
     x, found = surface.profile(surface.traction(solve(model)))
     assert found / scale == pytest.approx(np.tile(t / scale, (len(x), 1)), rel=EXACT)
@@ -215,7 +216,7 @@ def test_rollers_that_hold_a_component_of_both_bodies(coupling, angle):
     shear = np.array([[1.0, 0.0], [np.tan(angle), 1.0]])
     one = replace(one, points=one.points @ shear.T)
     data = {"supports": {"LEFT": {"x": 0.0}, "BOTTOM": 0.0, "RIGHT": {"x": 0.0}}, "tractions": {"TOP": (0.3, -1.0)}}
-    model = Model.interface(one, layer=ThinLayer(Anisotropic(stiffness, "layer"), 1.0), body=BODY, **data)
+    model = Structure(one, body=BODY, **data).interface(ThinLayer(Anisotropic(stiffness, "layer"), 1.0))
     surface, state = Surface(model), solve(model)
     found, w = (surface.profile(surface.frame(f(state)))[1] for f in (surface.traction, surface.jump))
     K = np.array([[60.0, coupling], [coupling, 90.0]])

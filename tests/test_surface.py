@@ -13,8 +13,9 @@ from forms import LinearElastic, NonMonotoneUnrelaxed
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import renumbered
-from thinlayer import Model, ModelError, PhaseReport, Surface, ThinLayer, march, solve
+from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.state import Audit, Report, State
+from thinlayer.parts.places import quadratures
 
 STEEL = LinearElastic(3.0, 2.0)
 PURE = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.05, np.diag([0.3, 0.7]))
@@ -23,7 +24,7 @@ RADIUS = 1.2
 
 def on(joint, law=FOURIER_LAYER):
     held = "INSIDE" if "INSIDE" in joint.facets else "TOP"
-    return Model.interface(joint, layer=ThinLayer(law, 0.1), body=STEEL, supports={held: 0.0})
+    return Structure(joint, body=STEEL, supports={held: 0.0}).interface(ThinLayer(law, 0.1))
 
 
 def polar(x):
@@ -33,7 +34,7 @@ def polar(x):
 @cache
 def state():
     joint, setup = fourier(1 / 8)
-    return solve(Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), **setup))
+    return solve(Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1)))
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -66,11 +67,11 @@ def test_profile_of_an_arc():
 def test_fronts_around_a_circle():
     """Phases that grow with y on a closed S: more than half where y > .3, which is between neighbours in two places."""
     model = on(ring(0.8, RADIUS, 2.0, 0.3), PURE)
-    (quadrature,) = model.quadratures
+    ((key, quadrature),) = quadratures(model).items()
     memory = np.zeros((quadrature.count, sum(int(np.prod(s)) for s in PURE.internal.values())))
     x = quadrature.columns.centres[quadrature.columns.of]
     memory[:, list(PURE.internal).index("phase")] = 0.5 + (x[:, 1] - 0.3) / 1.6
-    report = PhaseReport(State(model, None, 0.0, Report("newton", 0, 0.0, 0.0), memory=(memory,)))
+    report = PhaseReport(State(model, None, 0.0, Report("newton", 0, 0.0, 0.0), memory={key: memory}))
     places, phase = report.profile()
     assert (np.abs(np.diff(polar(places))) < 0.4).all()
     assert phase == pytest.approx(0.5 + (places[:, 1] - 0.3) / 1.6)
@@ -95,11 +96,11 @@ def test_scalars_are_components():
 def test_what_is_no_surface():
     model = state().model
     joint, setup = fourier(1 / 8)
-    other = Model.interface(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), **setup)
+    other = Structure(joint, **setup).interface(ThinLayer(FOURIER_LAYER, 0.1))
     for thing, message in (
         (None, "Surface needs an interface model, not None"),
         (state(), "Surface needs an interface model, not State.*: give the state's model"),
-        (Model.bonded(joint, **setup), r"not Model\.bonded"),
+        (Structure(joint, **setup).bonded(), r"not BondedModel"),
     ):
         with pytest.raises(ModelError, match=message):
             Surface(thing)
@@ -112,7 +113,7 @@ def test_what_is_no_surface():
         for field in (surface.jump, surface.traction, surface.displacement):
             with pytest.raises(ModelError, match=message):
                 field(thing)
-    linear = solve(Model.interface(model.joint, layer=model.layer, **setup, element="P1"))
+    linear = solve(Structure(model.joint, **setup, element="P1").interface(model.layer))
     with pytest.raises(ModelError, match="has elements P1, the surface's model P2"):
         surface.jump(linear)
     sizes = [surface.norm(surface.traction(one)) for one in (linear, state())]
@@ -146,8 +147,8 @@ def test_forces_are_refused_as_integrands():
 
 def test_a_rigid_base_has_one_side():
     """There a field has its only value."""
-    model = Model.interface(
-        block(1.0, 0.5, 0.25), layer=ThinLayer(FOURIER_LAYER, 0.1), body=STEEL, supports={"TOP": {"y": 0.1}, "LEFT": 0}
+    model = Structure(block(1.0, 0.5, 0.25), body=STEEL, supports={"TOP": {"y": 0.1}, "LEFT": 0}).interface(
+        ThinLayer(FOURIER_LAYER, 0.1)
     )
     found, surface = solve(model), Surface(model)
     assert surface.profile(found.u)[1] == pytest.approx(surface.profile(surface.jump(found))[1], abs=1e-14)
@@ -157,14 +158,14 @@ def test_loads_of_one_body_in_the_states_of_a_march():
     """Of each state its own: what the upper body weighs at that time goes through S, and does the work."""
     joint = sandwich(1.0, 0.5, 0.7, 0.25)
     setup = {"body": STEEL, "supports": {"BOTTOM": 0.0}, "body_force": {"UPPER": lambda x, t: (0.0, t)}}
-    for build in (Model.interface, Model.full):
-        history = march(build(joint, layer=ThinLayer(FOURIER_LAYER, 0.1), **setup), [1.0, 2.0])
+    for build in (Structure.interface, Structure.full):
+        history = march(build(Structure(joint, **setup), ThinLayer(FOURIER_LAYER, 0.1)), [1.0, 2.0])
         energies = [one.energies() for one in history]
         assert [2 * (one["bodies"] + one["layer"]) for one in energies] == pytest.approx(
             [one["loads"] for one in energies], rel=1e-9
         )
         assert energies[2]["loads"] == pytest.approx(4 * energies[1]["loads"], rel=1e-9)
-        if build == Model.interface:
+        if build == Structure.interface:
             surface = Surface(history.model)
         for one in history:
             assert surface.integral(surface.traction(one)[1]) == pytest.approx(0.7 * one.t, rel=1e-9)
@@ -174,8 +175,8 @@ def test_loads_of_one_body_in_the_states_of_a_march():
 def test_frame_of_s(depth):
     """Tangents (n_2, -n_1) in 2D, the first and the third axis in 3D; the normal is last."""
     joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=depth, cell="hexahedron" if depth else "quadrilateral").rotated(0.3)
-    data = {"layer": ThinLayer(FOURIER_LAYER, 0.1), "body": STEEL, "supports": {"BOTTOM": 0.0}, "element": "Q1"}
-    surface = Surface(Model.interface(joint, **data))
+    held = Structure(joint, body=STEEL, supports={"BOTTOM": 0.0}, element="Q1")
+    surface = Surface(held.interface(ThinLayer(FOURIER_LAYER, 0.1)))
     n, along = np.array([-np.sin(0.3), np.cos(0.3)]), np.array([np.cos(0.3), np.sin(0.3)])
     f = 2 * along + 5 * n
     known = [2.0, 5.0]

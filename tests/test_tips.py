@@ -11,7 +11,7 @@ import ufl
 from forms import LinearElastic
 from geometry import GeometryError, Joint, block, inflate, ring, sandwich
 from geometry.joint import BONDED
-from thinlayer import Model, ModelError, Surface, ThinLayer, solve
+from thinlayer import Model, ModelError, Structure, Surface, ThinLayer, solve
 
 BODY = LinearElastic.young(100.0, 0.3)
 E_STRAIN = 100.0 / (1 - 0.3**2)
@@ -39,7 +39,7 @@ def pulled(joint: Joint, layer: ThinLayer, **options) -> tuple[Model, Surface]:
     supports = {low: 0.0, right: {"y": 0.0, "z": 0.0} if joint.dim == 3 else {"y": 0.0}}
     if joint.dim == 3:
         supports[(low[0], low[1], corners[1][2])] = {"y": 0.0}
-    model = Model.interface(joint, layer=layer, body=BODY, supports=supports, tractions=tractions, **options)
+    model = Structure(joint, body=BODY, supports=supports, tractions=tractions, **options).interface(layer)
     return solve(model), Surface(model)
 
 
@@ -115,7 +115,7 @@ def test_what_a_tip_refuses():
     with pytest.raises(ModelError, match="order=1 needs an S that does not end inside"):
         pulled(joint, layer)
     with pytest.raises(GeometryError, match=r"S ends inside the bodies \(near \(1, 0\)\)"):
-        Model.full(joint, layer=ThinLayer(SOFT, 1e-3), body=BODY, supports={"BOTTOM": 0.0})
+        Structure(joint, body=BODY, supports={"BOTTOM": 0.0}).full(ThinLayer(SOFT, 1e-3))
 
 
 def test_directions_are_checked():

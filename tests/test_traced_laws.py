@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import KernelLaw, Law, LawError, LinearElastic, TractionLaw
+from forms import BulkLaw, KernelLaw, LawError, LinearElastic, TractionLaw
 from forms.elastic import lame
 from forms.trace import stress_key
 from geometry import sandwich
-from tests.own_laws import Slipping
-from thinlayer import Model, SolveError, ThinLayer, drive, march, solve
+from tests.own_laws import Slipping, layer_of
+from thinlayer import SolveError, Structure, ThinLayer, drive, march, solve
 
 FACTOR, OF_NUMBA = 1.0, 1.0
 STEP = [{"w_T": 0.01, "w_N": 0.02}]
@@ -27,7 +27,7 @@ def factor():
 
 
 @dataclass(frozen=True)
-class ReadsGlobals(Law):
+class ReadsGlobals(BulkLaw):
     k: float
     powers: ClassVar = {"k": 1}
     internal: ClassVar = {"last": (3, 3)}
@@ -61,7 +61,7 @@ class KernelReadsGlobals(KernelLaw):
         return True
 
 
-def shear(law: Law) -> float:
+def shear(law: BulkLaw) -> float:
     return float(drive(law, STEP).tractions[0, 0])
 
 
@@ -96,11 +96,11 @@ def test_a_march_reads_them_again(monkeypatch):
     assert moved[0] > 2 * moved[1]
 
 
-def of_blocks(law: Law, **more) -> float:
+def of_blocks(law: BulkLaw, **more) -> float:
     """Largest displacement of a pulled joint."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     setup = {"body": LinearElastic(60.0, 40.0), "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, 1.0)}}
-    model = Model.interface(joint, layer=ThinLayer(law, 0.1), element="Q1", **(setup | more))
+    model = Structure(joint, element="Q1", **setup | more).interface(layer_of(law, 0.1))
     return float(np.abs(march(model, [1.0]).last.u.x.array).max())
 
 
@@ -108,7 +108,7 @@ def test_keys_are_of_what_is_computed():
     """Numbers, names of symbols and the class do not matter; a constant in the formula does."""
 
     @dataclass(frozen=True)
-    class Formula(Law):
+    class Formula(BulkLaw):
         k: float
         text: ClassVar[str] = ""
 
@@ -130,7 +130,7 @@ def test_keys_are_of_what_is_computed():
 
 # ---------------------------------------------------------------- decisions
 @dataclass(frozen=True)
-class Deciding(Law):
+class Deciding(BulkLaw):
     """Branches by numbers in Python: UFL would compare how expressions are written."""
 
     k: float
@@ -214,7 +214,7 @@ def test_a_law_at_points_knows_its_numbers_alone():
 
 # ---------------------------------------------------------------- symmetry
 @dataclass(frozen=True)
-class Coupled(Law):
+class Coupled(BulkLaw):
     """Symmetric for g = 0 alone, whatever it says."""
 
     k: float
@@ -247,7 +247,7 @@ def test_symmetry_is_looked_at_once(monkeypatch):
 
 # ---------------------------------------------------------------- eigenstrains
 @dataclass(frozen=True)
-class Swelling(Law):
+class Swelling(BulkLaw):
     """Elastic about a strain of its own, `linear` in that its tangent is constant."""
 
     lmbda: float
@@ -267,11 +267,13 @@ class Swelling(Law):
         return ufl.inner(lame(self.lmbda, self.mu, e), e) / 2
 
 
-def column(kind: str, law: Law, body: Law, **more):
+def column(kind: str, law: BulkLaw, body: BulkLaw, **more):
     """A column of height 1 that can neither widen nor lengthen."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    return getattr(Model, kind)(joint, layer=ThinLayer(law, 0.1), body=body, supports=sides, **more)
+    return getattr(Structure, kind)(
+        Structure(joint, body=body, supports=sides, **more), law if law.traits.of_jumps else ThinLayer(law, 0.1)
+    )
 
 
 @pytest.mark.parametrize("kind", ["interface", "full"])
@@ -299,7 +301,7 @@ def test_bodies_that_swell_under_contact():
     law = HolonomicCoulomb(15.0, 4.0, friction=0.3)
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    model = Model.interface(joint, layer=law, body=Swelling(60.0, 40.0, 0.01), supports=sides, element="Q1")
+    model = Structure(joint, body=Swelling(60.0, 40.0, 0.01), supports=sides, element="Q1").interface(law)
     state = solve(model)
     free = 0.01 * (3 * 60.0 + 80.0) / 140.0  # strain of a column that may lengthen
     t = -free / (1 / 140.0 + 1 / 15.0)
@@ -312,8 +314,8 @@ def test_bodies_that_swell_under_contact():
 def test_parameters_of_classes_without_postponed_annotations():
     namespace: dict = {}
     exec(
-        "from dataclasses import dataclass\nfrom typing import Optional\nfrom forms import Law\n"
-        "@dataclass(frozen=True)\nclass Bare(Law):\n    k: float\n    m: float | None = None\n"
+        "from dataclasses import dataclass\nfrom typing import Optional\nfrom forms import BulkLaw\n"
+        "@dataclass(frozen=True)\nclass Bare(BulkLaw):\n    k: float\n    m: float | None = None\n"
         "    n: Optional[float] = None\n    i: int = 1\n    C: list = (1.0, 2.0)\n",
         namespace,
     )
@@ -353,13 +355,13 @@ def test_jump_laws_in_plane_stress():
 
 
 def test_a_profile_of_a_law_of_jumps():
-    with pytest.raises(LawError, match="Slipping has no thickness that could vary along S"):
+    with pytest.raises(LawError, match="Slipping is a law on S and has no thickness: give it alone"):
         ThinLayer(Slipping(70.0, 30.0, 12.0, 90.0), 0.1, profile=lambda x: 1 + x[0])
 
 
 def test_a_law_without_energy_has_none_to_tell():
     @dataclass(frozen=True)
-    class Plain(Law):
+    class Plain(BulkLaw):
         k: float
 
         def stress(self, step):
@@ -394,7 +396,7 @@ def test_a_failing_law_says_what_and_where(shift, what):
 
 
 @dataclass(frozen=True)
-class AtRest(Law):
+class AtRest(BulkLaw):
     """Laws that have no number, or no slope, where the strain e is zero."""
 
     k: float
@@ -433,10 +435,10 @@ def test_a_law_that_is_not_finite_at_rest_is_told(way, message):
     setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.3, 1.0)}, "element": "Q1"}
     elastic, law = LinearElastic(60.0, 40.0), AtRest(20.0, way)
     for build, layer, body in (
-        (Model.full, law, elastic),
-        (Model.interface, elastic, law),
-        *([(Model.interface, law, elastic)] if way != "cubic" else []),
+        (Structure.full, law, elastic),
+        (Structure.interface, elastic, law),
+        *([(Structure.interface, law, elastic)] if way != "cubic" else []),
     ):
         with pytest.raises(SolveError, match=message):
-            solve(build(joint, layer=ThinLayer(layer, 0.1), body=body, **setup))
-    solve(Model.full(joint, layer=ThinLayer(AtRest(20.0, "smooth"), 0.1), body=elastic, **setup))
+            solve(build(Structure(joint, body=body, **setup), ThinLayer(layer, 0.1)))
+    solve(Structure(joint, body=elastic, **setup).full(ThinLayer(AtRest(20.0, "smooth"), 0.1)))

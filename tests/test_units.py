@@ -30,7 +30,7 @@ from forms import (
 )
 from geometry import sandwich
 from tests.own_laws import Slipping
-from thinlayer import Adaptive, ArcLength, Model, ThinLayer, march, piecewise, solve
+from thinlayer import Adaptive, ArcLength, Structure, ThinLayer, march, piecewise, solve
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ CHI = [[0.2, 0.5], [0.5, 1.0]]
 
 
 def yielding(u, make=MohrCoulomb, **more):
-    return make(60.0 * u.stiffness, 40.0 * u.stiffness, 0.3 * u.stress * u.load, 30, h=0.05, **more)
+    return make(60.0 * u.stiffness, 40.0 * u.stiffness, 0.3 * u.stress * u.load, 30, elastic_fraction=0.05, **more)
 
 
 def phases(u, make, d=2):
@@ -84,7 +84,7 @@ LAWS = {
     "incompressible": lambda u: Incompressible(40.0 * u.stiffness),
     "Kelvin-Voigt": lambda u: KelvinVoigt(60.0 * u.stiffness, 40.0 * u.stiffness, 1.5 * u.time, 0.8 * u.time),
     "Maxwell": lambda u: Maxwell(60.0 * u.stiffness, 40.0 * u.stiffness, 2.0 * u.time, 3.0 * u.time),
-    "Mohr-Coulomb": lambda u: yielding(u, psi=5.0),
+    "Mohr-Coulomb": lambda u: yielding(u, dilatancy_angle=5.0),
     "monodirectional": lambda u: yielding(u, MohrCoulombMonodirectional),
     "non-monotone": lambda u: phases(u, NonMonotone),
     "pure phases": lambda u: phases(u, NonMonotoneUnrelaxed),
@@ -121,8 +121,8 @@ def structure(u, law, kind="interface", depth=None, **more):
         element = "Q1" if contact or "element" not in more else more.pop("element")
     push = loads(u)["TOP"]
     tractions = {"TOP": (lambda x, t: (*push(x, t), 0.1 * u.stress * u.load * t / u.time)) if d == 3 else push}
-    make = getattr(Model, kind)
-    return make(joint, layer=layer, body=body, supports=supports, tractions=tractions, element=element, **more)
+    make = getattr(Structure, kind)
+    return make(Structure(joint, body=body, supports=supports, tractions=tractions, element=element, **more), layer)
 
 
 def measured(model, state, u, energy=True):
@@ -241,7 +241,7 @@ def test_paths():
         joint = sandwich(20 * a, 4 * a, 6 * a, h=10 * a, structured=True)
         pull = {"y": lambda x, t: t * u.load * a * (0.5 + 0.02 * x[0] / a), "x": 0}
         body = LinearElastic.young(E=1e2 * u.stress, nu=0.3)
-        model = Model.interface(joint, layer=ThinLayer(law, a), body=body, supports={"BOTTOM": 0, "TOP": pull})
+        model = Structure(joint, body=body, supports={"BOTTOM": 0, "TOP": pull}).interface(ThinLayer(law, a))
         history = march(model, ArcLength(end=0.3, first=0.15))
         return np.concatenate([np.array(history.t), measured(model, history.last, u)])
 

@@ -58,11 +58,11 @@ def norton(u: Units, p: float, **more: float) -> Norton:
 def non_monotone(u: Units, law: type, **more: float) -> NonMonotone | NonMonotoneUnrelaxed:
     """Energy per area of S, C, of the size of that of the jumps."""
     stress = u.P * u.size
-    return law(**moduli(u), alpha=1.2 * stress, C=0.05 * stress * u.L * u.size, chi=CHI, **more)
+    return law(**moduli(u), alpha=1.2 * stress, transformation_energy=0.05 * stress * u.L * u.size, chi=CHI, **more)
 
 
 def mohr_coulomb(u: Units, law: type = MohrCoulomb, C: float = 0.3, **more: float) -> MohrCoulomb:
-    return law(**moduli(u), C=C * u.P * u.size, Omega=30.0, h=0.02, **more)
+    return law(**moduli(u), cohesion=C * u.P * u.size, friction_angle=30.0, elastic_fraction=0.02, **more)
 
 
 LAWS = {
@@ -77,7 +77,7 @@ LAWS = {
     "Norton 1.2, rest": lambda u: norton(u, 1.2, rest=1e-4 * u.L / u.T * u.size),
     "Mohr-Coulomb": mohr_coulomb,
     "Mohr-Coulomb, C = 0": lambda u: mohr_coulomb(u, C=0.0),
-    "Mohr-Coulomb, dilatant": lambda u: mohr_coulomb(u, psi=12.0),
+    "Mohr-Coulomb, dilatant": lambda u: mohr_coulomb(u, dilatancy_angle=12.0),
     "Mohr-Coulomb, return": lambda u: mohr_coulomb(u, MohrCoulombReturn),
     "monodirectional": lambda u: mohr_coulomb(u, MohrCoulombMonodirectional),
     "unilateral": lambda u: mohr_coulomb(u, MohrCoulombMonodirectional, unilateral=True),

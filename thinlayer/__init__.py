@@ -3,84 +3,68 @@
 Names are imported when they are first used, so that `python3 -m thinlayer list` does not load DOLFINx.
 """
 
+# ruff: noqa: F401
+import logging
 import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # for editors and mypy alone
+    from thinlayer.discretisation.broken_mesh import BrokenMesh
     from thinlayer.discretisation.layer import ThinLayer
     from thinlayer.discretisation.loads import piecewise
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.state import State
-    from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError
+    from thinlayer.discretisation.structure import Structure
+    from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError, ThinlayerError
     from thinlayer.files.table import Table
-    from thinlayer.output.comparison import compare, observed_orders, sweep
+    from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.surface import Surface
+    from thinlayer.output.sweep import observed_orders, sweep
+    from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.springs import Springs
+    from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
-    from thinlayer.pointwise.phases import PhaseReport
     from thinlayer.solving.options import OptionError
     from thinlayer.solving.solvers import solve
+    from thinlayer.solving.step_problem import StepProblem
     from thinlayer.time.arc_length import ArcLength
     from thinlayer.time.history import History
     from thinlayer.time.marching import march
     from thinlayer.time.plan import Adaptive
 
 __version__ = "0.1.0"
-__all__ = [
-    "Adaptive",
-    "ArcLength",
-    "ContactReport",
-    "History",
-    "LimitLoad",
-    "Model",
-    "ModelError",
-    "OptionError",
-    "PhaseReport",
-    "PointHistory",
-    "RangeWarning",
-    "SolveError",
-    "State",
-    "Surface",
-    "Table",
-    "ThinLayer",
-    "compare",
-    "drive",
-    "march",
-    "observed_orders",
-    "piecewise",
-    "solve",
-    "sweep",
-]
-
-_HOME = {
-    "compare": "output.comparison",
-    "observed_orders": "output.comparison",
-    "sweep": "output.comparison",
-    "ContactReport": "output.contact_report",
-    "History": "time.history",
-    "ThinLayer": "discretisation.layer",
-    "ModelError": "errors",
-    "piecewise": "discretisation.loads",
-    "Adaptive": "time.plan",
-    "ArcLength": "time.arc_length",
-    "march": "time.marching",
-    "Model": "discretisation.model",
-    "OptionError": "solving.options",
-    "PhaseReport": "pointwise.phases",
-    "PointHistory": "pointwise.drive",
-    "drive": "pointwise.drive",
-    "LimitLoad": "errors",
-    "RangeWarning": "errors",
-    "SolveError": "errors",
-    "solve": "solving.solvers",
-    "State": "discretisation.state",
-    "Surface": "output.surface",
-    "Table": "files.table",
-}
+_NAMES = {
+    "discretisation.broken_mesh": ["BrokenMesh"],
+    "discretisation.layer": ["ThinLayer"],
+    "discretisation.loads": ["piecewise"],
+    "discretisation.model": ["Model"],
+    "discretisation.state": ["State"],
+    "discretisation.structure": ["Structure"],
+    "errors": ["LimitLoad", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
+    "files.table": ["Table"],
+    "output.comparison": ["compare"],
+    "output.contact_report": ["ContactReport"],
+    "output.surface": ["Surface"],
+    "output.sweep": ["observed_orders", "sweep"],
+    "pointwise.drive": ["PointHistory", "drive"],
+    "parts.phases": ["PhaseReport"],
+    "parts.springs": ["Springs"],
+    "parts.ufl_part": ["UflPart"],
+    "solving.options": ["OptionError"],
+    "solving.solvers": ["solve"],
+    "solving.step_problem": ["StepProblem"],
+    "time.arc_length": ["ArcLength"],
+    "time.history": ["History"],
+    "time.marching": ["march"],
+    "time.plan": ["Adaptive"],
+}  # by the module that has them
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = {"plotting": "output.plotting", "fields": "output.fields"}
+__all__ = sorted(_HOME)
 
 
 def _refuse_shadows() -> None:
@@ -95,13 +79,18 @@ def _refuse_shadows() -> None:
     program = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv
     if program and not sys.flags.safe_path and Path(sys.path[0]).resolve() == Path.cwd() != home:
         del sys.path[0]
-    for name in ("forms", "geometry"):
+    for name in ("thinlayer_base", "forms", "geometry"):
         spec = find_spec(name)
         if spec and spec.origin and Path(spec.origin).resolve().parent != home / name:
-            raise ImportError(f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it")
+            message = f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it"
+            if program:  # Python itself would end with the status of a check that failed
+                print(f"thinlayer: {message}", file=sys.stderr)
+                raise SystemExit(2)
+            raise ImportError(message)
 
 
 _refuse_shadows()
+logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet unless the user shows it
 
 
 def __dir__() -> list[str]:

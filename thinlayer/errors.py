@@ -10,6 +10,8 @@ from mpi4py import MPI
 
 from forms.declarations import RangeWarning as RangeWarning
 from forms.declarations import show_warnings, warn_of_range
+from thinlayer_base import InputError
+from thinlayer_base import ThinlayerError as ThinlayerError
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:
@@ -24,11 +26,11 @@ def warn(message: str, comm: MPI.Intracomm) -> None:
         warnings.showwarning = shown
 
 
-class ModelError(ValueError):
+class ModelError(InputError):
     """A model that cannot be built: says what, where and what is allowed."""
 
 
-class SolveError(RuntimeError):
+class SolveError(ThinlayerError, RuntimeError):
     """A solve that did not converge: the reason, the last residual, and what to try.
 
     Attributes:

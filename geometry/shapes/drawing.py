@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import floor, log10
 from typing import Any, Self
 
@@ -136,9 +137,10 @@ class Shape(ABC):
             gmsh.model.mesh.generate(self.dim)
             if self.cells.degree > 1:
                 gmsh.model.mesh.setOrder(self.cells.degree)
-            return self._read(drawing, unit)
+            joint = self._read(drawing, unit)
         finally:
             gmsh.finalize()
+        return joint()  # now that gmsh's memory is free
 
     def sweep(self, surfaces: Sequence[int], way: tuple[float, float, float], grading: Grading) -> dict[int, list[int]]:
         """Extrude surfaces (in graded layers for a grid); for each of them the volume and the surface at its far end."""
@@ -184,22 +186,27 @@ class Shape(ABC):
         for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
             gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
 
-    def _read(self, drawing: Drawing, unit: float) -> Joint:
+    def _read(self, drawing: Drawing, unit: float) -> Callable[[], Joint]:
+        """What makes the joint of the arrays, without gmsh."""
         nodes, x, _ = gmsh.model.mesh.getNodes()
         bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
         facet_type = FACET_TYPES[self.kind]
         facets = {name: self._elements(facet_type, tags) for name, tags in drawing.facets.items()}
-        used = np.unique(np.concatenate(bodies))
-        points = x.reshape(-1, 3)[np.argsort(nodes), : self.dim][np.searchsorted(np.sort(nodes), used)]
         order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(self.kind), bodies[0].shape[1])
+        used = np.zeros(int(nodes.max()) + 1, bool)
+        for body in bodies:
+            used[body] = True
+        place, new = np.empty((len(used), self.dim)), np.cumsum(used) - 1
+        place[nodes] = x.reshape(-1, 3)[:, : self.dim]
 
         def number(rows: Any) -> IntArray:
-            return np.searchsorted(used, rows).astype(np.int64)
+            return np.asarray(new[rows], np.int64)
 
         names = tuple(drawing.bodies)
         cells = number(np.concatenate(bodies)[:, order])
-        return Joint(
-            self.settle(points, cells) * unit,
+        return partial(
+            Joint,
+            self.settle(place[used], cells) * unit,
             cells,
             self.kind,
             np.repeat(np.arange(len(bodies)), [len(body) for body in bodies]),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import gmsh
 import numpy as np
 
-from geometry.joint import GeometryError, is_number, unknown
+from geometry.joint import GeometryError, unknown
+from thinlayer_base import is_finite, is_number
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
@@ -55,7 +55,7 @@ class Cells:
         """Raise GeometryError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
         given = {**lengths, "h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}
         for what, value in given.items():
-            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
+            if value is not None and not is_number(value):
                 raise GeometryError(f"{what} is {value!r}; it must be a number")
         for what, value in lengths.items():
             if not np.isfinite(value) or value <= 0:
@@ -71,7 +71,7 @@ class Cells:
             raise GeometryError(f"cell {self.kind!r} does not exist in {dim}D; allowed: {', '.join(CELLS[dim])}")
         if self.kind is not None and self.kind not in CELLS[dim]:
             raise GeometryError(unknown("cell", self.kind, CELLS[dim]))
-        if self.degree not in (1, 2) or not is_number(self.degree):
+        if self.degree not in (1, 2) or not is_finite(self.degree):
             raise GeometryError(f"degree is {self.degree!r}; allowed: 1 (straight cells), 2 (curved cells)")
         if self.arrangement not in ARRANGEMENTS:
             raise GeometryError(unknown("arrangement", self.arrangement, ARRANGEMENTS))

@@ -28,12 +28,13 @@ import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
 
 import thinlayer.parallel.abort  # noqa: F401  # whoever starts DOLFINx starts PETSc
+from thinlayer_base import ThinlayerError
 
 _LOCKS: dict[Path, int] = {}  # descriptors of lock files by folder; never closed, which would free the process's locks
 SEAL = b"thinlayer: a library of "
 
 
-class CacheError(OSError):
+class CacheError(ThinlayerError, OSError):
     """A folder of compiled forms that cannot be written."""
 
 

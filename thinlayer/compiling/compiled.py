@@ -15,13 +15,14 @@ from mpi4py import MPI
 
 from thinlayer.compiling.compilation import acquire, is_whole, keep, release, seal, workshop
 from thinlayer.identity.sources import content, contents
+from thinlayer_base import ThinlayerError
 
 _LOADED: dict[Any, Any] = {}  # modules of compiled sources, by path and state of the files they depend on
 _FILES: dict[Path, tuple[Path, ...]] = {}  # files that a source depended on when it was last loaded
 EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
 
 
-class SourceError(RuntimeError):
+class SourceError(ThinlayerError, RuntimeError):
     """A C source that cannot be read or compiled; the compiler's own messages go to standard error."""
 
 

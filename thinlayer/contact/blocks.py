@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
 
 
 @contextmanager
 def faster_products(*, serial: bool) -> Iterator[None]:
-    """Galerkin products by way of A P, a fifth off the setup for more memory; PETSc reads no prefix there."""
+    """Galerkin products by way of A P: 8 to 10 % off a contact solve, for more memory. PETSc reads no prefix there."""
     database, name = PETSc.Options(), "matptap_via"
     ours = serial and not database.hasName(name)
     if ours:
@@ -37,25 +34,10 @@ def in_blocks(A: PETSc.Mat, d: int) -> PETSc.Mat:
     return PETSc.Mat().createBAIJ(A.getSizes(), d, csr=(*ints, blocks.data), comm=A.comm)
 
 
-def multiply_in_blocks(cycle: PETSc.PC, fine: PETSc.Mat) -> None:
-    """Give a hierarchy of GAMG its matrices in blocks, `fine` on the finest level."""
-    library = ctypes.CDLL(PETSc.__file__)
-    number = np.ctypeslib.as_ctypes_type(PETSc.IntType)
-    library.PCMGSetResidual.argtypes = [ctypes.c_void_p, number, ctypes.c_void_p, ctypes.c_void_p]
+def smooth_in_blocks(cycle: PETSc.PC, fine: PETSc.Mat) -> None:
+    """Give the finest level of a hierarchy of GAMG its matrix in blocks: 3 % off a solve."""
     finest = cycle.getMGLevels() - 1
-    for level in range(finest, 0, -1):
-        smoother, P = cycle.getMGSmoother(level), cycle.getMGInterpolation(level)
-        A = smoother.getOperators()[0]
-        matrix = fine if level == finest else in_blocks(A, A.getBlockSize())
-        smoother.setOperators(matrix, matrix)
-        library.PCMGSetResidual(cycle.handle, level, None, matrix.handle)
-        if level < finest:
-            matrix.destroy()
-        size = math.gcd(*P.getBlockSizes())
-        if size > 1:
-            blocks = in_blocks(P, size)
-            cycle.setMGInterpolation(level, blocks)
-            cycle.setMGRestriction(level, blocks)
-            blocks.destroy()
+    if finest:  # a level alone has a factor
+        cycle.getMGSmoother(finest).setOperators(fine, fine)
     cycle.setReusePreconditioner(True)
     cycle.setOperators(fine, fine)  # lets go of the matrix it was built from

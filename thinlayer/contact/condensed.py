@@ -10,13 +10,14 @@ import numpy as np
 from petsc4py import PETSc
 
 from forms.contact import ContactLaw
-from thinlayer.contact.dense import LARGEST_RESIDUAL, DenseSystem, Load
+from thinlayer.contact.dense import STALLED, DenseSystem, Load
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.orders import chains_of, oblique_order
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.contact.schur import FactorError, SchurFactor
 from thinlayer.contact.side_displacements import SideDisplacements
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.force_scale import TINY
 
 TOLERANCE = 1e-11  # of Newton's method, over the forces
 RAMP = (0.1, 0.3, 0.6, 1.0)  # of stiffness and friction, where Newton's method fails at once
@@ -41,6 +42,7 @@ class Condensed:
         if problem.comm.size > 1:
             raise ModelError("method='condensed' runs on one rank; use 'multigrid'")
         self.problem, self.law = problem, problem.law
+        self._u, self._r = problem.b.duplicate(), problem.b.duplicate()
         self._sides = SideDisplacements(problem)
         if not len(self._sides.dofs):
             raise ModelError("supports hold every displacement on S: nothing is left for contact")
@@ -56,7 +58,7 @@ class Condensed:
     @cached_property
     def _system(self) -> DenseSystem:
         nodes, moving = self.problem.nodes, self._sides.moving
-        H = self._sides.to_jumps(self._factor.take_complement())
+        H = self._sides.to_jumps(self._factor.complement)
         return DenseSystem(H, nodes.weights[moving], nodes.frames[moving], nodes.held[moving], chains_of(nodes, moving))
 
     def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
@@ -66,8 +68,8 @@ class Condensed:
             start: (n, d) jumps to start from, in the nodes' frames, a length; None: no prediction.
 
         Returns:
-            Displacements, a new vector; number of Newton steps; the residual over the forces before each step and after
-            the last, and at the end that of the displacements in the problem itself.
+            Displacements, valid until the next `solve` or `close`; number of Newton steps; the residual over the forces
+            before each step and after the last, and at the end that of the displacements in the problem itself.
 
         Raises:
             SolveError: no convergence, as where there is no equilibrium; it has the residuals.
@@ -81,19 +83,21 @@ class Condensed:
             w, steps = self._find(system, start, history)
         except (FactorError, np.linalg.LinAlgError) as error:
             raise SolveError(f"contact: {error}; is every body supported, or does it meet S?") from error
-        u, r = problem.b.duplicate(), problem.b.duplicate()
-        u.array[:] = self._factor.expand(b, condensed, sides.displacements(w))
-        history.append(problem.residual(u, r))
-        r.destroy()
-        if not history[-1] <= LARGEST_RESIDUAL:
-            u.destroy()
+        self._u.array[:] = self._factor.expand(b, condensed, sides.displacements(w))
+        history.append(problem.residual(self._u, self._r))
+        if not history[-1] <= STALLED:
             raise self._failure(history)
-        return u, steps, history
+        return self._u, steps, history
 
     def _find(self, system: DenseSystem, start: Array | None, history: list[float]) -> tuple[Array, int]:
         """Jumps of the moving nodes in global axes, and the number of Newton steps to them."""
         sides, problem = self._sides, self.problem
-        load = Load(sides.forces(system.H), problem.slip[sides.moving], sides.held_jumps, problem.least)
+        load = Load(
+            sides.forces(system.H),
+            problem.slip[sides.moving],
+            sides.held_jumps,
+            max(problem.equations.scale.least, TINY),
+        )
         steps = 0
         for law, w, few in self._starts(system, load, start):
             steps += system.newton(law, load, w, TOLERANCE, history, few=few)
@@ -130,7 +134,9 @@ class Condensed:
         )
 
     def close(self) -> None:
-        """Free the factor."""
+        """Free the factor and vectors."""
+        self._u.destroy()
+        self._r.destroy()
         for name, free in (("_factor", SchurFactor.close), ("_system", DenseSystem.destroy)):
             if (thing := vars(self).pop(name, None)) is not None:
                 free(thing)

@@ -16,6 +16,7 @@ from forms.contact import ContactLaw
 from thinlayer.contact.gauss_seidel import sweep_nodes
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.turning import Sliding, sliding, turned
+from thinlayer.solving.force_scale import ALLOWED, ForceScale
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
 Indices = npt.NDArray[Any]
@@ -34,8 +35,8 @@ PATIENCE = 6  # steps from a prediction; after as many the sweeps double with ev
 MOST_SWEEPS = 256
 COARSEST = 48  # nodes of chains that are not coarsened any more
 ROUGH = 1e-3  # tolerance on coarse chains, whose solution is a start
-LARGEST_RESIDUAL = 1e-9
-FAR_RESIDUAL = 1e-6  # where rounding leaves more
+STALLED = 1e-9  # residual over the forces with which Newton's method may end where no step makes it smaller
+SUMMED = 10.0  # rounding of the condensed stiffness, in units of one rounding of its largest entry for a node
 
 
 @dataclass(frozen=True)
@@ -147,8 +148,13 @@ class DenseSystem:
         snes.getKSP().setOptionsPrefix(PREFIX + self._prefix + "dense_")
         snes.setFunction(self._function, self._f)
         snes.setJacobian(self._jacobian, self._J)
-        snes.setUpdate(self._sweep)
+        snes.setUpdate(self._count_sweeps)
         snes.setConvergenceTest(self._test)
+        snes.setNGS(self._sweep)
+        snes.setNPCSide(PETSc.PC.Side.RIGHT)
+        self._sweeps = snes.getNPC()
+        self._sweeps.setType("ngs")
+        self._sweeps.setNormSchedule(PETSc.SNES.NormSchedule.FINAL_ONLY)
         with defaults({self._prefix + name: value for name, value in NEWTON.items()}):
             snes.setFromOptions()
         return snes
@@ -164,33 +170,36 @@ class DenseSystem:
         self._tangent[self._columns, self._rows] += D  # PETSc's matrix is the transposed one
         J.assemble()
 
-    def _sweep(self, snes: PETSc.SNES, step: int) -> None:
-        """Gauss-Seidel before a Newton step, which takes the state and its residual from here."""
-        if (numbers := self._law.numbers) is None:
-            return
-        # Where Newton's steps go in circles, more sweeps come closer to where they converge.
-        sweeps = min(SWEEPS * 2 ** max(step - PATIENCE, 0), MOST_SWEEPS)
-        x, load = snes.getSolution(), self._load
+    def _count_sweeps(self, _: PETSc.SNES, step: int) -> None:
+        """How many sweeps come before a Newton step: the more, the longer its steps have gone in circles."""
+        count = min(SWEEPS * 2 ** max(step - PATIENCE, 0), MOST_SWEEPS) if self._law.numbers else 0
+        self._sweeps.setTolerances(max_it=count)
+        if not step:
+            self._at = None
+
+    def _sweep(self, _: PETSc.SNES, x: PETSc.Vec, __: PETSc.Vec | None) -> None:
+        """A Gauss-Seidel sweep, in place; nodes that turn stick in all sweeps before a step."""
+        load, numbers = self._load, self._law.numbers
+        assert numbers is not None
         w = x.array.reshape(self.n, self.d)
-        local = np.einsum("nij,nj->ni", self.frames, w)
-        turn = turned(self._law, local, load.slip, self._at if step else None)
-        turn[~self._moves] = 0.0
-        w += np.einsum("nji,nj->ni", self.frames, turn)
+        if not self._sweeps.getIterationNumber():
+            local = np.einsum("nij,nj->ni", self.frames, w)
+            turn = turned(self._law, local, load.slip, self._at)
+            turn[~self._moves] = 0.0
+            w += np.einsum("nji,nj->ni", self.frames, turn)
+            self._swept = self._moves & ~turn.any(axis=1)
         sweep_nodes(
-            self.H, load.g, w, self._base, self.frames, self.weights, numbers,
-            slip=load.slip, moves=self._moves & ~turn.any(axis=1), sweeps=sweeps,
-        )  # fmt: skip
-        self._function(snes, x, snes.getFunction()[0])
+            self.H, load.g, w, self._base, self.frames, self.weights, numbers, slip=load.slip, moves=self._swept
+        )
 
     def _rounding(self, x: PETSc.Vec) -> float:
         """What rounding leaves of the residual at jumps x, over the forces: much on soft springs, or with stiff ones."""
-        far = float(np.abs(x.array_r).max(initial=0.0)) * self._stiffest
-        share = 10 * np.finfo(float).eps * math.sqrt(self.n) * far / max(self._load.size, self._size)
-        return max(LARGEST_RESIDUAL, min(share, FAR_RESIDUAL))
+        share = self._scale.rounding(float(np.abs(x.array_r).max(initial=0.0))) / max(self._load.size, self._size)
+        return max(STALLED, min(share, ALLOWED))
 
     @cached_property
-    def _stiffest(self) -> float:
-        return float(self.H.diagonal().max())
+    def _scale(self) -> ForceScale:
+        return ForceScale(SUMMED * math.sqrt(self.n) * float(self.H.diagonal().max()))
 
     def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
         history = self._history
@@ -260,7 +269,7 @@ class DenseSystem:
     def destroy(self) -> None:
         """Free the solver, of the coarser systems too."""
         if self._snes is not None:
-            for thing in (self._snes, self._J, self._x, self._f):
+            for thing in (self._snes, self._sweeps, self._J, self._x, self._f):
                 thing.destroy()
             self._snes = None
         if vars(self).get("coarse") is not None:

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from forms.contact import ContactLaw
 from thinlayer.compiling.compiled import library
+from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
@@ -105,11 +106,11 @@ def sweep_nodes(
         not finite, a diagonal block that is not positive definite), which keeps its u.
 
     Raises:
-        ValueError: arrays of the wrong shape; u of another type or not contiguous.
+        ModelError: arrays of the wrong shape; u of another type or not contiguous.
     """
     n, d = _node_shape("u", u)
     if not (u.dtype == np.float64 and u.flags.c_contiguous and u.flags.writeable):
-        raise ValueError("u must be a C-contiguous, writeable array of float64: it is changed in place")
+        raise ModelError("u must be a C-contiguous, writeable array of float64: it is changed in place")
     indptr = indices = None
     if isinstance(matrix, BlockRows):
         indptr, indices = _checked_rows(matrix.indptr, matrix.indices, n, n)
@@ -177,7 +178,7 @@ def relax(
         Also when it does not converge: when increments are not finite or grow, stay as they are, or meet a limit.
 
     Raises:
-        ValueError: arrays of the wrong shape, indices out of range, a diagonal that is not positive.
+        ModelError: arrays of the wrong shape, indices out of range, a diagonal that is not positive.
         LawError: a law without numbers for compiled code.
     """
     b = _checked("b", b, (len(b),))
@@ -248,14 +249,14 @@ def _stagnates(values: Array, patience: int) -> bool:
 
 def _node_shape(name: str, array: npt.NDArray[Any]) -> tuple[int, int]:
     if array.ndim != 2 or array.shape[1] not in (2, 3):
-        raise ValueError(f"{name} has the shape {array.shape}; it must be (n, 2) or (n, 3)")
+        raise ModelError(f"{name} has the shape {array.shape}; it must be (n, 2) or (n, 3)")
     return array.shape[0], array.shape[1]
 
 
 def _checked(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], kind: Any = np.float64) -> npt.NDArray[Any]:
     """The array, contiguous and of a type that C reads."""
     if array.shape != shape:
-        raise ValueError(f"{name} has the shape {array.shape}; it must be {shape}")
+        raise ModelError(f"{name} has the shape {array.shape}; it must be {shape}")
     return np.ascontiguousarray(array, kind)
 
 
@@ -272,9 +273,9 @@ def _checked_rows(indptr: Indices, indices: Indices, rows: int, columns: int) ->
     begins = _checked("indptr", indptr, (rows + 1,), np.int32)
     entries = _checked("indices", indices, (len(indices),), np.int32)
     if begins[0] != 0 or begins[-1] != len(entries) or (np.diff(begins) < 0).any():
-        raise ValueError(f"indptr must grow from 0 to the number of indices, {len(entries)}")
+        raise ModelError(f"indptr must grow from 0 to the number of indices, {len(entries)}")
     if len(entries) and not 0 <= entries.min() <= entries.max() < columns:
-        raise ValueError(f"indices must be from 0 to {columns - 1}; found {entries.min()} to {entries.max()}")
+        raise ModelError(f"indices must be from 0 to {columns - 1}; found {entries.min()} to {entries.max()}")
     return begins, entries
 
 
@@ -283,19 +284,19 @@ def _require_positive_diagonal(indptr: Indices, indices: Indices, data: Array) -
     here = rows == indices
     diagonal = np.bincount(rows[here], data[here], len(indptr) - 1)
     if not (diagonal > 0).all():
-        raise ValueError(f"the diagonal of row {int(np.argmin(diagonal > 0))} is {diagonal.min()}; it must be > 0")
+        raise ModelError(f"the diagonal of row {int(np.argmin(diagonal > 0))} is {diagonal.min()}; it must be > 0")
 
 
 def _steps(contact: Indices, order: Indices | None, count: int) -> Indices:
     """What a sweep does, as sweeps.c reads it."""
     if contact.size and not 0 <= contact.min() <= contact.max() < count:
-        raise ValueError(f"contact must have dofs from 0 to {count - 1}; found {contact.min()} to {contact.max()}")
+        raise ModelError(f"contact must have dofs from 0 to {count - 1}; found {contact.min()} to {contact.max()}")
     if len(np.unique(contact)) != contact.size:
-        raise ValueError("contact must have each dof once")
+        raise ModelError("contact must have each dof once")
     if order is not None:
         order = _checked("order", order, (count,), np.int32)
         if not np.array_equal(np.sort(order), np.arange(count)):
-            raise ValueError(f"order must have each of the {count} dofs once")
+            raise ModelError(f"order must have each of the {count} dofs once")
     place = np.arange(count) if order is None else np.argsort(order)
     normal, tangential = place[contact[:, -1]].astype(float), place[contact[:, :-1]].min(axis=1).astype(float)
     if order is None:

@@ -121,7 +121,7 @@ class MultigridContact:
         given, here = self.given, self.problem
         if here is given:
             return start
-        here.least, here.largest = given.least, given.largest
+        here.largest = given.largest
         places = given.nodes.numbers, here.nodes.numbers
         here.slip = carry(given.comm, places[0], given.slip, places[1])
         return None if start is None else carry(given.comm, places[0], start, places[1])
@@ -168,6 +168,7 @@ class _Newton:
         self.residuals: list[float] = []
         self.iterations: list[int] = []
         self._target = shares[0]
+        self._known = False  # whether the next residual that is asked for is that of the outer solver
         self._at: Sliding | None = None  # at the last tangents
         self._set_rtol = not is_set("ksp_rtol", {})
 
@@ -175,16 +176,23 @@ class _Newton:
         """Go on from u, in place, with the tangent at the jumps `start` (None: bonded); PETSc's reason for the end."""
         problem, self._start = self.problem, start
         u.array[problem.held] = problem.prescribed.array_r[problem.held]
-        f = u.duplicate()
+        f = self._f = u.duplicate()
         J = PETSc.Mat().createPython(problem.A.getSizes(), self.tangent, comm=problem.comm)
         J.setUp()
         snes = PETSc.SNES().create(problem.comm)
         try:
             snes.setOptionsPrefix(PREFIX)
             snes.setFunction(self._residual, f)
-            snes.setJacobian(_nothing, J)
+            snes.setJacobian(self._linearise, J)
             snes.setConvergenceTest(self._test)
-            snes.setUpdate(self._prepare)
+            snes.setUpdate(self._choose_sweeps)
+            snes.setNGS(self._sweep)
+            snes.setNPCSide(PETSc.PC.Side.RIGHT)
+            sweeps = snes.getNPC()
+            sweeps.setType("ngs")
+            sweeps.setTolerances(max_it=1)
+            sweeps.setNormSchedule(PETSc.SNES.NormSchedule.FINAL_ONLY)
+            sweeps.destroy()  # this reference to it
             snes.setFromOptions()
             pc = snes.getKSP().getPC()
             pc.setType("python")
@@ -196,6 +204,10 @@ class _Newton:
                 item.destroy()
 
     def _residual(self, _: PETSc.SNES, u: PETSc.Vec, f: PETSc.Vec) -> None:
+        if self._known:  # without a sweep PETSc asks for it again
+            self._known = False
+            self._f.copy(f)
+            return
         self._h = self.problem.residual(u, f)
 
     def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
@@ -207,20 +219,31 @@ class _Newton:
             return reason.DIVERGED_FNORM_NAN
         return reason.CONVERGED_FNORM_ABS if self._h <= self.tolerance else False
 
-    def _prepare(self, snes: PETSc.SNES, step: int) -> None:
-        """Before a Newton step: sweeps if need be, tangents, tolerance of the linear solve."""
-        u, f, ksp = snes.getSolution(), snes.getFunction()[0], snes.getKSP()
-        if step == 0:
-            tangents = self._begin(u, f)
-            share = self.shares[0]
-        else:
-            left = ksp.getResidualNorm() / snes.getFunctionNorm()
-            tangents = self._go_on(u, f, left)
-            share = min(0.5, self._target / self._h)
+    def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
+        """Before a Newton step: sweeps are due if the last one has gone another way than its tangents said."""
+        self._swept = False
+        if step:
+            w = self.nodes.jump(snes.getSolution())
+            self._turn = turned(self.problem.law, w, self.problem.slip, self._at)
+            self._swept = self._is_new(w, self._turn) or self._h > EXPECTED * self._target
+            ksp = snes.getKSP()
+            self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
+
+    def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
+        """Gauss-Seidel sweeps over the nodes of S, each rank its own, if they are due; the residual of u is there."""
+        self._known = not self._swept
+        if self._swept:
+            self.surface.sweep(u, self._f, self._turn)
+
+    def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
+        """Tangents of a step, and the tolerance of its linear solve."""
+        first = not snes.getIterationNumber()
+        tangents = self._begin(u, self._f) if first else self._go_on(u)
+        share = self.shares[0] if first else min(0.5, self._target / self._h)
         self._before = self._h
         self.tangent.linearise(tangents)
         if self._set_rtol:
-            ksp.setTolerances(rtol=share)
+            snes.getKSP().setTolerances(rtol=share)
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Tangents of the first step; its residual is that of the law made linear there."""
@@ -236,27 +259,18 @@ class _Newton:
         f.array[self.problem.held] = 0.0
         return tangents
 
-    def _go_on(self, u: PETSc.Vec, f: PETSc.Vec, left: float) -> Array:
-        """Tangents of a later step, after sweeps if the last step has gone another way than its tangents said.
-
-        Args:
-            u, f: displacements and residual, in place.
-            left: what the last linear solve has left, over the norm of f.
-        """
-        problem, w = self.problem, self.nodes.jump(u)
-        turn = turned(problem.law, w, problem.slip, self._at)
-        if self._is_new(w, turn) or self._h > EXPECTED * self._target:
-            self.surface.sweep(u, f, turn)
-            self._residual(None, u, f)
-            w = self.nodes.jump(u)
+    def _go_on(self, u: PETSc.Vec) -> Array:
+        """Tangents of a later step, and what its linear solve shall leave."""
+        if self._swept:
             self._target = self.shares[1] * min(self._h, self._target)
         else:
             # what the law's curvature leaves goes down with the square of the steps
-            curved = self._h * math.sqrt(abs(1 - left**2)) * (self._h / self._before) ** 2
+            curved = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
             self._target = min(self.shares[1] * self._h, curved)
         self._target = max(self._target, FINISH * self.tolerance)
+        w = self.nodes.jump(u)
         self._note(w)
-        return problem.law.tangent(w, problem.slip)
+        return self.problem.law.tangent(w, self.problem.slip)
 
     # ---------------------------------------------------------------- status
     def _note(self, w: Array) -> None:
@@ -267,10 +281,6 @@ class _Newton:
         """Whether on some rank the status is not that of the last tangents."""
         other = self._at is None or bool((self.problem.law.status(w, self.problem.slip) != self._at[0]).any())
         return bool(self.problem.comm.allreduce(int(other or bool(turn.any()))))
-
-
-def _nothing(*_: Any) -> None:
-    """The Jacobian: its context has the tangents already."""
 
 
 def _count_as_read(beginnings: tuple[str, ...]) -> None:

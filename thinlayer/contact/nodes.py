@@ -12,12 +12,13 @@ from petsc4py import PETSc
 
 from geometry.joint import S
 from geometry.topology import corner_count
-from thinlayer.discretisation.compat import interior_facet_entities
+from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import ask
 
 Array = npt.NDArray[np.float64]
+CONTACT = "contact"  # key of the slip at nodes (n, d - 1) in states and in files
 
 
 class ContactNodes:
@@ -104,7 +105,7 @@ class ContactNodes:
             upper, lower = lower, upper
         above = self._nodes(upper, vertices).ravel()
         below = np.full(above.size, -1.0) if base else self._global(self._nodes(lower, vertices).ravel())
-        numbers = np.asarray(mesh.geometry.input_global_indices)[places.ravel()]
+        numbers = model.domain.original_points[places.ravel()]
         vectors = (areas[:, :, None] * normals[:, None]).reshape(-1, d)
         rows = np.column_stack([above, below, areas.ravel(), vectors, numbers])
         return np.asarray(rows[below != self._global(above)])  # at a tip nothing jumps

@@ -12,9 +12,9 @@ from thinlayer.contact.gauss_seidel import relax
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.problem import ContactProblem
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.force_scale import ALLOWED
 from thinlayer.solving.options import PREFIX, OptionError
 
-LARGEST_RESIDUAL = 1e-6
 SLOW = 1e5  # residual over the tolerance of the increments that slow convergence may leave
 FIXED = 1e20  # times the mean stiffness, on the diagonal of held components of contact nodes
 ALIGNED = 1e-9
@@ -65,6 +65,7 @@ class ContactRelaxation:
         held[slots] = self._held_jumps
         self._held = np.flatnonzero(held).astype(PETSc.IntType)
         self._order = self._row_by_row()
+        self._u = problem.b.duplicate()
 
     def _row_by_row(self) -> npt.NDArray[np.int32]:
         """Unknowns in the order of the nodes' places, along x first; convergence depends on the order of sweeps."""
@@ -131,14 +132,13 @@ class ContactRelaxation:
             slip=problem.slip[self._moving], order=self._order, **chosen,
         )  # fmt: skip
         z.array[:] = found.u
-        u = problem.b.duplicate()
+        u = self._u
         self.T.mult(z, u)
         u.array[problem.held] = prescribed.array_r[problem.held]
         residual = problem.residual(u, b)
         for thing in (A, b, z, diagonal):
             thing.destroy()
-        if not (found.converged and residual <= max(LARGEST_RESIDUAL, min(SLOW * chosen["tolerance"], 1e-2))):
-            u.destroy()
+        if not (found.converged and residual <= max(ALLOWED, min(SLOW * chosen["tolerance"], 1e-2))):
             last = found.increments[-1] if len(found.increments) else np.nan
             raise SolveError(
                 f"the relaxation does not converge: after {found.sweeps} sweeps the increment is {last:.1e} and the "
@@ -150,5 +150,6 @@ class ContactRelaxation:
 
     def close(self) -> None:
         """Free the matrices."""
+        self._u.destroy()
         self.T.destroy()
         self.A.destroy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from thinlayer.contact.blocks import faster_products, in_blocks, multiply_in_blocks
+from thinlayer.contact.blocks import faster_products, in_blocks, smooth_in_blocks
 from thinlayer.contact.nodes import Array
 from thinlayer.contact.surface_stiffness import SurfaceStiffness
 from thinlayer.solving.options import PREFIX
@@ -68,7 +68,7 @@ class Tangent:
         with faster_products(serial=problem.comm.size == 1):
             self._cycle.setUp()
         if self._cycle.getType() == "gamg":
-            multiply_in_blocks(self._cycle, self._matrix)
+            smooth_in_blocks(self._cycle, self._matrix)
         M.destroy()
 
     def linearise(self, tangents: Array) -> None:

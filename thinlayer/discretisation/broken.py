@@ -16,7 +16,8 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from thinlayer.discretisation.compat import index_map, interior_facet_entities, space_with_dofmap
+from thinlayer.compiling.compat import index_map, interior_facet_entities, space_with_dofmap
+from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import ask
 
 Colours = npt.NDArray[np.int32]
@@ -108,9 +109,7 @@ def interface_measure(
     equal = (colours[entities[:, 0]] == colours[entities[:, 2]]).sum() if len(entities) else 0
     lost, equal = comm.allreduce(np.array([len(owned) - len(entities), equal]))
     if lost or equal:
-        raise RuntimeError(
-            f"interface: {lost} facets with one local cell, {equal} facets between cells of equal colour"
-        )
+        raise ModelError(f"interface: {lost} facets with one local cell, {equal} facets between cells of equal colour")
     swap = colours[entities[:, 0]] < colours[entities[:, 2]]
     entities[swap] = entities[swap][:, [2, 3, 0, 1]]
     return ufl.Measure("dS", domain=mesh, subdomain_data=[(tag, entities.ravel())])(tag), entities

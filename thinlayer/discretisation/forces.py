@@ -12,6 +12,7 @@ from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
 from geometry.sheet import Sheet
+from thinlayer.discretisation.load_curves import Moment
 from thinlayer.discretisation.loads import Coordinates, Load, vector
 from thinlayer.errors import ModelError, warn
 
@@ -119,18 +120,18 @@ class Forces:
                 raise ModelError(unknown("body", name, regions))
         return {name: forces[name] for name in regions if name in forces}
 
-    def work(self, v: Expr) -> Expr:
-        """Virtual work of the loads, a UFL form linear in v."""
+    def work(self, v: Expr, moment: Moment) -> Expr:
+        """Virtual work of the loads at a moment, a UFL form linear in v."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         for _, load, measure in self._loads:
             form += ufl.inner(load, v) * measure
-        return form
+        return moment.of(form)
 
-    def not_finite(self) -> list[str]:
-        """The loads that are not finite at the present time. Collective."""
-        found = []
+    def not_finite(self, t: float) -> list[str]:
+        """The loads that are not finite at a time. Collective."""
+        found, moment = [], self.at.moment(t)
         for what, load, measure in self._loads:
-            total = fem.assemble_scalar(fem.form(ufl.inner(load, load) * measure))
+            total = fem.assemble_scalar(fem.form(moment.of(ufl.inner(load, load) * measure)))
             if self.domain.comm.allreduce(int(not np.isfinite(total))):
                 found.append(what)
         return found

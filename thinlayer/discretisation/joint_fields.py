@@ -18,7 +18,7 @@ def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.fl
     """A function given by its degrees of freedom on each cell of the joint, (n_cells, dofs per cell, components)."""
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list
-    f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = values[domain.original_cells].reshape(-1, values.shape[2])
+    f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.on_cells(values).reshape(-1, values.shape[2])
     return f
 
 

@@ -1,4 +1,7 @@
-"""ThinLayer: a law and a thickness; the only place that turns parameters per thickness into real ones."""
+"""What a layer is: a law of strains and a thickness, or a law on S alone, of jumps or of nodes.
+
+The only place that turns parameters per thickness into real ones.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,13 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from forms.contact import ContactLaw
-from forms.declarations import is_number, require_declarations
-from forms.law import Law, LawError
-from forms.series import Stack
+from forms.declarations import require_declarations
+from forms.law import BulkLaw, LawError
 from forms.traction import TractionLaw
 from geometry.joint import Profile
+from thinlayer_base import is_number
+
+LawOnS = TractionLaw | ContactLaw  # of jumps, or of nodes: there is no thickness in it
 
 
 @dataclass(frozen=True)
@@ -23,8 +28,7 @@ class ThinLayer:
 
     Attributes:
         law: the layer's law, its parameters per thickness (`law.per_thickness(eps)` converts real ones). Sublayers in
-            series: `Stack((fraction, law), ...)` from the lower to the upper face. Laws of jumps (contact, `TractionLaw`)
-            have no thickness: eps does not enter them.
+            series: `Stack((fraction, law), ...)` from the lower to the upper face.
         eps: thickness, a length > 0; where it varies along S, times the profile.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
@@ -35,59 +39,65 @@ class ThinLayer:
             those of the thickness eps, everywhere.
 
     Raises:
-        LawError: eps or order out of range, order 1 of a Stack or of a varying thickness.
+        LawError: a law of jumps or of nodes, which is a layer by itself; eps or order out of range; order 1 of a Stack or
+            of a varying thickness.
     """
 
-    law: Law
+    law: BulkLaw
     eps: float
     order: int = 0
     profile: Profile | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.law, Law):
-            raise LawError(f"the layer's law is {self.law!r}; it must be a law such as forms.LinearElastic")
+        if isinstance(self.law, LawOnS):
+            raise LawError(
+                f"{type(self.law).__name__} is a law on S and has no thickness: give it alone, structure.interface(law)"
+            )
+        if not isinstance(self.law, BulkLaw):
+            raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
         require_declarations(self.law)
         if not (is_number(self.eps) and math.isfinite(self.eps) and self.eps > 0):
             raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
-        if self.order == 1 and isinstance(self.law, Stack):
+        if self.order == 1 and len(self.law.sublayers) > 1:
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
-        if self.order == 1 and (isinstance(self.law, (TractionLaw, ContactLaw)) or self.law.constrained):
+        if self.order == 1 and self.law.traits.constrained:
             raise LawError(f"order=1 of {type(self.law).__name__}: there is no next-order law of it; use order=0")
-        if self.order == 1 and self.law.switches:
+        if self.order == 1 and self.law.traits.switches:
             raise LawError(f"order=1 of {type(self.law).__name__}: its phases are those of jumps alone; use order=0")
-        if self.order == 1 and self.law.plateau:
+        if self.order == 1 and self.law.traits.plateau:
             raise LawError(
                 f"order=1 of {self.law!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
                 "layer, and the next term depends on where the sheets lie; use order=0"
             )
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
-        if self.profile is not None and isinstance(self.law, TractionLaw):
-            raise LawError(
-                f"{type(self.law).__name__} has no thickness that could vary along S; declare `varies` and `at(x, t)` for "
-                "parameters that vary"
-            )
         if self.order == 1 and self.profile is not None:
             raise LawError("order=1 needs a uniform thickness; use order=0")
 
     @property
     def fractions(self) -> tuple[float, ...]:
         """Thickness fractions of the sublayers, from the lower to the upper face; () for a single layer."""
-        return self.law.fractions if isinstance(self.law, Stack) else ()
-
-    def real_law(self, plane: str) -> Law:
-        """The law with real parameters, value * eps**power."""
-        eps = float(self.eps)
-        return in_plane(self.law, plane).mapped(lambda value, power: np.asarray(value, float) * eps**power)
+        fractions = tuple(a for a, _ in self.law.sublayers)
+        return fractions if len(fractions) > 1 else ()
 
 
-def in_plane(law: Law, plane: str) -> Law:
+Layer = ThinLayer | LawOnS
+
+
+def real_law(layer: Layer, plane: str) -> BulkLaw:
+    """A layer's law with real parameters, for plane "strain" or "stress"; a law of jumps as one of strains."""
+    if not isinstance(layer, ThinLayer):
+        return layer.of_strains()
+    return in_plane(layer.law, plane).in_layer(float(layer.eps))
+
+
+def in_plane(law: BulkLaw, plane: str) -> BulkLaw:
     """The law for plane "strain" (as it is) or plane "stress"."""
     return law.plane_stress() if plane == "stress" else law
 
 
-def constants(law: Law, mesh: Mesh) -> Law:
+def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     """A law whose parameters are Constants, so that forms are compiled once for all their values."""
     return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))

@@ -18,9 +18,9 @@ from ufl.core.multiindex import MultiIndex
 from ufl.core.terminal import Terminal
 from ufl.corealg.traversal import unique_pre_traversal
 
-from forms.declarations import is_number
 from forms.kinematics import Expr
 from forms.trace import asked_by_ufl
+from thinlayer_base import is_number
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # of times, relative: a sum of steps that ends where the curve does; of slopes that are the same
@@ -32,39 +32,33 @@ def _refuse(done: str) -> NoReturn:
     raise TypeError(f"x and t stand for all places and times, they are no numbers: {done} would be found once, for all")
 
 
-class Time(fem.Constant):
-    """The time: in UFL a constant, to Python no number, for functions are called once, when the model is built.
+class Time(ufl.Constant):
+    """The time: a UFL symbol, to Python no number, for functions are called once, when the model is built.
 
-    Setting `value` sets the load curves that depend on it too.
+    It has no value: expressions of it are compiled at a `Moment`.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        super().__init__(mesh, 0.0)
-        self._followers: list[tuple[Expr, LoadCurve, fem.Constant]] = []
+        super().__init__(mesh.ufl_domain())
+        self.mesh = mesh
+        self.followers: list[tuple[Expr, LoadCurve, ufl.Constant]] = []
 
     @property
     def value(self) -> Any:
         """Not to be read; raises TypeError."""
         _refuse("t.value")
 
-    @value.setter
-    def value(self, t: float) -> None:
-        fem.Constant.value.fset(self, t)
-        for argument, curve, constant in self._followers:
-            constant.value = curve.at(_value(argument, self, t))
-
-    def follow(self, argument: Expr, curve: LoadCurve) -> fem.Constant:
-        """The values of a curve at an argument that depends on the time alone, (columns,)."""
-        constant = fem.Constant(self.ufl_domain(), np.zeros(curve.columns.shape[1]))
-        self._followers.append((argument, curve, constant))
-        constant.value = curve.at(_value(argument, self, float(self._cpp_object.value)))
-        return constant
+    def follow(self, argument: Expr, curve: LoadCurve) -> ufl.Constant:
+        """A symbol (columns,) for the values of a curve at an argument that depends on the time alone."""
+        symbol = ufl.Constant(self.ufl_domain(), (curve.columns.shape[1],))
+        self.followers.append((argument, curve, symbol))
+        return symbol
 
     @property
     def breaks(self) -> set[float]:
         """Times at which curves break whose argument is linear in the time."""
         found: set[float] = set()
-        for argument, curve, _ in self._followers:
+        for argument, curve, _ in self.followers:
             rate, start = _linear(argument, self)
             found |= {(t - start) / rate for t in curve.breaks} if rate else set()
         return found
@@ -91,7 +85,34 @@ class Time(fem.Constant):
             _refuse(f"t == {other!r}")
         return False
 
-    __hash__ = fem.Constant.__hash__
+    __hash__ = ufl.Constant.__hash__
+
+
+class Moment:
+    """A time at which expressions of a `Time` have values: constants that their compiled forms read.
+
+    Forms at several moments are compiled once; one moment that is set to several times serves a form that is kept.
+    """
+
+    def __init__(self, clock: Time, t: float) -> None:
+        self._clock, self._t = clock, fem.Constant(clock.mesh, 0.0)
+        self._curves = [
+            (argument, curve, fem.Constant(clock.mesh, np.zeros(symbol.ufl_shape)))
+            for argument, curve, symbol in clock.followers
+        ]
+        symbols = [clock, *(symbol for *_, symbol in clock.followers)]
+        self._values = dict(zip(symbols, [self._t, *(constant for *_, constant in self._curves)], strict=True))
+        self.set(t)
+
+    def set(self, t: float) -> None:
+        """Move on to another time."""
+        self._t.value = t
+        for argument, curve, constant in self._curves:
+            constant.value = curve.at(_value(argument, self._clock, t))
+
+    def of(self, expression: Expr) -> Expr:
+        """An expression or a form at this moment."""
+        return ufl.replace(expression, self._values)
 
 
 @contextmanager

@@ -16,20 +16,21 @@ from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 
-from forms.declarations import is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
-from thinlayer.discretisation.compat import interpolation_points
+from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.joint_fields import shift
-from thinlayer.discretisation.load_curves import LoadCurve, Time, symbols
+from thinlayer.discretisation.load_curves import LoadCurve, Moment, Time, symbols
 from thinlayer.errors import ModelError
+from thinlayer_base import is_number
 
 AXES = "xyz"
 Place = str | tuple[float, ...]
 Value = float | Callable[[Expr, Expr], Expr]
 Support = float | Mapping[str, Value]
+Given = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 
 
@@ -40,7 +41,7 @@ class Coordinates:
     Attributes:
         mesh: the mesh.
         x: (d,) UFL coordinates.
-        t: the time, a UFL constant.
+        t: the time, a UFL symbol.
     """
 
     mesh: Mesh
@@ -55,6 +56,10 @@ class Coordinates:
         if band is None or band.bodies == "extended":
             return cls(mesh, x, t)
         return cls(mesh, x - shift(domain), t)
+
+    def moment(self, t: float) -> Moment:
+        """What gives expressions of the time their values at a time."""
+        return Moment(self.t, t)
 
 
 def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
@@ -173,9 +178,7 @@ class Supports:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
     """
 
-    def __init__(
-        self, domain: Domain, given: Mapping[Place, Support], at: Coordinates, clamped: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, domain: Domain, given: Given, at: Coordinates, clamped: Sequence[str] = ()) -> None:
         if not isinstance(given, Mapping):
             raise ModelError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
         self.domain, self.at = domain, at
@@ -249,37 +252,46 @@ class Supports:
         found = [self.dofs(V, place, axis) for place, components in entries for axis in components]
         return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
 
-    def conditions(self, V: fem.FunctionSpace) -> Conditions:
-        """Boundary conditions for a space. Collective."""
-        return Conditions(self, V)
+    def on(self, V: fem.FunctionSpace) -> Prescribed:
+        """What they prescribe in a space. Collective."""
+        return Prescribed(self, V)
 
 
-class Conditions:
-    """Dirichlet conditions of a space and the values they take at a time."""
+class Prescribed:
+    """Degrees of freedom of a space that supports prescribe.
+
+    Attributes:
+        held: (n,) their numbers among those of this rank, increasing.
+    """
 
     def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
-        self.bcs: list[fem.DirichletBC] = []
+        self._moment = supports.at.moment(0.0)
         self._varying: list[tuple[fem.Function, fem.Expression]] = []
+        self._entries: list[tuple[npt.NDArray[np.int32], fem.Function]] = []
         for (place, components), vector in zip(supports.entries, supports.vectors, strict=True):
-            value = self._value(V, vector)
-            for axis in components:
-                dofs = supports.dofs(V, place, axis)
-                self.bcs.append(fem.dirichletbc(value, [dofs, dofs], V.sub(supports.axes.index(axis))))
-        self.update()
+            dofs = [supports.dofs(V, place, axis) for axis in components]
+            self._entries.append((np.concatenate([np.empty(0, np.int32), *dofs]), self._value(V, vector)))
+        held = np.unique(np.concatenate([np.empty(0, np.int32), *(dofs for dofs, _ in self._entries)]))
+        self.held = held[held < V.dofmap.index_map.size_local * V.dofmap.index_map_bs].astype(np.int32)
+        self._values = fem.Function(V).x.array
 
     def _value(self, V: fem.FunctionSpace, vector: npt.NDArray[np.float64] | Expr) -> fem.Function:
         value = fem.Function(V)
         if not isinstance(vector, np.ndarray):
-            self._varying.append((value, fem.Expression(vector, interpolation_points(V))))
+            self._varying.append((value, fem.Expression(self._moment.of(vector), interpolation_points(V))))
         elif vector.any():
             value.interpolate(lambda x: np.repeat(vector[:, None], x.shape[1], axis=1))
         return value
 
-    def update(self) -> None:
-        """Evaluate the prescribed values at the present time."""
+    def at(self, t: float) -> npt.NDArray[np.float64]:
+        """Their values (n,) at a time, not finite where a function is not. Collective."""
+        self._moment.set(t)
         for value, expression in self._varying:
             value.interpolate(expression)
             value.x.scatter_forward()
+        for dofs, value in self._entries:
+            self._values[dofs] = value.x.array[dofs]
+        return np.asarray(self._values[self.held])
 
 
 def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component: int) -> npt.NDArray[np.int32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -53,12 +54,30 @@ def _rotation(
     return out
 
 
-def require_support(comm: MPI.Intracomm, V: fem.FunctionSpace, joint: Joint, held: npt.NDArray[np.int32]) -> None:
-    """Raise ModelError if a rigid motion moves none of the held degrees of freedom. Collective."""
+def require_support(
+    comm: MPI.Intracomm,
+    V: fem.FunctionSpace,
+    joint: Joint,
+    held: npt.NDArray[np.int32],
+    resistances: Sequence[Callable[[Sequence[fem.Function]], npt.NDArray[np.float64]]],
+) -> None:
+    """Raise ModelError if a rigid motion moves no held degree of freedom and nothing else resists it. Collective.
+
+    Args:
+        comm, V, joint: of the model.
+        held: local degrees of freedom that supports prescribe.
+        resistances: functions of the m rigid motions that give the work (m, m) of forces that resist them.
+    """
     motions = rigid_motions(V, joint)
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
     rows = np.array([f.x.array[held[held < owned]] for f in motions.values()])
-    values, vectors = np.linalg.eigh(comm.allreduce(rows @ rows.T))
+    resisted = comm.allreduce(rows @ rows.T)
+    for resistance in resistances:
+        work = resistance([*motions.values()])
+        size = np.abs(work).max()
+        if np.isfinite(size) and size > 0:
+            resisted = resisted + (work + work.T) / (2 * size)
+    values, vectors = np.linalg.eigh(resisted)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]
         raise ModelError(f"no support against rigid motion of the structure ({free}); add supports")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,12 @@ from dolfinx import fem
 
 from forms.work import Term, energy
 from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import carry
+
+PRESSURE = "pressure"  # key of the field of an incompressible layer
 
 
 @dataclass(frozen=True)
@@ -43,16 +46,15 @@ class Report:
 class Audit:
     """Energy balance of a step: supplied = stored + dissipated + remainder, to the solver's tolerance.
 
-    Energies (per unit thickness in 2D), all of them increments but `layer`.
+    Energies (per unit thickness in 2D), all of them increments but `total`.
 
     Attributes:
         supplied: work of the loads and of moving supports.
-        stored: in bodies and layer.
-        dissipated: in the layer.
+        stored: in bodies and layer, and in what is added to them.
+        dissipated: in the layer, and in what is added.
         remainder: what the time scheme adds (backward Euler: the energy of the increments; midpoint: zero, for laws with
             a quadratic energy); where parameters vary in time, also what their change does at held strains.
-        layer: energy stored in the layer at the end of the step, where its law acts at points or at nodes.
-        total: energy stored in bodies and layer at the end of the step.
+        total: energy stored in all parts at the end of the step.
 
     Of laws that declare no energy all but the first are NaN.
     """
@@ -61,7 +63,6 @@ class Audit:
     stored: float = 0.0
     dissipated: float = 0.0
     remainder: float = 0.0
-    layer: float = 0.0
     total: float = 0.0
 
     @property
@@ -81,9 +82,11 @@ class State:
         u: displacement, in model.V.
         t: time.
         report: how it was found.
-        p: pressure in an incompressible layer, on the cells of the meshed layer or on S; else None.
-        memory: internal values of the layer's laws that act at points, (points, values) for each; last, under contact, the
-            slip at this rank's nodes of S, (nodes, d - 1).
+        memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
+            (of several "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
+            (nodes, d - 1).
+        fields: unknowns beside the displacements, by the key of their part.
+        stored: energy at the end of the step in the parts that are not forms of laws, by key.
         audit: energy balance of the step that led here.
     """
 
@@ -91,9 +94,15 @@ class State:
     u: fem.Function
     t: float
     report: Report
-    p: fem.Function | None = None
-    memory: tuple[npt.NDArray[np.float64], ...] = ()
+    memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    fields: Mapping[str, fem.Function] = field(default_factory=dict)
+    stored: Mapping[str, float] = field(default_factory=dict)
     audit: Audit = Audit()
+
+    @property
+    def p(self) -> fem.Function | None:
+        """Pressure in an incompressible layer, on the cells of the meshed layer or on S; else None."""
+        return self.fields.get(PRESSURE)
 
     def __repr__(self) -> str:
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
@@ -106,30 +115,31 @@ class State:
         """Value of a UFL form without arguments, summed over the ranks. Collective.
 
         Raises:
-            ModelError: a number in it is not finite.
+            ModelError: a number in it is not finite; measures of one kind with two sets of tags.
         """
         if isinstance(form, ufl.Form) and not all(has_finite_numbers(part.integrand()) for part in form.integrals()):
             raise ModelError(f"a form has a number that is not finite, or not real: {str(form)[:80]}")
-        return float(self.model.comm.allreduce(fem.assemble_scalar(fem.form(form))))
+        return float(self.model.comm.allreduce(fem.assemble_scalar(compiled(form))))
 
     def energies(self) -> dict[str, float]:
-        """Stored energy of the bodies and of the layer, and the work of the loads (per unit thickness in 2D). Collective.
+        """Stored energy of the bodies, of the layer, and of what was added to the model by its key; the work of the loads.
 
-        For linear laws and supports that do not move, bodies + layer = loads / 2 (Clapeyron). NaN where a law declares no
-        energy.
+        Per unit thickness in 2D. For linear laws and supports that do not move, the stored energies are half the work of
+        the loads (Clapeyron). NaN where a law declares no energy. Collective.
         """
         model = self.model
-        model.coordinates.t.value = self.t
-        at_points = model.contact is not None or any(p.law.pointwise for p in model.layer_terms)
-        in_forms = [p for p in model.layer_terms if not p.law.pointwise]
+        added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts}
+        remembered = sum(energy for key, energy in self.stored.items() if key not in added)
+        in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
         return {
             "bodies": self._stored(model.bodies),
-            "layer": (self.audit.layer if at_points else 0.0) + self._stored(in_forms),
-            "loads": self.integral(model.external_work(self.u)),
+            "layer": remembered + self._stored(in_forms),
+            **added,
+            "loads": self.integral(model.external_work(self.u, self.t)),
         }
 
     def _stored(self, points: Sequence[Term]) -> float:
-        if not all(p.law.has_energy for p in points):
+        if not all(p.law.traits.has_energy for p in points):
             return math.nan
         return self.integral(energy(points, self.u)) if points else 0.0
 

@@ -20,6 +20,7 @@ from rich.text import Text
 
 from geometry.parallel import on_root
 from thinlayer.errors import ModelError
+from thinlayer_base import InputError
 
 Row = dict[str, float | str | None]
 
@@ -53,6 +54,10 @@ def hash_of(path: Path) -> str | None:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
+class ColumnError(InputError, KeyError):
+    """A column that a table does not have."""
+
+
 class Table:
     """Rows with the same columns. On several ranks all have the same table, and rank 0 alone touches files.
 
@@ -73,11 +78,11 @@ class Table:
         """Add a row, and commit it to the file: flushed to the disk before this returns. Collective, if there is a file.
 
         Raises:
-            ValueError: other columns than the first row's. ModelError: a name of a column that is no text.
+            ModelError: other columns than the first row's, or a name of a column that is no text.
             OSError: it could not be written; on all ranks.
         """
         if self.rows and list(row) != self.columns:
-            raise ValueError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
+            raise ModelError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
         if wrong := [name for name in row if not isinstance(name, str)]:
             raise ModelError(f"a table's columns have texts for names, not {', '.join(map(repr, wrong))}")
         self.rows.append(dict(row))
@@ -165,7 +170,7 @@ class Table:
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
         """A column as numbers, NaN where empty."""
         if column not in self.columns:
-            raise KeyError(f"no column {column!r}; columns: {', '.join(self.columns)}")
+            raise ColumnError(f"no column {column!r}; columns: {', '.join(self.columns)}")
         return np.array([np.nan if row[column] is None else row[column] for row in self.rows], float)
 
     def __str__(self) -> str:

@@ -14,9 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.contact import Status
 from forms.work import work
-from geometry.joint import Joint
 from geometry.order import edges_of_s, order_on_s
-from thinlayer.contact.nodes import Array, ContactNodes
+from thinlayer.contact.nodes import CONTACT, Array, ContactNodes
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
@@ -46,9 +45,14 @@ class Zone:
     nodes: int
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class ContactReport:
     """Contact on S in a state, the same on all ranks; nodes in order along S in 2D, else by their coordinates.
+
+    Args:
+        state: state of a model with a contact law. The constructor is collective.
+
+    Raises:
+        ModelError: no contact law in the state's model.
 
     Attributes:
         joint: the joint.
@@ -68,28 +72,7 @@ class ContactReport:
             over the largest of the four: zero in equilibrium.
     """
 
-    joint: Joint
-    numbers: npt.NDArray[np.int64]
-    x: Array
-    status: npt.NDArray[np.str_]
-    u_T: Array
-    u_N: Array
-    p: Array
-    t_T: Array
-    threshold: Array
-    weights: Array
-    frames: Array
-    force: Array
-    equilibrium: float
-    clapeyron: float
-
-    @classmethod
-    def of(cls, state: State) -> ContactReport:
-        """The report of a state of a model with a contact law. Collective.
-
-        Raises:
-            ModelError: no contact law in the state's model.
-        """
+    def __init__(self, state: State) -> None:
         if not isinstance(state, State) or state.model.contact is None:
             given = f"one of {state.model!r}" if isinstance(state, State) else repr(state)[:200]
             raise ModelError(f"a contact report needs a state of a model with a contact law, not {given}")
@@ -97,7 +80,7 @@ class ContactReport:
         held = model.supports.held(model.V)
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
         nodes = ContactNodes(model, held[held < owned])
-        slip, d = state.memory[-1], nodes.dim
+        slip, d = state.memory[CONTACT], nodes.dim
         w = nodes.jump(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)
         threshold = law.threshold(p)
@@ -118,13 +101,13 @@ class ContactReport:
         )
         names = np.array([NAMES[Status(int(k))] for k in kinds.ravel()], dtype="<U9")
         names[held_rows.ravel() > 0] = PINNED
+        self.joint, self.numbers, self.x, self.status = model.joint, numbers[order], x, names
+        self.u_T, self.u_N, self.p, self.t_T = jumps[:, :-1], -jumps[:, -1], pressure.ravel(), friction
+        self.threshold, self.weights, self.frames = bound.ravel(), weights.ravel(), frames.reshape(-1, d, d)
         force = -model.comm.allreduce(np.einsum("n,nki,nk->i", nodes.weights, nodes.frames, t))
-        checks = _balance(state, nodes, held[held < owned], t)
+        self.force: Array = np.asarray(force)
+        self.equilibrium, self.clapeyron = _balance(state, nodes, held[held < owned], t)
         nodes.destroy()
-        return cls(
-            model.joint, numbers[order], x, names, jumps[:, :-1], -jumps[:, -1], pressure.ravel(), friction,
-            bound.ravel(), weights.ravel(), frames.reshape(-1, d, d), np.asarray(force), *checks,
-        )  # fmt: skip
 
     @property
     def counts(self) -> dict[str, int]:
@@ -197,11 +180,10 @@ class ContactReport:
 def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: Array) -> tuple[float, float]:
     """Sum of the forces on free nodes and the work balance, relative. Collective."""
     model, comm, d = state.model, nodes.comm, nodes.dim
-    model.coordinates.t.value = state.t
     v = ufl.TestFunction(model.V)
     stresses, loads = (
-        nodal_forces(model.V, work(model.bodies, state.u, v)),
-        nodal_forces(model.V, model.external_work(v)),
+        nodal_forces(model.V, work(model.bodies, state.u, v) + model.added_work(state.u, v)),
+        nodal_forces(model.V, model.external_work(v, state.t)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec
     on_s = inner.duplicate()

@@ -59,11 +59,11 @@ class Grid:
     base_type: int
 
     def component(self, name: str) -> npt.NDArray[np.float64]:
-        """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ValueError for another name."""
+        """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ModelError for another name."""
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
         if name not in tuple("xyz"[: self.dim]):
-            raise ValueError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
+            raise ModelError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
         return self.u[:, "xyz".index(name)]
 
 
@@ -152,7 +152,7 @@ def gather(state: State) -> Grid:
     if joint.cell_type == "tetrahedron" and len(rows):
         _orient(x, rows[:, 1:])
     rows[:, 1:] = number[rows[:, 1:]]
-    region = joint.region[model.domain.original_cells[: len(types)]]
+    region = model.domain.on_cells(joint.region)[: len(types)]
     n_layers = len(model.domain.layer_regions)
     first_layer = len(joint.regions) - n_layers
     region = np.where(region >= first_layer, first_layer - region - 1, region) if n_layers else region
@@ -191,7 +191,7 @@ def write(solution: State | History, path: str | Path) -> None:
     The jump is kept: nodes on S are written once for each side. Of a history all states that it keeps are written.
 
     Raises:
-        ModelError: no state, or no name of a file. ValueError: another ending.
+        ModelError: no state, no name of a file, or another ending.
         RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
@@ -202,9 +202,9 @@ def write(solution: State | History, path: str | Path) -> None:
             raise ModelError(f"fields are written to a file, not to {path!r}; give its name, which ends in .bp or .pvd")
         suffix = Path(path).suffix
         if suffix not in (".bp", ".pvd"):
-            raise ValueError(f"cannot write {str(path)!r}; allowed endings: .bp (VTX), .pvd (VTK)")
+            raise ModelError(f"cannot write {str(path)!r}; allowed endings: .bp (VTX), .pvd (VTK)")
         if suffix == ".bp" and not dolfinx.has_adios2:
-            raise RuntimeError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
+            raise ModelError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
     require_same(comm, models=states[0].model.mark, states=[state.t for state in states], path=str(path))
     u = nodal_displacement(states[0])
     nodes, meshes = u.function_space.dofmap.index_map.size_global, 1 if suffix == ".bp" else len(states)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, cast
+from typing import Any
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -20,8 +20,8 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
-from thinlayer.contact.nodes import ContactNodes
-from thinlayer.discretisation.compat import cell_nodes
+from thinlayer.contact.nodes import CONTACT, ContactNodes
+from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
@@ -35,13 +35,14 @@ SPREAD = 0.1  # of the way from the places where it is known: over less a tracti
 def reaction(state: State) -> fem.Function:
     """Nodal forces that the bodies pass to S, tested with degree-1 functions broken at its faces. Collective.
 
-    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i): what the layer (or the other body) exerts.
+    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i), and what is added to the model, say springs at
+    the end of S: what the layer (or the other body) exerts.
     """
     model = state.model
-    model.coordinates.t.value = state.t
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    return nodal_forces(W, work(model.bodies, state.u, v) - model.external_work(v))
+    forces = work(model.bodies, state.u, v) + model.added_work(state.u, v)
+    return nodal_forces(W, forces - model.external_work(v, state.t))
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
@@ -60,7 +61,7 @@ def contact_forces(state: State) -> fem.Function:
     assert law is not None
     nodes = ContactNodes(model, np.empty(0, np.int32))
     out = nodes.zero()
-    nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[-1]), out)
+    nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[CONTACT]), out)
     forces = fem.Function(model.V)
     forces.x.array[: out.getLocalSize()] = out.array_r
     forces.x.scatter_forward()
@@ -69,7 +70,7 @@ def contact_forces(state: State) -> fem.Function:
     return forces
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Surface:
     """S as the interface model sees it; fields of a full model on the same joint can be brought here.
 
@@ -80,12 +81,13 @@ class Surface:
         ModelError: another kind of model.
     """
 
-    model: Model
+    model: InterfaceModel
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.model, Model) or self.model.kind != "interface":
-            hint = ": give the state's model" if isinstance(self.model, State) else ""
-            raise ModelError(f"Surface needs an interface model, not {_short(self.model)}{hint}")
+    def __init__(self, model: Model) -> None:
+        if not isinstance(model, InterfaceModel):
+            hint = ": give the state's model" if isinstance(model, State) else ""
+            raise ModelError(f"Surface needs an interface model, not {_short(model)}{hint}")
+        object.__setattr__(self, "model", model)
 
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):
@@ -127,7 +129,7 @@ class Surface:
     @property
     def sides(self) -> Interface:
         """The two sides of S."""
-        return cast(Interface, self.model.sides)
+        return self.model.sides
 
     @cached_property
     def trace_space(self) -> fem.FunctionSpace:
@@ -222,9 +224,9 @@ class Surface:
     @cached_property
     def _vertices(self) -> npt.NDArray[np.int64]:
         """The vertex of the joint at each local node of the trace space."""
-        mesh, cells = self.model.domain.mesh, self.trace_space.dofmap.list
+        domain, cells = self.model.domain, self.trace_space.dofmap.list
         numbers = np.zeros(len(self.trace_space.tabulate_dof_coordinates()), np.int64)
-        numbers[cells] = np.asarray(mesh.geometry.input_global_indices)[cell_nodes(mesh)[:, : cells.shape[1]]]
+        numbers[cells] = domain.on_cells(domain.joint.cells)[: len(cells), : cells.shape[1]]
         return numbers
 
     @cached_property

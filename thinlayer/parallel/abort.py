@@ -9,13 +9,14 @@ import traceback
 from mpi4py import MPI
 
 GRACE = 5.0  # s in which ranks that all end with an error come to their ends, rather than be cut off in what they print
+STATUS = 1  # of the processes where one rank alone has an error, as of any Python script; the command line has its own
 POLL = 1e-3  # s between two looks
 
 
-def abort(error: BaseException, status: int = 1) -> None:
+def abort(error: BaseException) -> None:
     """Print an error and end all ranks."""
     traceback.print_exception(error)
-    _end(status)
+    _end(STATUS)
 
 
 def is_done(request: MPI.Request, within: float) -> bool:

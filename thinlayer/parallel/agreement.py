@@ -12,7 +12,9 @@ from typing import Any
 from mpi4py import MPI
 
 from thinlayer.errors import ModelError
-from thinlayer.identity.identity import MISSING, described, differences, digest, in_full
+from thinlayer.identity.described import described, in_full
+from thinlayer.identity.differences import MISSING, differences
+from thinlayer.identity.values import digest
 from thinlayer.parallel.abort import abort, is_done
 
 SHOWN = 60  # characters from where data differ
@@ -78,7 +80,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
     Args:
         comm: communicator (default: the world).
-        given: name -> value, see `thinlayer.identity.identity.described`; the same names on all ranks.
+        given: name -> value, see `thinlayer.identity.described.described`; the same names on all ranks.
     """
     comm = comm or MPI.COMM_WORLD
     if comm.size == 1:

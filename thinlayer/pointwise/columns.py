@@ -8,32 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.joint import Joint, S
-
 Array = npt.NDArray[np.float64]
 TIE = 1e-11  # excess of a phase that another one beats by rounding alone
-
-
-def column_numbers(joint: Joint) -> tuple[npt.NDArray[np.int64], Array]:
-    """The column of every cell of an inflated joint (-1 outside the layer), or of every facet; and their centres.
-
-    Returns:
-        Numbers (cells or facets,), and the centres (columns, d) of the facets of S in the joint before inflating.
-    """
-    if joint.band is None:
-        rows = np.sort(joint.table.index(joint.facets[S]))
-        numbers = np.full(len(joint.table.vertices), -1, np.int64)
-        numbers[rows] = np.arange(len(rows))
-        return numbers, joint.points[joint.table.vertices[rows]].mean(axis=1)
-    layer = np.flatnonzero(joint.side == 0)
-    places, place = np.unique(joint.reference, axis=0, return_inverse=True)
-    below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice
-    below[:, 1:][below[:, 1:] == below[:, :-1]] = -1
-    facets, column = np.unique(np.sort(below, axis=1), axis=0, return_inverse=True)
-    numbers = np.full(len(joint.cells), -1, np.int64)
-    numbers[layer] = column.ravel()
-    vertices = (facets >= 0)[:, :, None]
-    return numbers, (places[facets] * vertices).sum(axis=1) / vertices.sum(axis=1)
 
 
 class Columns:

@@ -14,11 +14,10 @@ from petsc4py import PETSc
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import LawError
 from forms.work import Term
-from geometry.domain import Domain
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
-from thinlayer.pointwise.quadrature import Quadrature
+from thinlayer.pointwise.quadrature import Origin, Quadrature
 
 ROUNDED = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
 FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
@@ -61,14 +60,14 @@ class CompiledTerm(Quadrature):
         switching: of a law whose phases are held in a solve and switched after it; else None.
     """
 
-    def __init__(self, domain: Domain, V: fem.FunctionSpace, term: Term, degree: int) -> None:
-        super().__init__(domain, term, degree)
-        self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < domain.joint.dim]
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+        super().__init__(V, term, origin)
+        self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < self.dim]
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
-        self.material = Material(domain.comm, term.law)
-        self.switching = Switching(term.law, self.columns) if term.law.switches else None
-        self._at_rest = self._tangent_at_rest() if term.law.flat else None
+        self.material = Material(self.comm, term.law)
+        self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
+        self._at_rest = self._tangent_at_rest() if term.law.traits.singular else None
 
     def _strain_matrix(self, V: fem.FunctionSpace) -> None:
         """B: displacements -> strains at the points (m rows each); assembled once, as strains are linear."""
@@ -95,13 +94,13 @@ class CompiledTerm(Quadrature):
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
         """The law's answer to strains e after e_old and the internal values `memory`."""
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
-        total = self.weights @ energies if self.term.law.has_energy else np.full(3, np.nan)
+        total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
         return Response(s, C, new, total, failed)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
         """Energy of strains e and internal values after a step of length dt, over this rank's points; NaN if undeclared."""
         energies = self.material.update(self.slots, e, e, memory, self.n, MOMENT * dt, 1.0, held=True)[3]
-        return float(self.weights @ energies[:, 0]) if self.term.law.has_energy else np.nan
+        return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
         """What is not finite at the first point of this rank where the law failed, and where that is; "" if it did not."""
@@ -119,7 +118,7 @@ class CompiledTerm(Quadrature):
         law that remembers nothing, where the work of the change of stress on the change of strain is.
         """
         law, m = self.term.law, len(self.slots)
-        v = np.eye(3)[: self.domain.joint.dim]
+        v = np.eye(3)[: self.dim]
         jumps = v[None, :, :, None] * self.n[:, None, None, :]
         jumps = (jumps + jumps.swapaxes(2, 3)) / 2
         rows = [jumps[..., i, j] * (1.0 if i == j else ROOT2) for i, j in (MANDEL[k] for k in self.slots)]
@@ -129,7 +128,7 @@ class CompiledTerm(Quadrature):
         known = np.isfinite(size) & (size > ROUNDED)
         down = np.zeros(self.count, bool)
         down[known] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[known] / 2)[:, 0] < -FALLING * size[known]
-        if not (law.internal or law.varies):
+        if not (law.internal or law.traits.varies):
             change = e - e_old
             of_stress = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
             sizes = np.linalg.norm(change, axis=1) * np.linalg.norm(of_stress, axis=1)
@@ -137,7 +136,7 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(down))
 
     def ease(self, ease: float) -> None:
-        """Let the law answer from now on with an ease, see `Law.eased`; 0: the law itself."""
+        """Let the law answer from now on with an ease, see `BulkLaw.eased`; 0: the law itself."""
         self.material.take(self.term.law.eased(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:
@@ -153,7 +152,7 @@ class CompiledTerm(Quadrature):
             self.material.take_at(places, t)
         except LawError as error:
             problem = str(error)
-        if problem := next(filter(None, self.domain.comm.allgather(problem)), None):
+        if problem := next(filter(None, self.comm.allgather(problem)), None):
             raise LawError(problem)
 
     def _tangent_at_rest(self) -> Array:
@@ -184,9 +183,9 @@ class CompiledTerm(Quadrature):
     def stiffness(self, tangent: Array, lack: float = 0.0) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.
 
-        A tangent that may vanish (`Law.flat`) gets a small part of that at rest, the more the larger the residual over the
-        forces, `lack` (Levenberg and Marquardt): cells through the meshed layer that share a strain in any way they like
-        would leave the matrix singular. What is found is the law's own equilibrium.
+        A tangent that may vanish (`Traits.singular`) gets a small part of that at rest, the more the larger the residual
+        over the forces, `lack` (Levenberg and Marquardt): cells through the meshed layer that share a strain in any way
+        they like would leave the matrix singular. What is found is the law's own equilibrium.
         """
         m, rows = len(self.slots), self.count * len(self.slots)
         first = self.B.getOwnershipRange()[0]
@@ -195,7 +194,7 @@ class CompiledTerm(Quadrature):
         indices = (first + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
         values = (self._regular(tangent, lack) * self.weights[:, None, None]).ravel()
         size = (self.B.getSizes()[0], self.B.getSizes()[0])
-        D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.domain.comm)
+        D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.comm)
         A = D.ptap(self.B)
         D.destroy()
         return A

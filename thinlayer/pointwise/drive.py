@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from forms.contact import ContactLaw
-from forms.declarations import is_number
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
 from forms.temperature import real
@@ -18,6 +16,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Table
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
+from thinlayer_base import is_number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,11 +88,11 @@ def drive(
             input out of range.
         SolveError: tractions that the law does not bear; `history` has the steps before.
     """
-    if not isinstance(law, Law) or isinstance(law, ContactLaw) or law.constrained:
+    if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise ModelError(
             f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
         )
-    if law.varies:
+    if law.traits.varies:
         raise ModelError(f"{type(law).__name__} at a point needs a temperature that is a number, not a field")
     if isinstance(steps, (str, Mapping)) or not isinstance(steps, Iterable):
         example = "[{'w_T': 0.01, 't_N': -1.0}, ...]"
@@ -108,16 +107,16 @@ def drive(
         raise ModelError("a path needs at least one step")
     if not (is_number(theta) and 0.5 <= theta <= 1):
         raise ModelError(f"theta is {theta!r}; allowed: 0.5 to 1")
-    if law.switches and theta != 1:
+    if law.traits.switches and theta != 1:
         raise ModelError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
-    if law.rate and (lengths == 0).any():
+    if law.traits.rate and (lengths == 0).any():
         raise ModelError(
             f"dt is 0 in step {int(np.argmin(lengths)) + 1}; {type(law).__name__} lets no jump change at once"
         )
     timeless = f"dt is missing: {type(law).__name__} depends on the length of the steps in time"
-    if no_time and law.rate:
+    if no_time and law.traits.rate:
         raise ModelError(timeless)
-    point = MaterialPoint(law, normal, axes, float(theta))
+    point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
     states = [point.rest()]
     parts: list[int] = []
 
@@ -198,7 +197,7 @@ def _history(
     mandel, stress = column("stress", 6), np.empty((len(rows), 3, 3))
     for k, (i, j) in enumerate(MANDEL):
         stress[:, i, j] = stress[:, j, i] = mandel[:, k] / (1.0 if i == j else ROOT2)
-    energies = column("energies", 3) if law.has_energy else np.full((len(rows), 3), np.nan)
+    energies = column("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
     return PointHistory(
         n, column("t"), column("w", d), column("traction", d), stress,
         column("memory", memory), energies, np.array(parts, int),

@@ -24,14 +24,12 @@ from dolfinx import jit
 from mpi4py import MPI
 from ufl.conditional import Condition
 
-from forms.contact import ContactLaw
+from forms.declarations import SIZES
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel
-from forms.law import Law, LawError, Step, explained, shaped
-from forms.series import Stack
+from forms.law import BulkLaw, LawError, Step, explained, shaped
 from forms.symmetry import require_declared_stress
-from forms.trace import SIZES, Symbolic, key, named, require_numbers_alone, symbolic, undecided
-from forms.traction import TractionLaw
+from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic, undecided
 from thinlayer.compiling.compiled import SourceError, library
 
 Array = npt.NDArray[np.float64]
@@ -61,20 +59,16 @@ class Kernel:
     keep: Any = field(default=None, repr=False, compare=False)
 
 
-def kernels(comm: MPI.Intracomm, law: Law) -> list[Kernel]:
+def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     """The compiled functions of a law with real parameters, one for each sublayer. Collective."""
-    if isinstance(law, Stack):
-        return [_kernel(comm, one, a) for a, one in law.sublayers]
-    return [_kernel(comm, law, 1.0)]
+    return [_kernel(comm, one, a) for a, one in law.sublayers]
 
 
-def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
-    values = [np.ravel(np.asarray(value, float)) for value in law.parameters().values()]
-    numbers = np.concatenate([np.empty(0), *values])
-    kind: Any = type(law)
+def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
+    numbers, kind = law.parameter_values(), type(law)
     if isinstance(law, KernelLaw) and law.source is not None:
         address, keep = _compiled_from_c(comm, law)
-        return Kernel(address, _memory(law), numbers, fraction, keep=keep)
+        return Kernel(address, law.memory, numbers, fraction, keep=keep)
     if isinstance(law, KernelLaw):
         _rehearse(law, numbers)
         address, keep = _compiled_by_numba(kind, len(numbers))
@@ -84,15 +78,15 @@ def _kernel(comm: MPI.Intracomm, law: Law, fraction: float) -> Kernel:
         _require_substitute(law, substitute)
     address, keep = _compiled_by_ffcx(comm, law)
     if substitute is None:
-        return Kernel(address, _memory(law), numbers, fraction, keep=keep)
+        return Kernel(address, law.memory, numbers, fraction, keep=keep)
     other = _kernel(comm, substitute, fraction)
-    return Kernel(address, _memory(law), numbers, fraction, other.address, (keep, other.keep))
+    return Kernel(address, law.memory, numbers, fraction, other.address, (keep, other.keep))
 
 
-def _require_substitute(law: Law, other: Any) -> None:
+def _require_substitute(law: BulkLaw, other: Any) -> None:
     """Raise LawError unless a law can answer for another one: from the same numbers, in the same places."""
     name, kind = type(law).__name__, type(other).__name__
-    if not isinstance(other, Law) or isinstance(other, (Stack, ContactLaw, TractionLaw)):
+    if not isinstance(other, BulkLaw) or other.sublayers[0][1] is not other:
         raise LawError(
             f"{name}.otherwise is {other!r}; it must be a law, a property that returns Other(**self.parameters())"
         )
@@ -105,42 +99,25 @@ def _require_substitute(law: Law, other: Any) -> None:
         raise LawError(
             f"{name}.otherwise has the parameters {others}; it must have those of {name}, in their order: {mine}"
         )
-    same = _memory(law) == _memory(other)  # the shapes of a `KernelLaw` are its own
-    if not isinstance(other, KernelLaw):
+    same = law.memory == other.memory  # the shapes of a `KernelLaw` are its own
+    if other.traits.in_ufl:
         same = list(law.internal.items()) == list(other.internal.items())
     if not same:
-        kept = (
-            f"{other.memory} internal values" if isinstance(other, KernelLaw) else f"internal values {other.internal}"
-        )
-        asked = f"those of {name}, {law.internal}: {_memory(law)} numbers"
+        kept = f"internal values {other.internal}" if other.traits.in_ufl else f"{other.memory} internal values"
+        asked = f"those of {name}, {law.internal}: {law.memory} numbers"
         raise LawError(f"{name}.otherwise keeps {kept}; it must keep {asked}")
-    if law.has_energy != other.has_energy:
+    if law.traits.has_energy != other.traits.has_energy:
         raise LawError(f"one of {name} and {kind}, its law otherwise, declares an energy; both must, or none")
 
 
-def _memory(law: Law) -> int:
-    if isinstance(law, KernelLaw):
-        if not isinstance(law.memory, int) or law.memory < 0:
-            raise LawError(f"{type(law).__name__}: memory is {law.memory!r}; allowed: a whole number >= 0")
-        return law.memory
-    for name, shape in law.internal.items():
-        if shape not in SIZES:
-            allowed = ", ".join(map(str, SIZES))
-            raise LawError(
-                f"{type(law).__name__}: internal variable {name!r} has the shape {shape}; allowed: {allowed}"
-            )
-    return sum(SIZES[shape] for shape in law.internal.values())
-
-
-def memory_slots(law: Law, name: str) -> list[tuple[float, Law, int]]:
+def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
     """Of each sublayer with a scalar internal variable of this name: fraction, law, place among internal values."""
-    layers = law.sublayers if isinstance(law, Stack) else ((1.0, law),)
-    start, found = 3 * len(layers) if len(layers) > 1 else 0, []
-    for fraction, one in layers:
+    start, found = law.memory - sum(one.memory for _, one in law.sublayers), []
+    for fraction, one in law.sublayers:
         if one.internal.get(name) == ():
             before = list(one.internal)[: list(one.internal).index(name)]
             found.append((fraction, one, start + sum(SIZES[one.internal[n]] for n in before)))
-        start += _memory(one)
+        start += one.memory
     return found
 
 
@@ -148,7 +125,7 @@ def memory_slots(law: Law, name: str) -> list[tuple[float, Law, int]]:
 _COMPILED: dict[Any, tuple[int, Any]] = {}  # by what is computed; this package's laws also by name
 
 
-def _compiled_by_ffcx(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
+def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     known = named(law)
     if known is None:
         return _compiled(comm, law)
@@ -157,8 +134,7 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
     return _COMPILED[known]
 
 
-def _compiled(comm: MPI.Intracomm, law: Law) -> tuple[int, Any]:
-    _memory(law)
+def _compiled(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     point = symbolic(law)
     outputs = _outputs(law, point)
     computed = key(outputs.all)
@@ -184,18 +160,17 @@ class _Outputs(NamedTuple):
         return [self.stress, self.failing, *self.memory, *self.energies]
 
 
-def _outputs(law: Law, point: Symbolic) -> _Outputs:
+def _outputs(law: BulkLaw, point: Symbolic) -> _Outputs:
     """What a law answers to symbols.
 
     Raises:
         LawError: a law that fails, gives something else than it must, or decides by a number.
     """
     one, step = point.law, point.step
-    of_jumps = isinstance(law, TractionLaw)
-    told = "traction" if of_jumps else "stress"
+    told, advances = law.methods
     with explained(law, told), undecided(law, told):
         stress = mandel(shaped(law, "stress", one.stress(one.told(step)), (3, 3)))
-    told = "evolve" if of_jumps else "advance"
+    told = advances
     with explained(law, told), undecided(law, told):
         new = one.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
@@ -220,8 +195,8 @@ def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
     return ufl.as_vector([*rows, *outputs.energies])
 
 
-def _nan_unless(law: Law, step: Step) -> Expr:
-    if type(law).holds is Law.holds:
+def _nan_unless(law: BulkLaw, step: Step) -> Expr:
+    if type(law).holds is BulkLaw.holds:
         return 0.0
     condition = law.holds(law.told(step))
     if not isinstance(condition, Condition):
@@ -230,9 +205,9 @@ def _nan_unless(law: Law, step: Step) -> Expr:
     return ufl.sqrt(ufl.conditional(condition, 0.0, -1.0))
 
 
-def _energies(law: Law, step: Step, new: dict[str, Expr]) -> list[Expr]:
+def _energies(law: BulkLaw, step: Step, new: dict[str, Expr]) -> list[Expr]:
     """Stored, dissipated, remainder; zero for laws that declare no energy."""
-    if not law.has_energy:
+    if not law.traits.has_energy:
         return [ufl.as_ufl(0.0)] * 3
     return [law.energy(Step(step.e, step.n, q=new)), law.dissipated(step), law.remainder(step)]
 
@@ -267,7 +242,7 @@ def _rehearse(law: KernelLaw, parameters: Array) -> None:
         raise LawError(
             f"{name} needs a static method kernel(...), or source, the name of a C file; see forms.KernelLaw"
         )
-    memory = _memory(law)
+    memory = law.memory
     outputs = np.zeros(6), np.zeros((6, 6)), np.zeros(memory), np.zeros(3)
     rest = np.zeros(6), np.zeros(6), np.zeros(memory), 1.0, 1.0, np.array([0.0, 1.0, 0.0])
     try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from forms.law import Law, LawError
-from forms.series import parts
+from forms.law import BulkLaw, LawError
 from thinlayer.compiling.compiled import library
+from thinlayer.errors import ModelError
 from thinlayer.pointwise.kernels import Array, kernels
 
 SOURCE = Path(__file__).with_name("response.c")
@@ -27,7 +26,7 @@ class Material:
         parameters: real parameters of the sublayers, one after the other; (points, n) where they vary along the layer.
     """
 
-    def __init__(self, comm: MPI.Intracomm, law: Law) -> None:
+    def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
         self.law, self._current, self._kernels = law, law, kernels(comm, law)
         self._library = library(SOURCE, comm)
         self._addresses = np.array([k.address for k in self._kernels], np.intp)
@@ -39,25 +38,25 @@ class Material:
         layers = len(self._kernels)
         self.memory = int(self._memories.sum()) + (3 * layers if layers > 1 else 0)
 
-    def take(self, law: Law) -> None:
+    def take(self, law: BulkLaw) -> None:
         """Answer from now on with the parameters of another law of the same kind; nothing is compiled.
 
         Where they vary, from the next `take_at` on.
 
         Raises:
-            ValueError: a law of another kind, or parameters of another shape.
+            ModelError: a law of another kind, or parameters of another shape.
         """
         counts = [len(numbers) for numbers in _numbers(law)]
         if _kinds(law) != _kinds(self.law) or counts != self._counts.tolist():
-            raise ValueError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
+            raise ModelError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current = law
-        if not law.varies:
+        if not law.traits.varies:
             self.parameters = np.concatenate(_numbers(law))
 
     @property
     def varies(self) -> bool:
         """Whether parameters vary along the layer or in time."""
-        return self.law.varies
+        return self.law.traits.varies
 
     @property
     def of_sublayers(self) -> list[Array]:
@@ -71,8 +70,8 @@ class Material:
             LawError: parameters out of range at one of them, or that the law gives in another form.
         """
         columns = []
-        for law in parts(self._current):
-            varying = _varying(law, x, t) if law.varies else {}
+        for _, law in self._current.sublayers:
+            varying = _varying(law, x, t) if law.traits.varies else {}
             for name, value in law.parameters().items():
                 fixed = np.broadcast_to(np.ravel(np.asarray(value, float)), (x.shape[1], np.size(value)))
                 columns.append(varying[name][:, None] if name in varying else fixed)
@@ -102,16 +101,16 @@ class Material:
                 stress.
 
         Raises:
-            ValueError: arrays of the wrong shape.
+            ModelError: arrays of the wrong shape.
         """
         components = np.array(list(slots), np.int32)
         points, m, varying = len(e), len(components), self.parameters.ndim == 2
         if varying and len(self.parameters) != points:
-            raise ValueError(f"parameters are those of {len(self.parameters)} points; there are {points}")
+            raise ModelError(f"parameters are those of {len(self.parameters)} points; there are {points}")
         shapes = {"e": (e, m), "e_old": (e_old, m), "q": (q, self.memory), "n": (n, 3)}
         for name, (array, width) in shapes.items():
             if array.shape != (points, width):
-                raise ValueError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
+                raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
         in_plane = m < 6  # laws that another one answers for are closed forms of plane strain
@@ -134,7 +133,7 @@ class Material:
         return [self._library.ffi.from_buffer(kinds[a.dtype.name], np.ascontiguousarray(a)) for a in arrays]
 
 
-def _varying(law: Law, x: Array, t: float) -> dict[str, Array]:
+def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     """The parameters of a law that vary, at places x (d, n) and a time: name -> (n,)."""
     asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
     known = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
@@ -153,17 +152,14 @@ def _varying(law: Law, x: Array, t: float) -> dict[str, Array]:
     return given
 
 
-def _kinds(law: Law) -> list[tuple[type[Law], str]]:
+def _kinds(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
     """Class of each sublayer, and what it declares beside its parameters: that is in the compiled code."""
-    kinds = []
-    for one in parts(law):
-        parameters = one.parameters()
-        choices = [(f.name, getattr(one, f.name)) for f in fields(one) if f.name not in parameters]
-        kinds.append((type(one), repr(choices)))
+    kinds: list[tuple[type[BulkLaw], str]] = []
+    for _, one in law.sublayers:
+        kinds.append((type(one), repr(one.choices())))
     return kinds
 
 
-def _numbers(law: Law) -> list[Array]:
+def _numbers(law: BulkLaw) -> list[Array]:
     """Parameters of each sublayer, one after the other."""
-    values = [[np.ravel(np.asarray(v, float)) for v in one.parameters().values()] for one in parts(law)]
-    return [np.concatenate([np.empty(0), *numbers]) for numbers in values]
+    return [one.parameter_values() for _, one in law.sublayers]

@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.kinematics import MANDEL, ROOT2
-from forms.law import Law
+from forms.law import BulkLaw
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
@@ -37,10 +37,10 @@ class MaterialPointState(NamedTuple):
 class MaterialPoint:
     """A compiled law at a point."""
 
-    def __init__(self, law: Law, n: Array, axes: Array, theta: float) -> None:
+    def __init__(self, law: BulkLaw, n: Array, axes: Array, theta: float) -> None:
         self.law, self.n, self.theta = law, n, theta
         self.material = Material(MPI.COMM_SELF, law)
-        self.switching = Switching(law) if law.switches else None
+        self.switching = Switching(law) if law.traits.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
         # strain of each component of the jump, (6, d): e = E w, and by virtue of power t = E^T stress
         outer = np.einsum("ia,j->aij", axes, self.n3)

@@ -1,7 +1,9 @@
-"""Where compiled laws act: quadrature points in a meshed layer and on S alike."""
+"""Quadrature points of one law: on the cells or facets where a UFL measure integrates."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import basix.ufl
@@ -9,83 +11,147 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
+from dolfinx.mesh import CellType, Mesh
+from mpi4py import MPI
 
 from forms.kinematics import Expr, lift
 from forms.work import Term
-from geometry.domain import Domain
-from geometry.joint import S
-from thinlayer.discretisation.compat import create_submesh
-from thinlayer.discretisation.loads import Coordinates
-from thinlayer.pointwise.columns import Columns, column_numbers
+from geometry.topology import IntArray
+from thinlayer.compiling.compat import create_submesh
+from thinlayer.errors import ModelError
+from thinlayer.parallel.communicator import communicator
+from thinlayer.pointwise.columns import Columns
 
 Array = npt.NDArray[np.float64]
+KINDS = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """What a mesh was made from: a joint, before it was inflated and distributed over ranks.
+
+    Attributes:
+        comm: communicator for the terms' own messages.
+        x: (d,) UFL coordinates in the joint.
+        numbers: dimension, local cells or facets -> their numbers in the joint.
+        columns: gives the column of each cell (-1 outside the layer) or facet of the joint, and the columns' centres
+            (columns, d).
+    """
+
+    comm: MPI.Intracomm
+    x: Expr
+    numbers: Callable[[int, npt.NDArray[np.int32]], IntArray]
+    columns: Callable[[], tuple[IntArray, Array]]
 
 
 class Region:
-    """The part of the mesh where a measure integrates, as a mesh of its own.
+    """The part of a mesh where a measure integrates, as a mesh of its own. Collective.
 
     Attributes:
-        domain: the domain.
-        measure: dx(values), ds(values) or dS(value) of S.
-        mesh: the cells of the meshed layer, or the facets of S.
+        measure: dx, ds or dS, for all its entities or for those with some tags.
+        parent_mesh: the mesh it is a part of.
+        mesh: the cells or facets that the measure integrates over, ghosts included.
         dim: dimension of its cells.
-        parent: local number in the domain's mesh of each cell of `mesh`.
+        parent: local number in `parent_mesh` of each cell of `mesh`.
         maps: entity maps for fem.form.
+
+    Raises:
+        ModelError: a measure of another kind, or one for entities with tags that has no tags.
     """
 
-    def __init__(self, domain: Domain, measure: ufl.Measure) -> None:
-        self.domain, self.measure = domain, measure
-        in_volume = measure.integral_type() == "cell"
-        if in_volume:
-            wanted = np.atleast_1d(measure.subdomain_id())
-            entities = domain.cell_tags.indices[np.isin(domain.cell_tags.values, wanted)]
-        else:
-            entities = domain.facets(S)
-        self.dim = domain.joint.dim - (not in_volume)
-        self.mesh, self.maps, self.parent = create_submesh(domain.mesh, self.dim, np.sort(entities))
-
-    @property
-    def original(self) -> npt.NDArray[np.int64]:
-        """For each cell of `mesh` its number in the joint: of the cell, or of the facet in the joint's table."""
-        domain = self.domain
-        if self.dim == domain.joint.dim:
-            return np.asarray(domain.original_cells[self.parent], np.int64)
-        topology = domain.mesh.topology
-        topology.create_connectivity(0, topology.dim)
-        vertices = [topology.connectivity(self.dim, 0).links(facet) for facet in self.parent]
-        if not vertices:
-            return np.empty(0, np.int64)
-        nodes = dolfinx.mesh.entities_to_geometry(domain.mesh, 0, np.concatenate(vertices).astype(np.int32)).ravel()
-        original = np.asarray(domain.mesh.geometry.input_global_indices)[nodes].reshape(len(vertices), -1)
-        return domain.joint.table.index(original)
+    def __init__(self, mesh: Mesh, measure: ufl.Measure) -> None:
+        if measure.integral_type() not in KINDS:
+            raise ModelError(f"laws act on dx, ds or dS, not on integrals of the type {measure.integral_type()!r}")
+        self.measure, self.parent_mesh = measure, mesh
+        self.dim = mesh.topology.dim - (measure.integral_type() != "cell")
+        self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
 
     def side(self, f: Expr) -> Expr:
         """A function on `mesh` as the measure's integrands need it."""
         return f("+") if self.measure.integral_type() == "interior_facet" else f
 
 
+def _entities(mesh: Mesh, measure: ufl.Measure) -> npt.NDArray[np.int32]:
+    """Local cells or facets over which a measure integrates, and those that are ghosts here. Sorted. Collective."""
+    kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
+    dim = topology.dim - (kind != "cell")
+    topology.create_connectivity(dim, topology.dim)
+    topology.create_connectivity(topology.dim, dim)
+    ids = np.atleast_1d(np.asarray(measure.subdomain_id(), object))
+    if "everywhere" in ids:
+        found = _everywhere(mesh, kind)
+    elif data is None:
+        tags = ", ".join(map(str, ids))
+        raise ModelError(f"the measure {KINDS[kind]}({tags}) has no tags; give {KINDS[kind]} its subdomain_data")
+    elif hasattr(data, "indices"):
+        found = data.indices[np.isin(data.values, ids.astype(int))]
+    else:
+        rows = [np.asarray(entities, np.int32).ravel() for tag, entities in data if tag in ids]
+        found = np.concatenate([np.empty(0, np.int32), *rows])
+        if kind != "cell":
+            cell, facet = found.reshape(-1, 2)[:: 2 if kind == "interior_facet" else 1].T
+            to_facets = topology.connectivity(topology.dim, dim)
+            found = to_facets.array[to_facets.offsets[cell] + facet]
+    imap = topology.index_map(dim)
+    marks = la.vector(imap, dtype=np.int8)
+    marks.array[found[found < imap.size_local]] = 1
+    marks.scatter_forward()
+    return np.flatnonzero(marks.array).astype(np.int32)
+
+
+def _everywhere(mesh: Mesh, kind: str) -> npt.NDArray[np.int32]:
+    """All owned entities that a measure of this kind integrates over."""
+    dim = mesh.topology.dim - (kind != "cell")
+    own = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    if kind == "cell":
+        return own
+    outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    return outer if kind == "exterior_facet" else np.setdiff1d(own, outer)
+
+
+def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
+    """Degree of the quadrature of laws of displacements in V: exact on straight cells, higher on others.
+
+    On quadrilaterals and hexahedra a point more each way. UFL would sum the degrees of all directions and of the geometry:
+    many times the points, to no avail.
+    """
+    mesh = V.mesh
+    degree, curved = V.ufl_element().basix_element.degree, 2 * (mesh.geometry.cmap.degree - 1)
+    if mesh.topology.cell_type in (CellType.quadrilateral, CellType.hexahedron):
+        return int(2 * degree + 1 + curved)
+    return int((2 * degree - 1 if measure.integral_type() == "cell" else 2 * degree) + curved)
+
+
 class Quadrature:
-    """Quadrature points of a region. Collective.
+    """Quadrature points of a term. Collective.
 
     Attributes:
-        points: law, strain, weight and measure there.
-        region: the cells of the meshed layer, or S.
-        degree: of the quadrature.
+        term: the law, its strain, weight and measure.
+        region: where it acts.
+        origin: the joint of the mesh, if there is one.
+        comm: communicator for messages.
+        degree: of the quadrature: the measure's, or `quadrature_degree`.
         count: number of points of this rank.
         cells: (cells of the region that this rank owns, points per cell) their points.
         x: (points, d) their places.
-        n: (points, 3) director.
+        n: (points, 3) director; NaN in a body, which has none.
         weights: (points,) quadrature weights.
     """
 
-    def __init__(self, domain: Domain, term: Term, degree: int) -> None:
-        self.domain, self.term = domain, term
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+        self.term, self.origin = term, origin
         metadata = dict(term.measure.metadata())
-        self.degree = metadata.setdefault("quadrature_degree", degree)
-        self.region = Region(domain, term.measure)
+        self.degree = metadata.setdefault("quadrature_degree", quadrature_degree(V, term.measure))
+        self.region = Region(V.mesh, term.measure)
+        self.comm = origin.comm if origin else communicator(V.mesh)
         self._measure = term.measure.reconstruct(metadata=metadata)
         self._geometry()
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates."""
+        return int(self.region.parent_mesh.geometry.dim)
 
     def _space(self, shape: tuple[int, ...]) -> fem.FunctionSpace:
         cell = self.region.mesh.basix_cell()
@@ -95,36 +161,64 @@ class Quadrature:
 
     def _geometry(self) -> None:
         """Places, director and weights of the points."""
-        d = self.domain.joint.dim
+        d = self.dim
         W = self._space((5 + d,))
         self.count = W.dofmap.index_map.size_local
         mesh = self.region.mesh
         self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
-        q = self.region.side(ufl.TestFunction(W))
-        n, x = lift(self.term.n), self.region.side(ufl.SpatialCoordinate(self.domain.mesh))
+        q, x = (self.region.side(f) for f in (ufl.TestFunction(W), ufl.SpatialCoordinate(self.region.parent_mesh)))
+        n = lift(self.term.n) if self.term.n is not None else ufl.zero(3)
         rows = ufl.as_vector([n[0], n[1], n[2], 1, self.term.weight, *(x[i] for i in range(d))])
-        form = fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
-        values = fem.assemble_vector(form).array.reshape(-1, 5 + d)[: self.count]
+        values = self._integrated(rows, q)
         self._integrals, self.weights = values[:, 3].copy(), values[:, 4].copy()
         self.n, self.x = (values[:, part] / values[:, 3:4] for part in (slice(0, 3), slice(5, None)))
+        if self.term.n is None:
+            self.n[:] = np.nan
+
+    def _integrated(self, rows: Expr, q: Expr) -> Array:
+        """Integrals (points, m) of m functions over what belongs to each point."""
+        form = fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
+        return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
     @cached_property
     def joint_x(self) -> Array:
-        """Places (d, points) of the points in the joint before inflating."""
-        d, band = self.domain.joint.dim, self.domain.joint.band
-        if band is None or band.bodies == "extended":
+        """Places (d, points) of the points in the joint before inflating; in a mesh without a joint their places."""
+        x = self.origin.x if self.origin else None
+        if x is None or isinstance(x, ufl.SpatialCoordinate):
             return np.ascontiguousarray(self.x.T)
-        q = self.region.side(ufl.TestFunction(self._space((d,))))
-        x = self.region.side(Coordinates.of(self.domain).x)
-        form = fem.form(ufl.inner(x, q) * self._measure, entity_maps=self.region.maps)
-        values = fem.assemble_vector(form).array.reshape(-1, d)[: self.count]
-        return np.ascontiguousarray((values / self._integrals[:, None]).T)
+        q = self.region.side(ufl.TestFunction(self._space((self.dim,))))
+        return np.ascontiguousarray((self._integrated(self.region.side(x), q) / self._integrals[:, None]).T)
+
+    @property
+    def original(self) -> IntArray:
+        """Number in the joint of each cell of `region.mesh`: of the cell, or of the facet."""
+        assert self.origin is not None, "a mesh without a joint"
+        return self.origin.numbers(self.region.dim, self.region.parent)
 
     @cached_property
     def columns(self) -> Columns:
-        """The columns of the layer that the points are in."""
-        numbers, centres = column_numbers(self.domain.joint)
-        of_cells = numbers[self.region.original]
+        """The columns of the layer that the points are in: of S without a joint, a column for each facet.
+
+        Raises:
+            ModelError: a meshed layer without a joint.
+        """
+        if self.origin:
+            numbers, centres = self.origin.columns()
+            of_cells = numbers[self.original]
+        else:
+            of_cells, centres = self._facets()
         of = np.empty(self.count, np.int64)
         of[self.cells] = of_cells[: len(self.cells), None]
-        return Columns(self.domain.comm, of, centres, self.weights)
+        return Columns(self.comm, of, centres, self.weights)
+
+    def _facets(self) -> tuple[IntArray, Array]:
+        """Number of each facet of the region that this rank owns, and the centres of those of all ranks."""
+        mesh, dim = self.region.mesh, self.region.dim
+        if dim == self.region.parent_mesh.topology.dim:
+            raise ModelError(
+                f"{type(self.term.law).__name__} has phases in columns, which a layer meshed elsewhere has not"
+            )
+        imap = mesh.topology.index_map(dim)
+        own = np.arange(imap.size_local, dtype=np.int32)
+        centres = dolfinx.mesh.compute_midpoints(mesh, dim, own)[:, : self.dim]
+        return own.astype(np.int64) + imap.local_range[0], np.concatenate(self.comm.allgather(centres))

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
+from argparse import ArgumentTypeError
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -15,14 +19,15 @@ class Study:
     Attributes:
         name: module name in `studies`.
         summary: first line of its docstring.
-        options: names of the keyword arguments of its `run`.
+        options: keyword arguments of its `run` -> what `add_argument` takes for them, by their annotations.
     """
 
     name: str
     summary: str
-    options: tuple[str, ...]
+    options: dict[str, dict[str, Any]]
 
 
+@cache
 def studies() -> dict[str, Study]:
     """All studies by name."""
     spec = importlib.util.find_spec("studies")
@@ -34,7 +39,30 @@ def studies() -> dict[str, Study]:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         for node in tree.body:
             if isinstance(node, ast.FunctionDef) and node.name == "run":
-                options = tuple(argument.arg for argument in node.args.kwonlyargs)
-                summary = (ast.get_docstring(tree) or "").partition("\n")[0]
-                found[path.stem] = Study(path.stem, summary, options)
+                text = ast.get_docstring(node) or ""
+                options = {one.arg: _option(one, text) for one in node.args.kwonlyargs}
+                found[path.stem] = Study(path.stem, (ast.get_docstring(tree) or "").partition("\n")[0], options)
     return found
+
+
+def _option(argument: ast.arg, text: str) -> dict[str, Any]:
+    """The option of an argument: a `bool`, `Sequence[float]` (thicknesses) or `Literal`; the text has its help."""
+    line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
+    found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
+    kind = ast.unparse(argument.annotation) if argument.annotation else ""
+    if kind == "bool":
+        return found | {"action": "store_true"}
+    if kind == "Sequence[float]":
+        return found | {"nargs": "+", "type": thickness, "metavar": "E"}
+    if isinstance(argument.annotation, ast.Subscript) and kind.startswith("Literal["):
+        allowed = ast.literal_eval(argument.annotation.slice)
+        return found | {"choices": allowed, "type": type(allowed[0])}
+    raise TypeError(f"option {argument.arg} of a study is a {kind}; allowed: bool, Sequence[float], Literal[...]")
+
+
+def thickness(text: str) -> float:
+    """A thickness on the command line."""
+    eps = float(text)
+    if not 0 < eps < float("inf"):
+        raise ArgumentTypeError(f"{text}: a thickness must be > 0")
+    return eps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import logging
 import signal
 import sys
 from collections.abc import Sequence
@@ -12,31 +13,30 @@ from typing import Any
 
 from thinlayer.files.say import say
 from thinlayer.running import startup
+from thinlayer.running.arguments import command_line, folder, petsc_options, refuse
 from thinlayer.running.catalogue import Study, studies
+from thinlayer_base import InputError
 
-OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, CRASHED, NOT_WRITTEN, INTERRUPTED = 0, 1, 2, 3, 4, 5, 130
-PETSC_PREFIX = "-thinlayer_"
+OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status.
 
-    0: done, and all checks of the study hold; 1: a check failed; 2: bad input, nothing was written; 3: a solve failed,
-    what was done is kept; 4: a defect, with its traceback (see `start`); 5: a file could not be written, what was done is
-    kept; 130: interrupted.
+    The statuses are told by `run STUDY --help`. A defect raises here; `start` has a status for it.
     """
-    parser = _parser()
+    parser = command_line()
     chosen, rest = parser.parse_known_args(arguments)
     if chosen.command == "list":
-        _refuse(parser, rest)
+        refuse(parser, rest)
         width = max(map(len, studies()))
         say("\n".join(f"{study.name:<{width}}  {study.summary}" for study in studies().values()))
         return OK
     if chosen.command == "draw":
-        _refuse(parser, rest)
+        refuse(parser, rest)
         return _draw(parser, chosen)
     if chosen.command == "info":
-        _refuse(parser, rest)
+        refuse(parser, rest)
         return _info()
     return _run(parser, chosen, rest)
 
@@ -61,58 +61,8 @@ def _set_signals() -> None:
         signal.signal(number, signal.getsignal(number))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python3 -m thinlayer", description="Thin soft layers, meshed or replaced by their interface law."
-    )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    commands.add_parser("list", help="the studies, a line each")
-    commands.add_parser("info", help="versions of everything results depend on")
-    draw = commands.add_parser("draw", help="draw a study's curves again from the tables of an earlier run")
-    draw.add_argument("study", metavar="STUDY", help="name, see the command list")
-    draw.add_argument("--out", metavar="DIR", help="folder of the run (default: out/STUDY)")
-    run = commands.add_parser(
-        "run",
-        allow_abbrev=False,  # --h would print the help
-        help="run a study",
-        usage="%(prog)s STUDY [options] [PETSc options]",
-        description="Run a study. A study takes only the options it uses. PETSc options start with -thinlayer_, "
-        "for example -thinlayer_ksp_type cg.",
-        epilog="Exit status: 0 all checks of the study hold; 1 a check failed; 2 bad input, nothing written; "
-        "3 a solve failed, what was done is kept; 4 a defect; 5 a file could not be written; 130 interrupted.",
-    )
-    run.add_argument("study", metavar="STUDY", help="name, see the command list")
-    run.add_argument("--eps", nargs="+", type=float, metavar="E", help="thicknesses of the layer, > 0")
-    run.add_argument("--bodies", choices=("kept", "extended"), help="how the bodies make room for the meshed layer")
-    run.add_argument("--order", type=int, choices=(0, 1), help="order of the interface law")
-    run.add_argument("--loads", choices=("both", "R1", "R4m"), help="readings of the paper's loads (fig3_mohr_coulomb)")
-    run.add_argument("--quick", action="store_true", default=None, help="coarse meshes and few thicknesses")
-    run.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
-    run.add_argument("--out", metavar="DIR", help="folder for tables and pictures (default: out/STUDY)")
-    return parser
-
-
-def _refuse(parser: argparse.ArgumentParser, rest: Sequence[str]) -> None:
-    if rest:
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
-
-
-def _study(parser: argparse.ArgumentParser, name: str) -> Study:
-    known = studies()
-    if name not in known:
-        parser.error(f"unknown study {name!r}; known: {', '.join(known)}")
-    return known[name]
-
-
-def _folder(parser: argparse.ArgumentParser, chosen: argparse.Namespace, study: Study) -> Path:
-    if chosen.out is not None and not chosen.out.strip():
-        parser.error("--out is empty; give the name of a folder")
-    return Path("out") / study.name if chosen.out is None else Path(chosen.out)
-
-
 def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
-    study = _study(parser, chosen.study)
-    out = _folder(parser, chosen, study)
+    out = folder(parser, chosen)
     if not (out / "table.csv").is_file():
         parser.error(f"no table.csv in {out}; run the study first")
     from thinlayer import ModelError
@@ -120,15 +70,15 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
 
     _set_signals()
     try:
-        record = Record(study.name, out, {})
+        record = Record(chosen.study, out, {})
         record.check_drawn()
-        importlib.import_module(f"studies.{study.name}").draw(record)
+        importlib.import_module(f"studies.{chosen.study}").draw(record)
     except ModelError as error:
         parser.error(str(error))
     except KeyError as error:
-        parser.error(f"table.csv in {out} is not one of {study.name}: it has no column {error}")
+        parser.error(f"table.csv in {out} is not one of {chosen.study}: it has no column {error}")
     except FileNotFoundError as error:
-        parser.error(f"{out} is not a whole run of {study.name}: there is no {error.filename}")
+        parser.error(f"{out} is not a whole run of {chosen.study}: there is no {error.filename}")
     except OSError as error:
         return _stop(True, NOT_WRITTEN, _not_written(error))
     say(f"drawn again in {out}")
@@ -136,54 +86,31 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
 
 
 def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
-    study = _study(parser, chosen.study)
-    known = ("eps", "bodies", "order", "loads", "quick")
-    given = {name: getattr(chosen, name) for name in known if getattr(chosen, name) is not None}
-    _check_options(parser, study, given)
-    petsc = _petsc_options(parser, rest)
-    out = _folder(parser, chosen, study)
+    study = studies()[chosen.study]
+    petsc = petsc_options(parser, study, rest)
+    given = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
+    out = folder(parser, chosen)
     if out.exists() and not out.is_dir():
         parser.error(f"--out {out} is a file")
-    return _run_study(study, out, given, petsc, chosen.resume)
+    return _run_study(study, out, given, petsc, chosen.resume, chosen.verbose)
 
 
-def _check_options(parser: argparse.ArgumentParser, study: Study, given: dict[str, Any]) -> None:
-    for name in given:
-        if name not in study.options:
-            uses = ", ".join(f"--{option}" for option in study.options) or "none"
-            parser.error(f"study {study.name} does not use --{name}; it uses: {uses}")
-    for eps in given.get("eps", []):
-        if not 0 < eps < float("inf"):
-            parser.error(f"--eps {eps:g}: a thickness must be > 0")
-
-
-def _petsc_options(parser: argparse.ArgumentParser, rest: Sequence[str]) -> dict[str, str | None]:
-    """-thinlayer_NAME [VALUE] ... as a dictionary."""
-    options: dict[str, str | None] = {}
-    name = None
-    for word in rest:
-        if word.startswith(PETSC_PREFIX):
-            name = word[1:]
-            options[name] = None
-        elif name is not None and options[name] is None and not word.startswith("--"):
-            options[name] = word
-        else:
-            parser.error(f"unrecognized argument {word!r}; PETSc options start with {PETSC_PREFIX}")
-    return options
-
-
-def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, str | None], resume: bool) -> int:
+def _run_study(
+    study: Study, out: Path, given: dict[str, Any], petsc: dict[str, str | None], resume: bool, verbose: int
+) -> int:
     startup.ignore_working_folder()
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from forms import LawError
-    from geometry import GeometryError
-    from thinlayer import ModelError, OptionError, SolveError
+    from thinlayer.errors import SolveError
+    from thinlayer.parallel import abort, log
     from thinlayer.running.record import Record
     from thinlayer.solving.options import given_elsewhere
 
     _set_signals()
+    abort.STATUS = CRASHED
+    if verbose:
+        log.show(logging.INFO if verbose == 1 else logging.DEBUG)
     root = MPI.COMM_WORLD.rank == 0
     if root and (elsewhere := given_elsewhere()):
         print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
@@ -194,15 +121,17 @@ def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, 
     try:
         with record:
             try:
-                importlib.import_module(f"studies.{study.name}").run(record, **given)
+                module = importlib.import_module(f"studies.{study.name}")
+                module.run(record, **given)
+                module.draw(record)
                 record.close()
-            except (GeometryError, LawError, ModelError, OptionError):
+            except InputError:
                 record.withdraw()
                 raise
             except BaseException as error:
                 record.stop(_reason(error))
                 raise
-    except (GeometryError, LawError, ModelError, OptionError) as error:
+    except InputError as error:
         return _stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")
     except SolveError as error:
         return _stop(root, SOLVE_FAILED, f"{error}\nwhat was done is kept in {out}")
@@ -217,9 +146,7 @@ def _run_study(study: Study, out: Path, given: dict[str, Any], petsc: dict[str, 
         return _stop(root, INTERRUPTED, message)
     except BaseException as error:
         if MPI.COMM_WORLD.size > 1:  # it may be on one rank only: the others must not wait for it for ever
-            from thinlayer.parallel.abort import abort
-
-            abort(error, CRASHED)
+            abort.abort(error)
         raise
     if root:
         for check in record.checks:
@@ -257,7 +184,7 @@ def _end_all_ranks(comm: Any, status: int, message: str) -> None:
 
 
 def _info() -> int:
-    from thinlayer.running.record import versions
+    from thinlayer.running.provenance import versions
 
     found = versions()
     _set_signals()

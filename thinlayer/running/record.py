@@ -2,120 +2,34 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib.metadata
 import json
-import os
-import platform
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
-from functools import cache
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from geometry.parallel import on_root
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
-from thinlayer.files.folder import Lock, moved_away, moved_back
 from thinlayer.files.say import say
-from thinlayer.files.table import Table, hash_of, replaced
-from thinlayer.identity.identity import OURS
-from thinlayer.output.comparison import sweep
+from thinlayer.files.table import Table, hash_of
+from thinlayer.output.sweep import sweep
+from thinlayer.parallel.log import logger
+from thinlayer.running.check import Check
+from thinlayer.running.provenance import code, petsc_options, versions
+from thinlayer.running.run_folder import MARCHES, RUN, RunFolder
 from thinlayer.solving.options import PREFIX
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
-RUN = "run.json"
-MARCHES = "unfinished"  # folder for the states of marches, needed to resume
-PACKAGES = (
-    "fenics-dolfinx",
-    "fenics-basix",
-    "fenics-ufl",
-    "fenics-ffcx",
-    "petsc4py",
-    "mpi4py",
-    "numba",
-    "gmsh",
-    "meshio",
-    "pyvista",
-    "vtk",
-    "numpy",
-    "scipy",
-    "matplotlib",
-    "rich",
-)
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on; "not installed" where one lacks."""
-    import thinlayer
-
-    found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
-    found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
-    for name in PACKAGES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
-
-
-def petsc_options() -> dict[str, Any]:
-    """The PETSc options in force, and where they may be from besides the command line."""
-    places = (Path.home() / ".petscrc", Path(".petscrc"), Path("petscrc"))
-    found = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
-    files = [str(path.absolute()) for path in places if path.is_file()]
-    return {"options": found, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", ""), "files": files}
-
-
-@cache
-def code() -> str:
-    """What stands for the source of the package and of its studies."""
-    folder, content = Path(__file__).parents[2], hashlib.sha256()
-    for package in (*OURS, "studies"):
-        for path in sorted((folder / package).rglob("*")):
-            if path.suffix in (".py", ".c"):
-                content.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
-    return content.hexdigest()[:12]
-
-
-@dataclass
-class Check:
-    """A number that a study promises to lie in a range.
-
-    Attributes:
-        name: what the number is.
-        value: the number found.
-        low, high: the range; None for an open end.
-        passed: whether it lies there.
-    """
-
-    name: str
-    value: float
-    low: float | None
-    high: float | None
-    passed: bool = field(init=False)
-
-    def __post_init__(self) -> None:
-        above = self.low is None or self.value >= self.low
-        below = self.high is None or self.value <= self.high
-        self.passed = above and below  # NaN passes neither
-
-    def __str__(self) -> str:
-        ends = [
-            f">= {self.low:.6g}" if self.low is not None else "",
-            f"<= {self.high:.6g}" if self.high is not None else "",
-        ]
-        return f"{self.name}: {self.value:.6g} ({' and '.join(e for e in ends if e)})"
+LOG = logger("study")
 
 
 class Record:
@@ -141,72 +55,23 @@ class Record:
         self.checks: list[Check] = []
         self.solves: list[dict[str, Any]] = []
         self._begun = self._noted = False
-        self._files: set[str] = set()
-        self._lock: Lock | None = None
-        self._moved: dict[Path, Path] = {}
+        self._folder = RunFolder(self.out)
         self._start = time.perf_counter()
         self.root = MPI.COMM_WORLD.rank == 0
 
     def __enter__(self) -> Self:
-        """Take the folder. Collective.
-
-        Raises:
-            ModelError: no files can be written there, another run is at work, tables of unknown origin are there, or the
-                run to resume was another one.
-        """
-        on_root(MPI.COMM_WORLD, self._take)
+        """Take the folder; errors as in `RunFolder.take`. Collective."""
+        on_root(MPI.COMM_WORLD, lambda: self._folder.take(self._problem if self.resume else None))
         return self
-
-    def _take(self) -> None:
-        self._lock = Lock(self.out)
-        self._lock.take()
-        try:
-            self._look()
-        except (OSError, ModelError):
-            self._lock.free()
-            raise
-
-    def _look(self) -> None:
-        """What is in the folder already; on one rank."""
-        if (self.out / RUN).exists():
-            if self.resume:
-                if problem := self._problem():
-                    raise ModelError(problem)
-                self._files |= {*self._earlier()} - {RUN, MARCHES}
-            else:
-                self._moved = moved_away(self.out, self._earlier())
-        elif tables := sorted(path.name for path in self.out.glob("*.csv")):
-            raise ModelError(
-                f"{self.out} has tables ({', '.join(tables)}) and no run.json; give another --out, or remove them"
-            )
 
     def __exit__(self, *_: object) -> None:
         """Give the folder back; on each rank by itself."""
-        if self._lock is None:
-            return
-        if self._moved and not self._written():
-            with suppress(OSError):
-                moved_back(self._moved)
-        self._lock.free()
-
-    def _written(self) -> bool:
-        """Whether anything of this run is in the folder."""
-        return any((self.out / name).exists() for name in (RUN, MARCHES, *self._files))
+        self._folder.free()
 
     def withdraw(self) -> None:
         """Leave nothing behind if no more than run.json has been written; not collective."""
-        if self.root and not any((self.out / name).exists() for name in (MARCHES, *self._files)):
-            with suppress(OSError):
-                (self.out / RUN).unlink(missing_ok=True)
-
-    def _earlier(self) -> list[str]:
-        """Files of the run whose run.json is in the folder."""
-        try:
-            names = [str(name) for name in json.loads((self.out / RUN).read_text(encoding="utf-8"))["files"]]
-            names = [name for name in names if Path(name).name == name]
-        except (OSError, ValueError, LookupError, TypeError):
-            names = [path.name for path in self.out.iterdir() if path.suffix in (".csv", ".png")]
-        return [*names, MARCHES, RUN]  # run.json last: who is killed amid moving them leaves it with the others
+        if self.root:
+            self._folder.withdraw()
 
     def identity(self) -> list[Any]:
         """What tells the run from others, wherever its folder is."""
@@ -214,11 +79,15 @@ class Record:
 
     def path(self, name: str) -> Path:
         """Path of a file in the folder (whoever writes it makes the folder); from now on it is one of the run's files."""
-        if name not in self._files and name != RUN:
-            self._files.add(name)
-            if self._lock is not None and self.root:  # a run that is killed leaves the names of what it had begun
+        if name not in self._folder.files and name != RUN:
+            self._folder.files.add(name)
+            if self._folder.taken and self.root:  # a run that is killed leaves the names of what it had begun
                 self.stop("not finished")
         return self.out / name
+
+    def table(self, name: str) -> Table:
+        """A table of the folder to add rows to: each is on the disk before the next one is computed. Collective."""
+        return Table(path=self.path(name))
 
     def write(self, name: str, table: Table) -> None:
         """Write a table as csv. Collective."""
@@ -241,7 +110,7 @@ class Record:
         """Raise ModelError if the tables in the folder are not those of a run of the study. Collective."""
 
         def check() -> None:
-            run = self._earlier_run("")
+            run = self._folder.told()
             if run["study"] != self.study:
                 raise ModelError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
             for name, found in dict(run.get("tables", {})).items():
@@ -250,18 +119,9 @@ class Record:
 
         on_root(MPI.COMM_WORLD, check)
 
-    def _earlier_run(self, what: str) -> dict[str, Any]:
-        """What run.json says, with a study and options at least; raises ModelError."""
-        path = self.out / RUN
-        try:
-            run = json.loads(path.read_text(encoding="utf-8"))
-            return run | {"study": str(run["study"]), "options": dict(run["options"])}
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            raise ModelError(f"{what}{path} cannot be read ({error})") from error
-
     def _problem(self) -> str | None:
         """What is wrong with resuming the run in the folder."""
-        run = self._earlier_run("--resume: ")
+        run = self._folder.told("--resume: ")
         if run["study"] != self.study:
             return f"--resume: the run in {self.out} is of the study {run['study']}, not {self.study}"
         if run["options"] != self.identity()[1]:
@@ -314,15 +174,21 @@ class Record:
 
     def solved(self, state: State) -> State:
         """Note how a state was found; returns it."""
-        layer = state.model.layer
-        self.solves.append(
-            {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t, **asdict(state.report)}
-        )
+        layer, report = state.model.thin_layer, state.report
+        noted = {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t}
+        self.solves.append(noted | asdict(report))
+        LOG.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
         return state
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
         """Check that a number lies in a range; a failed check makes the run exit with status 1."""
         self.checks.append(Check(name, float(value), low, high))
+        LOG.info("check %s", self.checks[-1])
+
+    def check_near(self, name: str, value: float, expected: float, tolerance: float) -> None:
+        """Check that a number is the expected one, to a relative tolerance."""
+        low, high = sorted((expected * (1 - tolerance), expected * (1 + tolerance)))
+        self.check(name, value, low=low, high=high)
 
     @property
     def failed(self) -> list[Check]:
@@ -340,7 +206,6 @@ class Record:
                 self._write(error)
 
     def _write(self, error: str | None) -> None:
-        done = sorted(self._files) if error is None else []
         content = {
             "study": self.study,
             "options": self.options,
@@ -353,11 +218,6 @@ class Record:
             "results": self.results,
             "checks": [asdict(check) for check in self.checks],
             "solves": self.solves,
-            "files": sorted(self._files),
-            "tables": {name: hash_of(self.out / name) for name in done if name.endswith(".csv")},
             "error": error,
         }
-        with replaced(self.out / RUN) as file:
-            file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
-        if error is None:
-            shutil.rmtree(self.out / MARCHES, ignore_errors=True)
+        self._folder.tell(content, done=error is None)

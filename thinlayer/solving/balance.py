@@ -1,9 +1,9 @@
-"""When forces are in balance: how small a residual must be, and the check of every state before it is returned."""
+"""When forces are in balance: the residual that solvers aim at, and the check of every state before it is returned."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,9 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from thinlayer.errors import SolveError
-
-TOLERANCE = 1e-10  # that solvers aim at: residual over the forces of the bodies' stresses, or the loads
-LARGEST_RESIDUAL = 1e-6  # that a state may have, whoever found it
+from thinlayer.solving.force_scale import ALLOWED, ForceScale
 
 
 class Balance(Protocol):
@@ -21,32 +19,25 @@ class Balance(Protocol):
 
     Attributes:
         comm: communicator.
-        laws: compiled laws; `failed` is the number of points where they failed, `failure()` says what failed and where.
-        scale: size of the forces in the last residual.
-        least_residual: what rounding leaves of the forces of stiff bodies that supports move.
+        failed: number of points where a part of the balance failed.
+        scale: what residuals are measured by.
     """
 
     comm: MPI.Intracomm
-    laws: Any
-    scale: float
-    least_residual: float
+    failed: int
+    scale: ForceScale
 
     @property
     def held(self) -> npt.NDArray[np.int32]:
         """Unknowns of this rank that supports prescribe."""
 
-    @property
-    def least_scale(self) -> float:
-        """Size of the loads, or of what rounding leaves."""
-
-    def rounding_at(self, x: PETSc.Vec) -> float:
-        """What rounding leaves of the forces at unknowns x."""
+    def failure(self) -> str:
+        """What failed, and where."""
 
 
 def aim(equations: Balance, x: PETSc.Vec) -> float:
-    """Norm of a residual at unknowns x that solvers aim at: against the forces, or all that rounding allows."""
-    rounding = min(equations.rounding_at(x), LARGEST_RESIDUAL * equations.least_scale)
-    return max(TOLERANCE * equations.scale, equations.least_residual, rounding)
+    """Norm of a residual at unknowns x that solvers aim at. Collective."""
+    return equations.scale.aim(float(x.norm(PETSc.NormType.INFINITY)))
 
 
 def free_norm(equations: Balance, r: PETSc.Vec) -> float:
@@ -62,11 +53,11 @@ def require_equilibrium(equations: Balance, x: PETSc.Vec, r: PETSc.Vec) -> None:
     No option of PETSc's changes this: a solver that was told to stop early is found out here.
     """
     size, scale = free_norm(equations, r), equations.scale
-    if size <= max(LARGEST_RESIDUAL * scale, equations.least_residual):
+    if size <= scale.allowed:
         return
-    failed = f"; {equations.laws.failure()}" if equations.laws.failed else ""
+    failed = f"; {equations.failure()}" if equations.failed else ""
     raise SolveError(
-        f"what the solver returned is no equilibrium: forces of {size / max(scale, np.finfo(float).tiny):.1e} of the loads "
-        f"and stresses are out of balance, allowed: {LARGEST_RESIDUAL:g}{failed}",
+        f"what the solver returned is no equilibrium: forces of {scale.relative(size):.1e} of the loads "
+        f"and stresses are out of balance, allowed: {ALLOWED:g}{failed}",
         advice="do PETSc options (in the script, on the command line, in PETSC_OPTIONS or a file petscrc) end it early?",
     )

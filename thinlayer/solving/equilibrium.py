@@ -7,8 +7,9 @@ import math
 from petsc4py import PETSc
 
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import LARGEST_RESIDUAL
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.finder import Found
+from thinlayer.solving.force_scale import ALLOWED
 from thinlayer.solving.linear_solvers import mark, tell_multigrid
 from thinlayer.solving.newton import newton, reason_name
 from thinlayer.solving.options import PREFIX
@@ -17,16 +18,15 @@ REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov m
 WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
 UNDETERMINED = 1e-3  # of the displacements, that rounding may change after a direct solve
 OVERSHOOT = 10.0  # residual of a first step over the forces
-FARTHEST = 1e4  # displacements of a first step over the old ones
+UNRESISTED = 1e4  # displacements of a first step over the old ones: where all yields, nothing resists
 
 
 class Equilibrium:
-    """Finds the unknowns at the end of a step; keeps a factor as long as the matrix stays the same.
+    """Finds the unknowns at the end of a step: a `Finder` that keeps a factor as long as the matrix stays the same.
 
     Attributes:
         equations: of the model, which know the step.
         curved: whether Newton's method follows the linear step.
-        x: the unknowns found last.
         reused: whether the last step took the factor of an earlier one.
     """
 
@@ -37,45 +37,45 @@ class Equilibrium:
         self._factored: tuple[float, float] | None = None
         self.reused = False
         self._vectors = [equations.vector() for _ in range(4)]
-        self.x = self._vectors[0]
 
-    def drop_factor(self) -> None:
-        """Forget the factor of the last matrix."""
+    def forget(self) -> bool:
+        """Drop the factor of the last matrix; whether the last step took that of an earlier one."""
         if self._ksp is not None:
             self._ksp.destroy()
         self._ksp = self._factored = None
-        self.reused = False
+        was_reused, self.reused = self.reused, False
+        return was_reused
 
     def close(self) -> None:
         """Free vectors and factor."""
-        self.drop_factor()
+        self.forget()
         for vector in self._vectors:
             vector.destroy()
 
-    def advance(self, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
-        """Unknowns at the end of the step, iterations, residual; with `begin`, Newton's method starts there.
+    def find(self, start: PETSc.Vec | None = None) -> Found:
+        """Unknowns at the end of the step; with `start`, Newton's method begins there.
 
         Errors as in `solve`.
         """
         equations = self.equations
         x, r, d, move = self._vectors
-        if begin is not None:
-            begin.copy(x)
+        if start is not None:
+            start.copy(x)
             equations.residual(x, r)
             return self._newton(x, r)
         held = equations.held
         for vector in self._vectors:
             vector.set(0.0)
-        self._put_old(x)
+        equations.put_state(equations.interval.old, x)
         move.array[held] = equations.prescribed - x.array_r[held]
         if not self.curved:
             x.axpy(1.0, move)
             equations.residual(x, r)
         else:
             equations.start(x, r)
-        if equations.laws.failed:
-            raise SolveError(f"at the start of the step {equations.laws.failure()}")
-        forces = equations.scale
+        if equations.failed:
+            raise SolveError(f"at the start of the step {equations.failure()}")
+        forces = equations.scale.forces
         if self.curved:
             self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
@@ -85,7 +85,7 @@ class Equilibrium:
         else:
             self._prepare(move, r)
         iterations = self._solve_linear(r, d)
-        if self._yields and x.norm() > 0 and not d.norm() <= FARTHEST * x.norm():  # where all yields nothing resists
+        if self._yields and x.norm() > 0 and not d.norm() <= UNRESISTED * x.norm():
             self._elastic_step(x, r, d, move)
         if self.curved and not math.isfinite(d.norm()):
             raise SolveError(
@@ -100,26 +100,18 @@ class Equilibrium:
         if self.curved:
             self._retreat(x, r, d, move, forces)
             return self._newton(x, r)
-        return x, iterations, self._refine(x, r, d)
-
-    def _put_old(self, x: PETSc.Vec) -> None:
-        """Unknowns at the start of the step."""
-        equations, old = self.equations, self.equations.interval.old
-        n = equations.n_displacements
-        x.array[:n] = old.u.x.array[:n]
-        if old.p is not None and equations.constraint:
-            x.array[n:] = old.p.x.array[: equations.n_pressures] / equations.constraint.unit
+        return Found(x, iterations, self._refine(x, r, d))
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
-        equations, ease = self.equations, self.equations.laws.eased
+        equations, ease = self.equations, self.equations.eased
         equations.residual(x, r)
         r.scale(-1.0)
-        equations.laws.ease(1.0)
+        equations.ease(1.0)
         try:
             equations.residual(x, d)
         finally:
-            equations.laws.ease(ease)
+            equations.ease(ease)
         self._prepare(move, r)
         self._solve_linear(r, d)
 
@@ -136,7 +128,7 @@ class Equilibrium:
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
         equations = self.equations
-        dt = 0.0 if equations.laws.steady else equations.interval.dt
+        dt = equations.interval.dt if equations.traits.uses_dt else 0.0
         key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
         self.reused = move is None and self._factored == key
         if self.reused:
@@ -147,8 +139,8 @@ class Equilibrium:
             self._require_finite("tangent (the slope of the stress)", A.norm())
         else:
             equations.require_unique()
-        mark(A, equations.model, saddle=equations.constraint is not None)
-        self.drop_factor()
+        mark(A, equations.model, saddle=equations.traits.saddle)
+        self.forget()
         self._ksp = ksp = PETSc.KSP().create(equations.comm)
         ksp.setOptionsPrefix(PREFIX)
         ksp.setOperators(A)
@@ -159,8 +151,9 @@ class Equilibrium:
     def _require_finite(self, what: str, size: float) -> None:
         """Raise SolveError if the norm of what laws in forms give where the step starts is NaN or infinite."""
         if not math.isfinite(size):
+            names = sorted({name for part in self.equations.parts for name in part.unchecked})
             raise SolveError(
-                f"the {what} of {self.equations.curved_laws} is not finite at the start of the step",
+                f"the {what} of {' or '.join(names)} is not finite at the start of the step",
                 advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
                 "of strains, or a ufl.conditional",
             )
@@ -180,7 +173,8 @@ class Equilibrium:
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             ksp.solve(r, d)
-            size = max(x.norm(), equations.old.norm())  # loads that end at zero leave displacements that are rounding
+            old = equations.interval.old.u.x.petsc_vec  # loads that end at zero leave displacements that are rounding
+            size = max(x.norm(), old.norm())
             if first and direct and d.norm() > UNDETERMINED * size:
                 raise SolveError(
                     "no unique solution: rounding of the forces changes the displacements by "
@@ -196,32 +190,32 @@ class Equilibrium:
                     x.axpy(-1.0, d)
                 break
             residual = refined
-        if not residual < LARGEST_RESIDUAL:
-            self._put_old(d)
+        if not residual < ALLOWED:
+            equations.put_state(equations.interval.old, d)
             equations.start(d, r)
             equations.residual(x, r)
             residual = self._relative(r)
-        if not residual < LARGEST_RESIDUAL:
-            few = ", or S has too few cells for the pressures of its layer" if equations.constraint else ""
+        if not residual < ALLOWED:
+            hints = "".join(f", or {part.hint}" for part in equations.parts if part.hint)
             raise SolveError(
                 f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
                 "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
-                f"says{few}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
+                f"says{hints}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
             )
         return residual
 
     def _relative(self, r: PETSc.Vec) -> float:
         """Residual where nothing is held, over the forces."""
-        return self._free_norm(r) / max(self.equations.scale, 1e-300)
+        return self.equations.scale.relative(self._free_norm(r))
 
     def _free_norm(self, r: PETSc.Vec) -> float:
         r.array[self.equations.held] = 0.0
         return float(r.norm())
 
-    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
+    def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> Found:
         steps, residual = newton(
             self.equations, x, r, own_test=self._own_test, hopeless=self._yields, advice=self._advice
         )
-        if not self.equations.contact:
+        if not self.equations.traits.releases:
             self.equations.require_unique()
-        return x, steps + 1, residual
+        return Found(x, steps + 1, residual)

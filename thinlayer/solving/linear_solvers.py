@@ -40,7 +40,7 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
     """
     direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
-    saddle = any(p.law.constrained for p in model.layer_terms)
+    saddle = any(p.law.traits.constrained for p in model.layer_terms)
     if saddle or unknowns < MULTIGRID_FROM[model.joint.dim]:
         return [direct]
     return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]

@@ -8,8 +8,9 @@ from typing import Any
 from petsc4py import PETSc
 
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import LARGEST_RESIDUAL, aim
+from thinlayer.solving.balance import aim
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.force_scale import ALLOWED
 from thinlayer.solving.linear_solvers import tell_multigrid
 from thinlayer.solving.options import PREFIX, OptionError, OptionValue
 
@@ -28,7 +29,7 @@ FLAT: dict[str, OptionValue] = {  # a search for the least energy: residuals may
     "snes_max_it": 300,
 }
 STALLED = 16  # steps without a residual that is a tenth smaller: a law that yields has no equilibrium, or hides it
-FARTHEST = 1e6  # displacements over those of the first step: likewise
+RUN_AWAY = 1e6  # displacements over those of the first step: likewise
 Reason = PETSc.SNES.ConvergedReason
 
 
@@ -48,7 +49,7 @@ def newton(
     Raises:
         SolveError: no convergence. OptionError: a method that does not ask when to stop.
     """
-    largest = FARTHEST * _largest(x)
+    largest = RUN_AWAY * _largest(x)
     residuals: list[float] = []
     given_up = ""
 
@@ -62,7 +63,7 @@ def newton(
 
     def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
         nonlocal given_up
-        residuals.append(norms[2] / max(equations.scale, 1e-300))
+        residuals.append(equations.scale.relative(norms[2]))
         if math.isnan(norms[2]):
             return Reason.DIVERGED_FNORM_NAN
         x = snes.getSolution()
@@ -88,13 +89,13 @@ def newton(
     reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
     if own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
         raise OptionError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
-    last = float(snes.getFunctionNorm()) / max(equations.scale, 1e-300)
+    last = equations.scale.relative(float(snes.getFunctionNorm()))
     ksp_reason = snes.getKSP().getConvergedReason()
     snes.destroy()
-    stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < LARGEST_RESIDUAL  # by rounding
-    stopped = own_test and reason >= 0 and not last < LARGEST_RESIDUAL  # by a test other than ours
+    stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # by rounding
+    stopped = own_test and reason >= 0 and not last < ALLOWED  # by a test other than ours
     if stopped or (reason < 0 and not stalled):
-        failed = f"; {equations.laws.failure()}" if equations.laws.failed else ""
+        failed = f"; {equations.failure()}" if equations.failed else ""
         raise SolveError(
             f"Newton's method failed after {steps} steps: {given_up or reason_name(Reason, reason)}"
             + (f" (linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)})" if ksp_reason < 0 else "")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 
 from petsc4py import PETSc
+
+from thinlayer.solving.petsc_missing import was_read
+from thinlayer_base import InputError
 
 PREFIX = "thinlayer_"
 # PETSc's errors that values of options lead to: not supported, wrong, out of range, wrong state, user's function missing,
@@ -16,7 +18,7 @@ OptionValue = str | int | float | bool | None
 _PLACED: set[str] = set()  # names in PETSc's database, without the prefix, that are there by `defaults`
 
 
-class OptionError(ValueError):
+class OptionError(InputError):
     """A PETSc option that no solver reads."""
 
 
@@ -50,16 +52,8 @@ def given_elsewhere() -> str:
 
 def unread() -> list[str]:
     """Names under our prefix that are set and no solver has read, without the prefix."""
-    library = ctypes.CDLL(PETSc.__file__)
-    library.PetscOptionsUsed.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int)]
-    names = []
-    for name in PETSc.Options().getAll():
-        used = ctypes.c_int(0)
-        if name.startswith(PREFIX):
-            library.PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
-            if not used.value:
-                names.append(name.removeprefix(PREFIX))
-    return names
+    ours = [name for name in PETSc.Options().getAll() if name.startswith(PREFIX)]
+    return [name.removeprefix(PREFIX) for name in ours if not was_read(name)]
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:

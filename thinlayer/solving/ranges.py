@@ -11,13 +11,13 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from forms.contact import ContactLaw
-from forms.law import Law
+from forms.law import BulkLaw
 from forms.tangent import across, average_lame, in_plane_modulus
-from forms.traction import TractionLaw
 from geometry.joint import LAYER, S
-from geometry.sheet import Rim
+from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
@@ -46,16 +46,17 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         model: the model.
         lasting: how long its loads last when it is looked at, times > 0; () if they are sudden.
     """
-    law = _law_of_strains(model)
-    if law is None:
+    found = _thin(model)
+    if found is None:
         return
-    strata = _strata(model)
-    _warn_of_facets(model)
+    limit, layer = found
+    strata = _strata(limit)
+    _warn_of_facets(limit, layer)
     if not _of_jumps(strata):
-        _warn_of_thickness(model)
-        _warn_of_hard_layer(model, strata)
-    at_once = [] if lasting and law.rate else [strata]
-    _warn_of_free_ends(model, [*at_once, *(_strata(model, dt) for dt in lasting)])
+        _warn_of_thickness(limit, layer)
+        _warn_of_hard_layer(limit, layer, strata)
+    at_once = [] if lasting and layer.law.traits.rate else [strata]
+    _warn_of_free_ends(limit, layer, [*at_once, *(_strata(limit, dt) for dt in lasting)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -65,29 +66,30 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         states: of one model.
         start: time since which loads last; None if they are sudden at every state.
     """
-    law = _law_of_strains(states[0].model) if states else None
-    if law is None:
+    thin = _thin(states[0].model) if states else None
+    if thin is None:
         return
-    strata = _strata(states[0].model)
-    found = [faces for faces in map(_Faces.of, states) if faces]
+    model, layer = thin
+    strata = _strata(model)
+    found = [faces for faces in (_Faces.of(state, layer) for state in states) if faces]
     if not found:
         return
-    if not (states[0].model.linear or _of_jumps(strata)):
+    if not (model.linear or _of_jumps(strata)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if law.linear and not law.phases:  # what a phase strains is not under pressure
-        _warn_of_pressure(found, start)
+    if layer.law.traits.linear and not layer.law.traits.phases:  # what a phase strains is not under pressure
+        _warn_of_pressure(model, found, start)
 
 
-def _law_of_strains(model: Model) -> Law | None:
-    """The law, its parameters real, of an interface model whose law is one of strains; else None."""
-    if model.kind != "interface" or model.layer is None or isinstance(model.layer.law, (TractionLaw, ContactLaw)):
+def _thin(model: Model) -> tuple[InterfaceModel, ThinLayer] | None:
+    """An interface model and its layer, if the layer's law is one of strains; else None."""
+    if not isinstance(model, InterfaceModel) or model.thin_layer is None:
         return None
-    return model.layer.real_law(model.plane)
+    return model, model.thin_layer
 
 
 def free_rim(model: Model) -> Rim:
     """Where the layer's side is free: no support of its whole side holds it along S."""
-    rim, supports = model.sheet.rim, model.supports
+    rim, supports = model.structure.sheet.rim, model.supports
     held = np.zeros(rim.outward.shape)
     for place, components in supports.entries:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
@@ -128,21 +130,21 @@ class Stratum:
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
-    def of(cls, fraction: float, law: Law, C: FloatArray, n: FloatArray) -> Stratum | None:
+    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Stratum | None:
         """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
         lmbda, mu = average_lame(C)
-        if law.constrained:
+        if law.traits.constrained:
             held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * HELD
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
-def _strata(model: Model, dt: float = 0.0) -> list[Stratum]:
+def _strata(model: InterfaceModel, dt: float = 0.0) -> list[Stratum]:
     """Those of a layer under loads that have lasted dt, 0: at rest; [] if their tangents are not known."""
-    n, at_rest = model.sheet.mean_normal, model.layer_at_rest
-    later = model.layer_over(dt) if dt > 0 else [None] * len(at_rest)
+    n, strata = model.at_rest.n, model.at_rest.strata
+    later = model.at_rest.over(dt) if dt > 0 else [None] * len(strata)
     found: list[Stratum] = []
-    for (a, law, C), C_later in zip(at_rest, later, strict=True):
+    for (a, law, C), C_later in zip(strata, later, strict=True):
         if C is None and C_later is None:
             return []
         rest, then = (None if one is None else Stratum.of(a, law, one, n) for one in (C, C_later))
@@ -157,13 +159,13 @@ def _of_jumps(strata: list[Stratum]) -> bool:
     return bool(strata) and all(stratum.along <= JUMPS * stratum.mu for stratum in strata)
 
 
-def _warn_of_facets(model: Model) -> None:
+def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
     """Straight facets of a curved S have angles between them, into which a slip along S has to open the layer.
 
     A slip w opens it by w . (N - n), with the facet's normal n and the mean one N of its neighbours at each vertex: normal
     stiffness times the mean of |N - n|^2 comes to the tangential one. Larger angles are taken for corners of S.
     """
-    sheet, joint = model.sheet, model.joint
+    sheet, joint = model.structure.sheet, model.joint
     if joint.degree > 1 or joint.planar:
         return
     used, number = np.unique(sheet.vertices, return_inverse=True)
@@ -175,7 +177,7 @@ def _warn_of_facets(model: Model) -> None:
     k = joint.dim
     squares = ((tilt.sum(axis=1) ** 2).sum(axis=1) + (tilt**2).sum(axis=(1, 2))) / (k * (k + 1))
     angle = math.sqrt(float(sheet.areas @ squares / sheet.areas.sum()))
-    normal, tangential = stiffness_of_jumps(model)
+    normal, tangential = stiffness_of_jumps(model, layer)
     if normal * angle**2 > SHARE * tangential:
         what = (
             f"is about {1 + normal * angle**2 / tangential:.3g} times too stiff against it,"
@@ -189,12 +191,10 @@ def _warn_of_facets(model: Model) -> None:
         )
 
 
-def stiffness_of_jumps(model: Model) -> tuple[float, float]:
+def stiffness_of_jumps(model: InterfaceModel, layer: ThinLayer) -> tuple[float, float]:
     """Normal and least tangential stiffness of the layer at rest, over an area; zeros if they are not known."""
-    n = model.sheet.mean_normal
-    assert model.layer is not None
-    compliances = np.zeros(2)
-    for fraction, _, C in model.layer_at_rest:
+    n, compliances = model.at_rest.n, np.zeros(2)
+    for fraction, _, C in model.at_rest.strata:
         if C is None:
             return 0.0, 0.0
         A = across(C, n)
@@ -203,28 +203,24 @@ def stiffness_of_jumps(model: Model) -> tuple[float, float]:
         if min(along, up) <= JUMPS * size:
             return up, 0.0
         compliances += [fraction / up, fraction / along]
-    normal, tangential = 1 / (compliances * model.layer.eps)
+    normal, tangential = 1 / (compliances * layer.eps)
     return float(normal), float(tangential)
 
 
-def _warn_of_thickness(model: Model) -> None:
+def _warn_of_thickness(model: InterfaceModel, layer: ThinLayer) -> None:
     """The law is the first terms of a series in the thickness over the length on which bodies' stresses vary."""
-    layer = model.layer
-    assert layer is not None
-    height = min(model.sheet.heights)
+    height = min(model.structure.sheet.heights)
     if layer.eps > height:
         warn(
             f"the layer is {layer.eps:.4g} thick, the thinner body {height:.4g} (its volume over the area of S): the "
-            "interface law is for thicknesses well below that of the bodies; mesh the layer (Model.full), or check eps",
+            "interface law is for thicknesses well below that of the bodies; mesh the layer (structure.full), or check eps",
             model.comm,
         )
 
 
-def _warn_of_hard_layer(model: Model, strata: list[Stratum]) -> None:
+def _warn_of_hard_layer(model: InterfaceModel, layer: ThinLayer, strata: list[Stratum]) -> None:
     """Order 0 leaves eps grad_S <u> out of the jump, eps t/E_body beside eps t/E_layer: more than all of it then."""
-    layer, n = model.layer, model.sheet.mean_normal
-    assert layer is not None
-    bodies = model.bodies_at_rest
+    n, bodies = model.at_rest.n, model.structure.bodies_at_rest
     if layer.order == 1 or not strata or any(C is None for C in bodies):
         return
     softest = min(in_plane_modulus(C, n) for C in bodies if C is not None)
@@ -233,19 +229,17 @@ def _warn_of_hard_layer(model: Model, strata: list[Stratum]) -> None:
         warn(
             f"the layer is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S; the layer's "
             f"are its law's times eps = {layer.eps:.4g}): its jump is less than what order 0 leaves out; use order=1, mesh "
-            "the layer (Model.full), or check whether the law's parameters are per thickness",
+            "the layer (structure.full), or check whether the law's parameters are per thickness",
             model.comm,
         )
 
 
-def _warn_of_free_ends(model: Model, layers: Sequence[list[Stratum]]) -> None:
+def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence[list[Stratum]]) -> None:
     """At free ends the pressure of a nearly incompressible layer falls to zero over a length delta, which laws leave out.
 
     Between rigid faces a strip of half-width l carries 1 - tanh(l/delta) delta/l of what the laws say. Told is the largest
     factor of a layer whose strata are these at several times.
     """
-    layer = model.layer
-    assert layer is not None
     layers = [strata for strata in layers if any(stratum.nearly for stratum in strata)]
     if not layers:
         return
@@ -255,12 +249,12 @@ def _warn_of_free_ends(model: Model, layers: Sequence[list[Stratum]]) -> None:
     if any(stratum.length == math.inf for strata in layers for stratum in strata):
         warn(
             "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as of a layer "
-            "that is held there; one that is free is squeezed out, and its jump is not zero; mesh the layer (Model.full), "
-            "or support its sides if they are held",
+            "that is held there; one that is free is squeezed out, and its jump is not zero; mesh the layer "
+            "(structure.full), or support its sides if they are held",
             model.comm,
         )
         return
-    width = float(model.sheet.areas.sum() / rim.length.sum())
+    width = float(model.structure.sheet.areas.sum() / rim.length.sum())
     lengths = [pressure_length(strata, width / layer.eps) for strata in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda stratum: stratum.length)
     delta = layer.eps * max(lengths)
@@ -271,7 +265,7 @@ def _warn_of_free_ends(model: Model, layers: Sequence[list[Stratum]]) -> None:
             f"the layer is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
             f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; mesh the "
-            "layer (Model.full), or support its sides if they are held",
+            "layer (structure.full), or support its sides if they are held",
             model.comm,
         )
 
@@ -302,14 +296,16 @@ def pressure_length(strata: list[Stratum], width: float) -> float:
 # ---------------------------------------------------------------- after a solve
 @dataclass(frozen=True)
 class _Faces:
-    """Displacements (n, d, d) of the lower and the upper face at the vertices of the simplices of S."""
+    """At the vertices of the simplices of S: displacements of the lower and the upper face (n, d, d), thickness (n, d)."""
 
     state: State
+    sheet: Sheet
+    thickness: FloatArray
     lower: FloatArray
     upper: FloatArray
 
     @classmethod
-    def of(cls, state: State) -> _Faces | None:
+    def of(cls, state: State, layer: ThinLayer) -> _Faces | None:
         """Those of a state on rank 0, None on others. Collective."""
         model, joint = state.model, state.model.joint
         cells = joint.table.cells[joint.surface_rows]
@@ -325,7 +321,7 @@ class _Faces:
         values = carry(model.comm, owned[local], values, wanted)
         if model.comm.rank:
             return None
-        at_corners, sheet = values.reshape(len(needed), -1, joint.dim), model.sheet
+        at_corners, sheet = values.reshape(len(needed), -1, joint.dim), model.structure.sheet
         above = (joint.side[cells[:, 0]] > 0) | joint.rigid_base
         upper, lower = (np.where(above == first, cells[:, 0], cells[:, 1]) for first in (True, False))
 
@@ -334,28 +330,21 @@ class _Faces:
             corner = (joint.corners[cell][:, None, :] == sheet.vertices[:, :, None]).argmax(axis=2)
             return np.asarray(at_corners[place[cell][:, None], corner])
 
-        u = at_vertices(upper)
-        return cls(state, 0 * u if joint.rigid_base else at_vertices(lower), u)
+        u, thickness = at_vertices(upper), layer.eps * joint.relative_thickness(layer.profile)[sheet.vertices]
+        return cls(state, sheet, thickness, 0 * u if joint.rigid_base else at_vertices(lower), u)
 
     @cached_property
     def opening(self) -> FloatArray:
         """(n, d) [u_N]."""
-        return np.asarray(((self.upper - self.lower) * self.state.model.sheet.normals).sum(axis=2))
+        return np.asarray(((self.upper - self.lower) * self.sheet.normals).sum(axis=2))
 
     @property
     def slip_squared(self) -> FloatArray:
         """(n, d) |w_T|^2, at least the square of what is rounding next to the displacements."""
         jump = self.upper - self.lower
-        slip = jump - self.opening[..., None] * self.state.model.sheet.normals
+        slip = jump - self.opening[..., None] * self.sheet.normals
         rounding = ROUNDING * max(np.abs(self.lower).max(), np.abs(self.upper).max())
         return np.asarray((slip**2).sum(axis=2) + rounding**2)
-
-    @cached_property
-    def thickness(self) -> FloatArray:
-        """(n, d)."""
-        model, layer = self.state.model, self.state.model.layer
-        assert layer is not None
-        return np.asarray(layer.eps * model.joint.relative_thickness(layer.profile)[model.sheet.vertices])
 
     @property
     def closing(self) -> FloatArray:
@@ -365,7 +354,7 @@ class _Faces:
     @property
     def mean_closing(self) -> float:
         """Its mean over S; where the layer opens it counts as none."""
-        areas = self.state.model.sheet.areas
+        areas = self.sheet.areas
         return float(areas @ np.maximum(self.closing, 0).mean(axis=1) / areas.sum())
 
 
@@ -379,7 +368,7 @@ def _warn_of_overlap(faces: _Faces) -> None:
     closing, state = faces.closing, faces.state
     if faces.mean_closing > OVERLAP:
         worst = np.unravel_index(closing.argmax(), closing.shape)
-        x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[state.model.sheet.vertices[worst]])
+        x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[faces.sheet.vertices[worst]])
         warn(
             f"at t = {state.t:.4g} the layer closes by {faces.mean_closing:.3g} times its thickness, on average over S "
             f"(most near ({x}), by {closing[worst]:.3g} times): the bodies overlap, and the law is for small strains; "
@@ -388,7 +377,7 @@ def _warn_of_overlap(faces: _Faces) -> None:
         )
 
 
-def _warn_of_pressure(found: Sequence[_Faces], start: float | None) -> None:
+def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: float | None) -> None:
     """How much stiffer the law is than a layer whose pressure evens out along S, with the opening that was found.
 
     Asked is the state that opens most and, of those that open at least half as much, the last: laws that creep or relax
@@ -400,7 +389,7 @@ def _warn_of_pressure(found: Sequence[_Faces], start: float | None) -> None:
     worst, told = SHARE, None
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
-        strata = _strata(state.model, 0.0 if start is None else state.t - start)
+        strata = _strata(model, 0.0 if start is None else state.t - start)
         if len(strata) != 1 or not LONG < strata[0].length < math.inf:
             continue
         excess = pressure_excess(faces, strata[0])
@@ -410,8 +399,8 @@ def _warn_of_pressure(found: Sequence[_Faces], start: float | None) -> None:
         warn(
             f"the layer is nearly incompressible{told.when} (lmbda/mu = {told.lmbda / told.mu:.4g}): with the jumps found, "
             f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
-            "structure is off by less where the bodies are soft; mesh the layer (Model.full) to see by how much",
-            found[0].state.model.comm,
+            "structure is off by less where the bodies are soft; mesh the layer (structure.full) to see by how much",
+            model.comm,
         )
 
 
@@ -428,7 +417,7 @@ def pressure_excess(faces: _Faces, layer: Stratum) -> float:
     it could not fall within them. On straight facets of a curved S slip opens the layer at one end of a facet and closes
     it at the other, which the law resists, too. Jumps that are rounding next to the displacements count as shear.
     """
-    sheet, eps = faces.state.model.sheet, faces.thickness.mean(axis=1)
+    sheet, eps = faces.sheet, faces.thickness.mean(axis=1)
     d = sheet.joint.dim
     stretch = ((faces.lower + faces.upper) / 2 * sheet.gradients).sum(axis=(1, 2))
     wb = faces.opening + (eps * stretch)[:, None]

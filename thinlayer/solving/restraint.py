@@ -16,8 +16,9 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
+from thinlayer.parts.part import Interval
 from thinlayer.solving.balance import aim
-from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import mark, solve_linear, tell_multigrid
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
@@ -26,7 +27,7 @@ FIRST, LEAST = 1.0, 1e-12  # stiffness of the springs, over the mean one of the 
 SOFTER = 10.0  # stiffness over that of the next springs
 NEAR = 1.3  # growth of the distance with SOFTER springs near an equilibrium
 FAR = 30.0  # distance over that of an elastic layer: laws that flow at a limit go farther, others do not come so far
-FARTHEST = 1e6  # there is no need to go on
+FAR_ENOUGH = 1e6  # distance over that of an elastic layer, from which on it is known that they run away
 TOLERANCE = 1e-3  # residual over the forces of the springs: their solution is only on the way
 ITERATIONS, CUTS = 40, 6  # of Newton's method, and of a step of it
 MEMORY = 6  # steps over the largest of whose residuals a new one may not grow
@@ -47,9 +48,7 @@ class Restraint:
         self._ksp: PETSc.KSP | None = None
         self._vectors = [equations.vector() for _ in range(6)]
         self.x, self._begin, self._r, self._d, self._trial, self._kept = self._vectors
-        diagonal = equations.K.getDiagonal()
-        self._unit = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
-        diagonal.destroy()
+        self._unit = equations.mean_stiffness
         self._stiffness = 0.0
 
     def close(self) -> None:
@@ -76,7 +75,7 @@ class Restraint:
         self._start(step)
         distance, softer, settled = 0.0, SOFTER, False
         self._stiffness = FIRST * self._unit
-        while self._stiffness > LEAST * self._unit and distance < FARTHEST * elastic:
+        while self._stiffness > LEAST * self._unit and distance < FAR_ENOUGH * elastic:
             if not self._solve():
                 if softer < SOFTER or not distance:
                     break
@@ -109,15 +108,15 @@ class Restraint:
         equations, r, d = self.equations, self._r, self._d
         equations.begin(Interval(rest, step.old.t, step.dt, 1.0))
         loads, prescribed = equations.loads.copy(), equations.prescribed
-        ease = equations.laws.eased
-        equations.laws.ease(1.0)
+        ease = equations.eased
+        equations.ease(1.0)
         try:
             equations.begin(Interval(rest, step.t, step.dt, 1.0))
             self.x.set(0.0)
             equations.residual(self.x, r)
             A = equations.tangent()
         finally:
-            equations.laws.ease(ease)
+            equations.ease(ease)
         A.shift(LEAST * self._unit)
         n = equations.n_displacements
         r.set(0.0)
@@ -132,8 +131,7 @@ class Restraint:
     def _start(self, step: Interval) -> None:
         equations, x = self.equations, self._begin
         equations.begin(step)
-        n = equations.n_displacements
-        x.array[:n] = step.old.u.x.array[:n]
+        equations.put_state(step.old, x)
         x.array[equations.held] = equations.prescribed
         x.copy(self.x)
 

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.declarations import is_number
-from thinlayer.contact.solver import METHODS, ContactSolver, check_method, contact_problem, default_method
+from thinlayer.contact.solver import METHODS, ContactFinder, check_method, default_method
+from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import ModelError, SolveError, warn
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.parallel.log import logger
+from thinlayer.parts.part import Interval
 from thinlayer.solving.continuation import Continuation
-from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
+from thinlayer.solving.finder import Attempt, Finder, Found
 from thinlayer.solving.linear_solvers import failed_in_petsc, linear_solvers
 from thinlayer.solving.newton import FLAT, NEWTON, YIELDING
 from thinlayer.solving.options import (
@@ -34,7 +36,7 @@ from thinlayer.solving.options import (
 )
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
-from thinlayer.solving.softening import Softening
+from thinlayer_base import is_number
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
 
@@ -65,11 +67,11 @@ def solve(
     Raises:
         SolveError: no convergence, or no unique solution. OptionError: a PETSc option that the solver does not read.
         ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
-        ValueError: unknown method, or a linear solve of a non-linear law.
+        ModelError: unknown method, or a linear solve of a non-linear law.
     """
     with on_all(comm_of(model)):
         _require_model(model)
-        slow = [type(p.law).__name__ for p in model.terms if p.law.rate]
+        slow = [type(p.law).__name__ for p in model.terms if p.law.traits.rate]
         if slow:
             raise ModelError(
                 f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)"
@@ -93,9 +95,9 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if model.kind == "interface" and model.layer is not None and model.layer.law.softens:
+    if isinstance(model, InterfaceModel) and model.layer_law and model.layer_law.traits.softens:
         raise ModelError(
-            f"{what}: the stress of {model.layer.law!r} falls as jumps grow, and an equilibrium may be one of several; "
+            f"{what}: the stress of {model.layer_law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
         )
 
@@ -107,7 +109,7 @@ def comm_of(model: Any) -> MPI.Intracomm:
 
 def _require_model(model: Any) -> None:
     if not isinstance(model, Model):
-        raise ModelError(f"model is {model!r}; give what Model.full or Model.interface returns")
+        raise ModelError(f"model is {model!r}; give what Structure.full or Structure.interface returns")
 
 
 def _default_method(model: Model) -> str:
@@ -122,7 +124,7 @@ def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
         raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
-    if model.contact is None or like.model.kind != "interface" or like.model.element != model.element:
+    if model.contact is None or not isinstance(like.model, InterfaceModel) or like.model.element != model.element:
         raise ModelError("like is for contact laws: a state of an interface model with the same element")
 
 
@@ -151,24 +153,26 @@ class Solver:
         self._given = dict(options or {})
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)
-        self._choices = [{}] if self.method in METHODS else linear_solvers(model)
-        if len(self._choices) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
-            self._choices = self._choices[:1]
+        self._linear = [{}] if self.method in METHODS else linear_solvers(model)  # those that have not failed
+        if len(self._linear) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
+            self._linear = self._linear[:1]
+        self._log = logger("solve", model.comm)
         self.equations = Equations(model)
-        self._finder = self._contact_solver(like) if self.method in METHODS else self._equilibrium()
+        self._finder: Finder = (
+            ContactFinder(self.equations, self.method, like) if self.method in METHODS else self._equilibrium()
+        )
         self._told = False  # whether a law that softens has been told
-        self._settled = False  # whether a contact solver has read its options, which it does once
 
     def _check(self, method: Any, like: Any) -> None:
         """Raise an error unless the method is one for the model, and so is the state to begin from."""
         model, allowed = self.model, ("newton", *METHODS) if self.model.contact else ("linear", "newton")
         if self.method not in allowed:
             check_method(model, self.method)
-            raise ValueError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
+            raise ModelError(f"unknown method {method!r}; allowed: {', '.join(allowed)}")
         check_method(model, self.method)
         _check_like(model, like)
         if self.method == "linear" and not model.linear:
-            raise ValueError("method='linear' cannot solve a non-linear law; use method='newton'")
+            raise ModelError("method='linear' cannot solve a non-linear law; use method='newton'")
 
     def __enter__(self) -> Solver:
         return self
@@ -182,11 +186,6 @@ class Solver:
         curved = self.method == "newton"
         return Equilibrium(self.equations, curved=curved, own_test=own_test, yields=self.yields, advice=advice)
 
-    def _contact_solver(self, like: State | None) -> ContactSolver:
-        equations = self.equations
-        assert equations.contact is not None
-        return ContactSolver(contact_problem(equations.contact.nodes, equations.K, equations.held), self.method, like)
-
     def close(self) -> None:
         """Free matrices and factors."""
         self._finder.close()
@@ -195,8 +194,7 @@ class Solver:
 
     def rest(self, t: float) -> State:
         """The model before anything happened."""
-        report = Report("rest", 0, 0.0, 0.0)
-        return State(self.model, fem.Function(self.model.V), t, report, memory=self.equations.rest())
+        return self.equations.rest(t)
 
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, *, held: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
@@ -207,13 +205,17 @@ class Solver:
         """
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
-        x, iterations, residual, eased = self._find(old, thorough)
-        while not held and self.equations.laws.switch():
-            x, more, residual, again = self._find(old, thorough)
-            iterations, eased = iterations + more, eased + again
-        return self._state(
-            old, t, theta, x, Report(self.method, iterations, residual, time.perf_counter() - start, eased)
-        )
+        attempts = self._attempts()
+        if not thorough:
+            attempts = [one for one in attempts if one.options == attempts[0].options and not one.eased]
+        found, eased = self._work_through(attempts)
+        iterations = found.iterations
+        while not held and self.equations.switch():
+            self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
+            found, again = self._work_through(attempts)
+            iterations, eased = iterations + found.iterations, eased + again
+        seconds = time.perf_counter() - start
+        return self._accept(found.x, Report(self.method, iterations, found.residual, seconds, eased))
 
     def seek(self, old: State, t: float, theta: float = 1.0) -> State:
         """The state at the end of a step that `step` does not find, by weak springs at all nodes. Collective.
@@ -222,44 +224,30 @@ class Solver:
             NoEquilibrium: displacements run away as the springs soften. SolveError: nothing is found.
         """
         start = time.perf_counter()
-        restraint = Restraint(self.equations, {**self._choices[0], **self._given})
+        near = [attempt for attempt in self._attempts() if not attempt.eased]
+        self._log.info("t = %g: weak springs at all nodes are tried", t)
+        restraint = Restraint(self.equations, {**self._linear[0], **self._given})
         try:
-            x, iterations, residual = restraint.follow(
-                self.rest(t), Interval(old, t, t - old.t, theta), lambda begin: self._nearest(old, begin)
+            found, _ = restraint.follow(
+                self.rest(t), Interval(old, t, t - old.t, theta), lambda begin: self._work_through(near, begin)
             )
         finally:
             restraint.close()
-        return self._state(old, t, theta, x, Report(self.method, iterations, residual, time.perf_counter() - start))
+        seconds = time.perf_counter() - start
+        return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
 
-    def _nearest(self, old: State, begin: PETSc.Vec) -> tuple[PETSc.Vec, int, float]:
-        """Unknowns at the end of the step near some, iterations, residual."""
-        for search in self._searches:
-            try:
-                return self._solve(old, search, begin)
-            except SolveError as error:
-                failed = error
-        raise failed
+    def _accept(self, x: PETSc.Vec, report: Report) -> State:
+        state = self.equations.accept(x, report)
+        self._tell_softening(state.t)
+        return state
 
-    def _state(self, old: State, t: float, theta: float, x: PETSc.Vec, report: Report) -> State:
-        memory, audit = self.equations.audit(x)
-        self._tell_softening(old, t)
-        return State(self.model, self.equations.u.copy(), t, report, self._pressure(old, theta), memory, audit)
-
-    @cached_property
-    def _softening(self) -> Softening:
-        return Softening(self.model)
-
-    def _tell_softening(self, old: State, t: float) -> None:
+    def _tell_softening(self, t: float) -> None:
         """Warn, once, where the stress of a law falls that does not say so: at the same loads there may be other states."""
         if self._told:
             return
-        laws = self.equations.laws
-        name, points = laws.softened(self.equations.u.x.petsc_vec)
-        where = f"at {points} points"
-        if not name:
-            name, share = self._softening.found(self.equations.u, old.u)
-            where = f"on {share:.3g} of the layer"
-        if name:
+        found = next(filter(None, (part.undeclared_softening() for part in self.equations.parts)), None)
+        if found:
+            name, where = found
             self._told = True
             warn(
                 f"at t = {t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
@@ -268,86 +256,108 @@ class Solver:
                 self.model.comm,
             )
 
-    def _find(self, old: State, thorough: bool) -> tuple[PETSc.Vec, int, float, int]:
-        """Unknowns at the end of the step, all iterations, residual, number of solves that continuation took."""
-        spent, first = 0, None
-        for search in self._searches if thorough else self._searches[:1]:
-            try:
-                x, iterations, residual = self._solve(old, search)
-            except SolveError as error:
-                first = first or error
-                spent += len(error.residuals)
-            else:
-                return x, spent + iterations, residual, 0
-        assert first is not None
-        if not (thorough and self.equations.laws.can_ease):
-            raise first
-        try:
-            x, iterations, residual, solves = self._continue(old)
-        except SolveError as error:
-            raise first from error
-        return x, spent + iterations, residual, solves
+    # ---------------------------------------------------------------- attempts
+    def _attempts(self) -> list[Attempt]:
+        """What is tried in turn: line searches, each with every linear solver; then a way through easier laws."""
+        attempts = []
+        for search in self._searches:
+            options = self._newton_options(search)
+            for linear in self._linear:
+                words = [self.method, f"line search {search}" if search else "", str(linear.get("pc_type", ""))]
+                attempts.append(Attempt(", ".join(filter(None, words)), linear, options))
+        if self.equations.traits.eases:
+            attempts.append(Attempt("easier laws", self._linear[-1], attempts[-1].options, eased=True))
+        return attempts
 
-    def _continue(self, old: State) -> tuple[PETSc.Vec, int, float, int]:
-        """The same through eased laws. Strains and internal values at the beginning of the step stay what they are."""
+    def _work_through(self, attempts: list[Attempt], start: PETSc.Vec | None = None) -> tuple[Found, int]:
+        """What the first attempt that succeeds finds, with the iterations of all; number of solves with easier laws.
+
+        A linear solver that fails while there is another one is not tried again, in later steps either.
+
+        Raises:
+            SolveError: that of the first attempt with the last linear solver.
+        """
+        spent, failed = 0, ""
+        first: SolveError | None = None
+        last: SolveError | None = None
+        for attempt in attempts:
+            if attempt.linear not in self._linear:
+                continue
+            if failed:
+                self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, failed)
+            try:
+                found, solves = self._through_easier_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
+            except SolveError as error:
+                failed = f"{attempt.name} failed: {error.reason}"
+                if len(self._linear) > 1:
+                    self._linear = [one for one in self._linear if one != attempt.linear]
+                else:
+                    spent += len(error.residuals)
+                    first = first or error
+                    last = error
+            else:
+                return replace(found, iterations=found.iterations + spent), solves
+        assert first is not None
+        raise first from (None if last is first else last)
+
+    def _try(self, attempt: Attempt, start: PETSc.Vec | None = None) -> Found:
+        """What an attempt finds, with a new factor where it fails with an old one."""
+        began = time.perf_counter()
+        try:
+            try:
+                found = self._with_options(attempt, start)
+            except SolveError as error:
+                if not self._finder.forget():
+                    raise
+                self._log.debug("%s: with a new factor, as with that of earlier steps: %s", attempt.name, error.reason)
+                found = self._with_options(attempt, start)
+        except SolveError as error:
+            seconds = time.perf_counter() - began
+            self._finder.forget()
+            self._log.debug("%s: failed after %d iterations, %.2g s", attempt.name, len(error.residuals), seconds)
+            raise
+        seconds = time.perf_counter() - began
+        told = attempt.name, found.iterations, found.residual, seconds
+        self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *told)
+        return found
+
+    def _through_easier_laws(self, attempt: Attempt) -> tuple[Found, int]:
+        """What is found by `Continuation`, and its solves. Strains and internal values at the start stay what they are."""
         way, spent, residual = Continuation(), 0, math.nan
 
         def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
             nonlocal spent, residual
-            self.equations.laws.ease(ease)
+            self.equations.ease(ease)
             try:
-                x, iterations, residual = self._solve(old, self._searches[-1], begin)
+                found = self._try(replace(attempt, name=f"{attempt.name}, ease {ease:g}"), begin)
             except SolveError as error:
                 spent += len(error.residuals)
                 raise
-            spent += iterations
-            return x
+            spent, residual = spent + found.iterations, found.residual
+            return found.x
 
         try:
-            found = way.follow(solve)
+            return Found(way.follow(solve), spent, residual), way.solves
         finally:
-            self.equations.laws.ease(0.0)
-        assert isinstance(self._finder, Equilibrium)
-        found.copy(self._finder.x)
-        found.destroy()
-        return self._finder.x, spent, residual, way.solves
+            self.equations.ease(0.0)
 
-    def _solve(self, old: State, search: str | None, begin: PETSc.Vec | None = None) -> tuple[PETSc.Vec, int, float]:
-        """Unknowns at the end of the step, with one of the linear solvers; iterations, residual."""
-        if isinstance(self._finder, ContactSolver):
-            found = self._with_options(self._finder.advance, old, self.equations.loads, self.equations.prescribed)
-            self._settled = True
-            return found
-        while True:
-            try:
-                return self._with_options(self._finder.advance, begin, search=search)
-            except SolveError:
-                reused = self._finder.reused
-                self._finder.drop_factor()
-                if not reused and len(self._choices) == 1:
-                    raise
-                if not reused:
-                    self._choices.pop(0)
-
-    def _with_options(
-        self, advance: Callable[..., tuple[PETSc.Vec, int, float]], *given: Any, search: str | None = None
-    ) -> tuple[PETSc.Vec, int, float]:
-        """What a solver finds with our PETSc options and the user's, all of which it must read."""
-        ours = {**self._choices[0], **self._newton_options(search)}
+    def _with_options(self, attempt: Attempt, start: PETSc.Vec | None) -> Found:
+        """What the finder finds with our PETSc options and the user's, all of which it must read."""
+        ours = {**attempt.linear, **attempt.options}
         with defaults({**ours, **self._given}):
             try:
-                found = advance(*given)
+                found = self._finder.find(start)
             except PETSc.Error as error:
                 require_known_values(error, ours.keys() - self._given.keys())
                 raise failed_in_petsc(error) from error
-            if not (self._settled or (isinstance(self._finder, Equilibrium) and self._finder.reused)):
+            if not self._finder.reused:
                 require_all_read(self.method, ours.keys() - self._given.keys())
             return found
 
     @property
     def yields(self) -> bool:
         """Whether the layer's law bounds stresses, so that loads may have a limit."""
-        return any(p.law.yields for p in self.model.layer_terms)
+        return any(p.law.traits.bounded for p in self.model.layer_terms)
 
     @property
     def _searches(self) -> tuple[str | None, ...]:
@@ -361,7 +371,7 @@ class Solver:
             return {}
         if self.model.contact:
             search = "basic"
-        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.laws.flat else NEWTON
+        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.traits.singular else NEWTON
         return options | ({"snes_linesearch_type": search} if search else {})
 
     @property
@@ -369,13 +379,3 @@ class Solver:
         if self.model.contact:
             return "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
         return "a larger elastic fraction" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
-
-    def _pressure(self, old: State, theta: float) -> fem.Function | None:
-        """Pressure at the end of the step; the balance of forces has the one at t + theta dt."""
-        if self.equations.pressure is None or self.equations.constraint is None:
-            return None
-        p = self.equations.pressure.copy()
-        p.x.array[:] *= self.equations.constraint.unit
-        if theta < 1 and old.p is not None:
-            p.x.array[:] = (p.x.array - (1 - theta) * old.p.x.array) / theta
-        return p

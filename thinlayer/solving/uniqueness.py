@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from geometry.topology import IntArray
+from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
@@ -31,9 +32,9 @@ def pieces(model: Model) -> tuple[IntArray, int]:
     Cells are connected by nodes that they share, unless they are on different sides of S there.
     """
     joint = model.domain.joint
-    nodes = joint.cells * 3 + (joint.side + 1)[:, None] if model.kind == "interface" else joint.cells * 3
+    nodes = joint.cells * 3 + (joint.side + 1)[:, None] if isinstance(model, InterfaceModel) else joint.cells * 3
     links: list[tuple[Any, Any]] = [(nodes[:, :1].repeat(nodes.shape[1] - 1, axis=1).ravel(), nodes[:, 1:].ravel())]
-    if model.kind == "interface" and len(joint.bonded):
+    if isinstance(model, InterfaceModel) and len(joint.bonded):
         at = np.unique(joint.table.vertices[joint.bonded]) * 3
         links += [(at, at + 1), (at, at + 2)]
     first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
@@ -77,7 +78,7 @@ class RigidMotions:
         owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
-        of[dofs] = number[model.domain.original_cells[: len(dofs)]][:, None]
+        of[dofs] = model.domain.on_cells(number)[: len(dofs), None]
         of = of[:owned]
         rigid = [f.x.array[: owned * bs].reshape(owned, bs) for f in rigid_motions(V, joint).values()]
         motions = np.zeros((count, len(rigid), owned, bs))

@@ -8,12 +8,11 @@ from numbers import Integral
 
 import numpy as np
 
-from forms.declarations import is_number
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.solving.equations import Equations
 from thinlayer.time.plan import distinct
-from thinlayer.time.scheme import takes_time
+from thinlayer_base import is_number
 
 
 @dataclass(frozen=True)
@@ -88,15 +87,15 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
         raise ModelError(f"{type(model.contact).__name__} is a contact law: march in time instead of ArcLength")
     for law in (p.law for p in model.terms):
         name = type(law).__name__
-        if law.rate:
+        if law.traits.rate:
             raise ModelError(f"{name} depends on the strain rate, and t is no time on a path: march in time")
-        if law.constrained:
+        if law.traits.constrained:
             raise ModelError(f"{name} is incompressible: paths have displacements alone; march in time")
-        if law.yields:
+        if law.traits.bounded:
             raise ModelError(
                 f"{name} bounds stresses: loads come to their limit, and stay there; march in time, which tells it"
             )
-        if law.switches:
+        if law.traits.switches:
             raise ModelError(
                 f"{name} has pure phases, whose equilibria are no curve: march in time, which finds its snaps"
             )
@@ -104,8 +103,6 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
 
 def require_no_time(equations: Equations) -> None:
     """Raise ModelError if a law's answer depends on how long a step takes. Collective."""
-    for p in equations.laws.points:
-        if takes_time(p):
-            raise ModelError(
-                f"{type(p.term.law).__name__} creeps or relaxes, and t is no time on a path: march in time"
-            )
+    for part in equations.parts:
+        if name := part.takes_time():
+            raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")

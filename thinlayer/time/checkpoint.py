@@ -17,17 +17,15 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Report, State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table, replaced
-from thinlayer.identity.identity import digest
+from thinlayer.identity.values import digest
 from thinlayer.parallel.exchange import carry
-from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.pointwise.quadrature import Region
 from thinlayer.solving.equations import Equations
 from thinlayer.time.history import History
 
 Array = npt.NDArray[Any]
 TABLE = "table.csv"
 REQUIRED = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}  # columns to resume from
-DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)  # tells the points of a facet apart
+MEMORY, FIELD, STORED = "memory ", "field ", "stored "  # in a state's file, before the key of a part
 
 
 def fingerprint(model: Model, **choices: Any) -> str:
@@ -77,11 +75,13 @@ class Checkpoint:
         mesh = self.model.domain.mesh
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
         self._owned, self._cells = np.arange(owned, dtype=np.int32), self.model.domain.original_cells
-        self._points = [_Places.of_points(p) for p in equations.laws.points]
-        if equations.contact:
-            numbers = equations.contact.nodes.numbers
-            self._points.append(_Places(numbers, np.arange(len(numbers))[:, None], None))
-        self._pressures, self._rest = equations.constraint, equations.rest()
+        self._rest = {part.key: rest for part in equations.parts if (rest := part.rest()) is not None}
+        self._orders = {part.key: part.file_order for part in equations.parts if part.file_order is not None}
+        self._fields = {
+            part.key: (part.field.function_space, order)
+            for part in equations.parts
+            if part.field is not None and (order := part.own_file_order) is not None
+        }
 
     def _file(self, row: int) -> Path:
         return self.folder / "states" / f"{row:06d}.npz"
@@ -124,12 +124,14 @@ class Checkpoint:
 
     def _write_state(self, row: int, state: State) -> None:
         arrays = {"u": self._gather(self._cells[self._owned], cell_values(state.u, self._owned))}
-        if state.p is not None and self._pressures is not None:
-            places = _Places.of_dofs(state.p.function_space, self._pressures.region)
-            arrays["p"] = self._gather(places.numbers, places.ordered(state.p.x.array[:, None]))
-        for k, (places, values) in enumerate(zip(self._points, state.memory, strict=True)):
-            arrays[f"memory{k}"] = self._gather(places.numbers, places.ordered(values))
-        arrays["t"], arrays["layer"] = np.array(state.t), np.array(state.audit.layer)
+        for key, f in state.fields.items():
+            _, order = self._fields[key]
+            arrays[FIELD + key] = self._gather(order.numbers, order.ordered(f.x.array[:, None]))
+        for key, values in state.memory.items():
+            order = self._orders[key]
+            arrays[MEMORY + key] = self._gather(order.numbers, order.ordered(values))
+        arrays["t"] = np.array(state.t)
+        arrays |= {STORED + key: np.array(energy) for key, energy in state.stored.items()}
         arrays["march"] = np.array(digest(self.mark))
 
         def write() -> None:
@@ -196,40 +198,44 @@ class Checkpoint:
     def _read_state(self, row: int, table: Table) -> State:
         arrays: dict[str, Array] = {}  # on rank 0 alone
         on_root(self.comm, lambda: arrays.update(self._arrays(row, table)))
-        u, p = fem.Function(self.model.V), None
+        u = fem.Function(self.model.V)
         dofmap = u.function_space.dofmap
         cells = np.asarray(dofmap.list)
         values = self._wanted(row, arrays.get("u"), self._cells[: len(cells)], cells.shape[1] * dofmap.bs)
         u.x.array.reshape(-1, dofmap.bs)[cells.ravel()] = values.reshape(-1, dofmap.bs)
         u.x.scatter_forward()
-        if self._pressures is not None and self.comm.bcast("p" in arrays):
-            p = fem.Function(self._pressures.space)
-            places = _Places.of_dofs(p.function_space, self._pressures.region)
-            places.put(p.x.array[:, None], self._wanted(row, arrays.get("p"), places.numbers, places.order.shape[1]))
-            p.x.scatter_forward()
-        memory = []
-        for k, (places, rest) in enumerate(zip(self._points, self._rest, strict=True)):
-            width = places.order.shape[1] * rest.shape[1]
-            wanted = self._wanted(row, arrays.get(f"memory{k}"), places.numbers, width)
-            memory.append(np.zeros_like(rest))
-            places.put(memory[-1], wanted)
-        t, layer = self.comm.bcast((float(arrays["t"]), float(arrays["layer"])) if self.comm.rank == 0 else None)
+        fields: dict[str, fem.Function] = {}
+        for key, (space, order) in self._fields.items():
+            if self.comm.bcast(FIELD + key in arrays):
+                fields[key] = f = fem.Function(space)
+                order.put(f.x.array[:, None], self._wanted(row, arrays.get(FIELD + key), order.numbers, order.width))
+                f.x.scatter_forward()
+        memory = {}
+        for key, rest in self._rest.items():
+            order = self._orders[key]
+            wanted = self._wanted(row, arrays.get(MEMORY + key), order.numbers, order.width * rest.shape[1])
+            memory[key] = np.zeros_like(rest)
+            order.put(memory[key], wanted)
+        single = {name: float(array) for name, array in arrays.items() if _is_single(name)}
+        single = self.comm.bcast(single)
+        t = single.pop("t")
+        stored = {name.removeprefix(STORED): value for name, value in single.items()}
         numbers = {name: value for name, value in table.rows[row].items() if not isinstance(value, str)}
         found = {name: np.nan if value is None else float(value) for name, value in numbers.items()}
-        audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"], layer)
+        audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        return State(self.model, u, t, report, p, tuple(memory), audit)
+        return State(self.model, u, t, report, memory, fields, stored, audit)
 
     def _arrays(self, row: int, table: Table) -> dict[str, Array]:
         """The arrays of a state's file; on rank 0."""
         try:
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays = dict(file)
-            wanted = {"u", "t", "layer", *(f"memory{k}" for k in range(len(self._points)))}
+            wanted = {"u", "t", *(MEMORY + key for key in self._rest)}
             if lacking := (wanted | {"march"}) - arrays.keys():
                 raise ValueError(f"no {', '.join(sorted(lacking))} in it")
-            for name in wanted | (arrays.keys() & {"p"}):
-                array, single = arrays[name], name in ("t", "layer")
+            for name in arrays.keys() - {"march"}:
+                array, single = arrays[name], _is_single(name)
                 if array.dtype.kind != "f" or array.ndim != (0 if single else 2):
                     raise ValueError(f"{name} in it is damaged")
                 if not single and not np.isfinite(array[:, :1]).all():
@@ -268,38 +274,6 @@ class Checkpoint:
         return found
 
 
-class _Places:
-    """Where values sit: (cells, k) places by cell, in an order that depends on the joint alone.
-
-    Attributes:
-        numbers: (cells,) original numbers of cells or facets.
-        order: (cells, k) local index of the values of each cell.
-    """
-
-    def __init__(self, numbers: Array, indices: Array, x: Array | None) -> None:
-        self.numbers, self.order = numbers, indices
-        if x is not None:
-            along = x @ np.array(DIRECTION[: x.shape[1]])
-            self.order = np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1)
-
-    @classmethod
-    def of_points(cls, points: CompiledTerm) -> _Places:
-        """Places of quadrature points; in a cell their order is the cell's own."""
-        region = points.region
-        on_facets = region.dim < region.domain.joint.dim
-        return cls(region.original[: len(points.cells)], points.cells, points.x if on_facets else None)
-
-    @classmethod
-    def of_dofs(cls, space: fem.FunctionSpace, region: Region) -> _Places:
-        """Places of the degrees of freedom of a scalar space on a region, ghosts included."""
-        cells = np.asarray(space.dofmap.list)
-        x = space.tabulate_dof_coordinates()[:, : region.domain.joint.dim]
-        return cls(region.original[: len(cells)], cells, x)
-
-    def ordered(self, values: Array) -> Array:
-        """Values (places, v) as rows (cells, k v)."""
-        return values[self.order].reshape(len(self.numbers), self.order.shape[1] * values.shape[1])
-
-    def put(self, out: Array, rows: Array) -> None:
-        """The way back: fill (places, v)."""
-        out[self.order.ravel()] = rows.reshape(self.order.size, out.shape[1])
+def _is_single(name: str) -> bool:
+    """Whether an array of a state's file is one number."""
+    return name == "t" or name.startswith(STORED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from petsc4py import PETSc
 
 from thinlayer.discretisation.state import State
@@ -31,37 +32,31 @@ class ErrorEstimate:
 
     def error(self, whole: State, halves: State, order: int, largest: list[float]) -> float:
         """Estimated error of the two halves' end, the largest of the three, each over the largest of its kind so far."""
-        ends = [self._seen(state.u.x.petsc_vec) for state in (whole, halves)]
+        ends = [self._seen(state.u) for state in (whole, halves)]
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(halves.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
-        least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale])
+        least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale.forces])
         sizes = np.maximum(sizes, least)
         share = np.divide(apart, sizes, out=np.zeros(3), where=sizes > 0)
         return float(share.max()) / (2**order - 1)
 
     def sizes(self, state: State) -> Array:
         """Of the three in a state."""
-        return self._norms(self._seen(state.u.x.petsc_vec))
+        return self._norms(self._seen(state.u))
 
-    def _seen(self, u: PETSc.Vec) -> list[Array]:
+    def _seen(self, u: fem.Function) -> list[Array]:
         """What is compared, of displacements, on this rank."""
-        equations = self._equations
-        jumps = [(p.strain(u) * np.sqrt(np.abs(p.weights))[:, None]).ravel() for p in equations.laws.points]
-        if equations.contact:
-            nodes = equations.contact.nodes
-            jumps.append((nodes.jump(u) * np.sqrt(nodes.weights)[:, None]).ravel())
-        return [u.array_r.copy(), np.concatenate([np.empty(0), *jumps]), equations.body_forces(u)]
+        forces = u.x.petsc_vec.duplicate()
+        forces.set(0.0)
+        jumps = [part.seen(u, forces) for part in self._equations.parts]
+        of_forces = forces.array_r.copy()
+        forces.destroy()
+        return [u.x.petsc_vec.array_r.copy(), np.concatenate(jumps), of_forces]
 
     def _norms(self, parts: list[Array]) -> Array:
         return np.sqrt(self.comm.allreduce(np.array([part @ part for part in parts])))
 
     def _of_unit_displacements(self) -> float:
         """The norm that strains or jumps may have, about, where displacements of size 1 differ by 1 across the layer."""
-        squares = 0.0
-        for p in self._equations.laws.points:
-            steepest = p.B.norm(PETSc.NormType.INFINITY)
-            squares += steepest**2 * self.comm.allreduce(float(np.abs(p.weights).sum()))
-        if self._equations.contact:
-            squares += self.comm.allreduce(float(self._equations.contact.nodes.weights.sum()))
-        return float(np.sqrt(squares))
+        return float(np.sqrt(sum(part.seen_of_unit_jump() for part in self._equations.parts)))

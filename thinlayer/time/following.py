@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.parallel.log import logger
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.arc_length import ArcLength
@@ -41,6 +42,7 @@ class PathFollowing:
     ) -> None:
         self.solver, self.plan, self.start = solver, plan, start
         self._journal = journal
+        self._log = logger("march", solver.model.comm)
         balance = PathEquations(solver.equations, plan.first, (start + plan.end) / 2, options)
         self._path = EquilibriumPath(balance, plan.first)
         self._unit = math.sqrt(2.0)  # length of the first step, which has a length of 1 in u and in t
@@ -137,6 +139,7 @@ class PathFollowing:
                 pass
         if length / 2 < self.plan.smallest:
             raise failed
+        self._log.info("t = %g: the step of length %.3g along the path is halved: %s", last.t, length, failed.reason)
         return None, length / 2
 
     def _checked(self, last: State, state: State) -> State:

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from forms.declarations import LawError
-from geometry.joint import GeometryError
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError, SolveError
+from thinlayer.errors import ModelError
 from thinlayer.files.table import Row
-from thinlayer.identity.identity import code_of
+from thinlayer.identity.codes import code_of
 from thinlayer.parallel.agreement import on_all
-from thinlayer.pointwise.phases import PhaseReport
+from thinlayer.parallel.communicator import collect
+from thinlayer.parallel.log import logger
+from thinlayer.parts.phases import PhaseReport
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.options import OptionError
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
 from thinlayer.time.history import History
+from thinlayer_base import ThinlayerError
 
 Observe = Mapping[str, Callable[[State], float]]
 COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")
@@ -64,6 +64,7 @@ class Journal:
         names = self.model.comm.bcast([*observe])  # of columns, in one order on all ranks
         self._observe, self._keep, self.out = {name: observe[name] for name in names}, keep, out
         self._directed = directed
+        self._log = logger("march", self.model.comm)
         self.before: State | None = None
         self._checkpoint = Checkpoint(out, equations, self._mark(choices), 2 if directed else 1) if out else None
         self._written = 0
@@ -99,11 +100,14 @@ class Journal:
         if self._checkpoint:
             self._checkpoint.write(self.history, self.pace, self._written, self.before)
             self._written = len(self.history)
-        self._equations.collect()
+        collect(self._equations.comms)
 
     def note(self, state: State) -> None:
         """Add a row and a state to the history. They are written together with the next ones that are accepted."""
-        before = self.history.last if self.history.states else None
+        before, report = self.history.last if self.history.states else None, state.report
+        self._log.info(
+            "t = %g: %s, %d steps, residual %.1e", state.t, report.method, report.iterations, report.residual
+        )
         row = self._row(state, state.t - before.t if before else 0.0)
         self.history.table.append({name: row[name] for name in self.history.table.columns or row})
         if self._directed:
@@ -117,7 +121,7 @@ class Journal:
         for name in COLUMNS[len(values) :]:
             value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
             values[name] = None if math.isnan(value) else value
-        if self.model.layer and self.model.kind != "bonded" and self.model.layer.law.phases:
+        if self.model.layer_law and self.model.layer_law.traits.phases:
             report = PhaseReport(state)
             energy = None if math.isnan(state.audit.total) else state.audit.total
             values |= {"energy": energy} | {name: getattr(report, name) for name in PHASE_COLUMNS[1:]}
@@ -141,7 +145,7 @@ class Journal:
 
 def _problem(error: Exception) -> str:
     """What went wrong in a function that observes. Errors of ours say themselves what is allowed."""
-    if isinstance(error, (ModelError, LawError, GeometryError, OptionError, SolveError)):
+    if isinstance(error, ThinlayerError):
         return str(error)
     kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "
     return f"{kind}{error}; it must be a function of a state that returns a number"

@@ -142,7 +142,7 @@ def _number(name: str, value: Any) -> float:
 
 def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe: Any) -> None:
     if not isinstance(model, Model):
-        raise ModelError(f"model is {model!r}; march takes what Model.full or Model.interface returns")
+        raise ModelError(f"model is {model!r}; march takes what Structure.full or Structure.interface returns")
     if observe is not None and not isinstance(observe, Mapping):
         raise ModelError(f"observe is {observe!r}; it must be {{name of a column: function of a state}}")
     for name, function in (observe or {}).items():
@@ -150,7 +150,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
             raise ModelError(
                 f"observe[{name!r}] is {function!r}; it must be a function of a state that returns a number"
             )
-        if name in COLUMNS or (name in PHASE_COLUMNS and any(p.law.phases for p in model.layer_terms)):
+        if name in COLUMNS or (name in PHASE_COLUMNS and any(p.law.traits.phases for p in model.layer_terms)):
             raise ModelError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
@@ -165,7 +165,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
 
 def _check_switching(model: Model, plan: Plan) -> None:
     """Raise ModelError where phases that switch at one moment are asked for something that has no such moment."""
-    names = [type(p.law).__name__ for p in model.layer_terms if p.law.switches]
+    names = [type(p.law).__name__ for p in model.layer_terms if p.law.traits.switches]
     if names and plan.adaptive:
         raise ModelError(
             f"Adaptive is for laws that depend on time; steps of {names[0]} have no error: give the times to stop at"

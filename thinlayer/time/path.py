@@ -131,10 +131,12 @@ class EquilibriumPath:
         balance.residual(last, last.t + short * slope)
         across.axpy(-1.0, balance.r)
         across.scale(1 / short)  # -A_1 d_2
-        small, rounding = SMALL * balance.equations.scale / length, balance.equations.rounding_at
-        if beyond.norm() < max(small, rounding(self._direction)):
+        scale = balance.equations.scale
+        small = SMALL * scale.forces / length
+        rounded = [scale.rounding(float(x.norm(PETSc.NormType.INFINITY))) for x in (self._direction, balance.x)]
+        if beyond.norm() < max(small, rounded[0]):
             return 0.0
-        if across.norm() < max(small, rounding(balance.x) / short):  # of residuals; forces may have vanished
+        if across.norm() < max(small, rounded[1] / short):  # of residuals; forces may have vanished
             return 0.0
         return float(beyond.dot(across))
 
@@ -196,9 +198,8 @@ class EquilibriumPath:
         if missed > far:
             raise SolveError("the equilibrium at this arc length is far from where the path was going")
         self._missed = 0.0 if turn else missed / length
-        memory, audit = balance.equations.audit(x)
         report = Report("newton", iterations, residual, time.perf_counter() - begin)
-        return State(balance.equations.model, balance.equations.u.copy(), t, report, None, memory, audit)
+        return balance.equations.accept(x, report)
 
     def _from_target(self) -> PETSc.Vec:
         self.balance.x.copy(self._work)

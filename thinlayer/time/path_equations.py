@@ -9,8 +9,9 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.parts.part import Interval
 from thinlayer.solving.balance import aim
-from thinlayer.solving.equations import Equations, Interval
+from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import direct_solver, mark, solve_linear
 from thinlayer.solving.newton import reason_name
 from thinlayer.solving.options import PREFIX, OptionValue, defaults, require_all_read, require_known_values
@@ -53,9 +54,8 @@ class PathEquations:
                 thing.destroy()
 
     def put(self, state: State, x: PETSc.Vec) -> None:
-        """Displacements of a state as unknowns."""
-        n = self.equations.n_displacements
-        x.array[:n] = state.u.x.array[:n]
+        """The unknowns of a state."""
+        self.equations.put_state(state, x)
 
     def residual(self, last: State, t: float) -> float | None:
         """Residual at a time; over the forces if it is as small as equilibrium asks for, else None.
@@ -70,7 +70,7 @@ class PathEquations:
         self._require_law()
         self.r.array[held] = 0.0
         size = float(self.r.norm())
-        return size / max(equations.scale, 1e-300) if size <= aim(equations, self.x) else None
+        return equations.scale.relative(size) if size <= aim(equations, self.x) else None
 
     def _begin(self, last: State, t: float) -> None:
         try:
@@ -79,8 +79,8 @@ class PathEquations:
             raise SolveError(str(error)) from error
 
     def _require_law(self) -> None:
-        if self.equations.laws.failed:
-            raise SolveError(self.equations.laws.failure())
+        if self.equations.failed:
+            raise SolveError(self.equations.failure())
 
     def linearise(self, last: State, t: float) -> None:
         """Step and change at the unknowns of the last residual. Derivatives by t are difference quotients.

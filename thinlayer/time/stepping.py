@@ -11,6 +11,7 @@ from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
 from thinlayer.files.progress import track
+from thinlayer.parallel.log import logger
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
 from thinlayer.time.history import SAME_TIME, History
@@ -54,7 +55,7 @@ class TimeStepping:
     @property
     def _sudden(self) -> bool:
         """Whether the layer answers a sudden load at once."""
-        return not any(p.law.rate for p in self.solver.model.terms)
+        return not any(p.law.traits.rate for p in self.solver.model.terms)
 
     def run(self, resume: bool) -> History:
         """The march, or the rest of the one that is in its folder. Collective; errors as in `march`."""
@@ -157,6 +158,8 @@ class TimeStepping:
 
     def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
         if dt >= self._smallest and distinct(old.t, old.t + dt):
+            what = "step from t = %g to %g is shortened to %g: %s"
+            logger("march", self.solver.model.comm).info(what, old.t, end, dt, error)
             self._journal.pace.step = dt
             return
         if self.solver.yields and self._seek(old, end, error):
@@ -205,7 +208,7 @@ class TimeStepping:
         return max(start + (t - start) / NEARER, end)
 
     def _loads_change(self, before: float, after: float) -> bool:
-        a, b = (self.solver.equations.loads_at(t) for t in (before, after))
+        a, b = (self.solver.equations.history.loads_at(t) for t in (before, after))
         size = b.norm()
         b.axpy(-1.0, a)
         change = b.norm()
@@ -215,7 +218,7 @@ class TimeStepping:
 
     def _resultant(self, t: float) -> list[float]:
         """Tractions and body forces on the bodies at a time, their sum."""
-        model, loads = self.solver.model, self.solver.equations.loads_at(t)
+        model, loads = self.solver.model, self.solver.equations.history.loads_at(t)
         translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
         forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
         loads.destroy()
@@ -226,7 +229,7 @@ class TimeStepping:
         theta = 1.0 if len(self._history) == 1 and not self._sudden else self.theta
         middle = (old.t + end) / 2
         adaptive, estimate = self.plan.adaptive, self._estimate
-        if self.solver.equations.laws.switches:
+        if self.solver.equations.traits.switches:
             return [*steps(self.solver, old, end)], 1.0
         if adaptive is None or estimate is None:
             ends = [middle, end] if theta != self.theta else [end]

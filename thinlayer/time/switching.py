@@ -30,14 +30,14 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
 
     def excess(t: float) -> float:
         solver.step(old, t, held=True)
-        return solver.equations.laws.excess - 2 * TIE
+        return solver.equations.excess - 2 * TIE
 
     while True:
         bound = (
             end if _bends_up(solver, old.t, end) else next(filter(lambda t: excess(t) > 0, _probes(old.t, end)), end)
         )
         held = solver.step(old, bound, held=True)
-        if solver.equations.laws.excess <= 2 * TIE:
+        if solver.equations.excess <= 2 * TIE:
             if old.t < end:
                 yield held
             return
@@ -48,7 +48,7 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
             if excess(t) <= -TIE:  # from there Newton's method may find it smaller by what its tolerance allows
                 continue
         old = snapped(solver.step(old, t))
-        if solver.equations.laws.excess > 2 * TIE:
+        if solver.equations.excess > 2 * TIE:
             raise SolveError(
                 f"at t = {t:g} a column is beaten and switches to no other phase: see the law's `switched`"
             )
@@ -63,7 +63,7 @@ def _bends_up(solver: Solver, start: float, end: float) -> bool:
     Where all is linear in time drives are, and an excess is the largest of their sizes; bodies that are not linear are
     taken to be near enough.
     """
-    return start == end or solver.equations.straight(start, end)
+    return start == end or solver.equations.linear_in_time(start, end)
 
 
 def _probes(start: float, end: float) -> Iterator[float]:

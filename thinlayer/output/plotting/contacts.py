@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from thinlayer.contact.nodes import Array
+from thinlayer.errors import ModelError
 from thinlayer.output.contact_report import PINNED, ContactReport
 from thinlayer.output.plotting.curves import COLOURS, finish
 
@@ -41,14 +42,14 @@ def contact(
         length, stress: units, for the labels.
 
     Raises:
-        ValueError: no report, reports of both dimensions, a curved S in 3D.
+        ModelError: no report, reports of both dimensions, a curved S in 3D.
     """
     cases = {"": reports} if isinstance(reports, ContactReport) else reports
     if not isinstance(cases, Mapping) or not all(isinstance(report, ContactReport) for report in cases.values()):
-        raise ValueError("contact pictures take a ContactReport, or {label: ContactReport}")
+        raise ModelError("contact pictures take a ContactReport, or {label: ContactReport}")
     dimensions = {report.x.shape[1] for report in cases.values()}
     if len(dimensions) != 1:
-        raise ValueError("contact pictures need one report or more, all of one dimension")
+        raise ModelError("contact pictures need one report or more, all of one dimension")
     units = [f" ({unit})" if unit else "" for unit in (length, stress)]
     figure = (_curves if dimensions == {2} else _maps)(cases, *units)
     if title:
@@ -134,7 +135,7 @@ class _Plan:
 
     def __init__(self, report: ContactReport) -> None:
         if np.abs(report.frames[:, -1] @ report.frames[0, :-1].T).max() > FLAT:
-            raise ValueError("maps of contact in three dimensions are for a planar S")
+            raise ModelError("maps of contact in three dimensions are for a planar S")
         axes = report.frames[0, :-1]
         self.x = report.x @ axes.T
         along = [np.flatnonzero(np.abs(axis - 1) < FLAT) for axis in axes]

@@ -201,10 +201,14 @@ def put(figure: Figure, path: Path) -> None:
     """Save a picture, on this rank; what is there is replaced by a whole picture, or not at all.
 
     Raises:
-        ValueError: a folder, or an ending that matplotlib does not know. OSError: it could not be written.
+        ModelError: a folder, or an ending that matplotlib does not know. OSError: it could not be written.
     """
     if path.is_dir():
-        raise ValueError(f"{str(path)!r} is a folder; give the name of a picture")
+        raise ModelError(f"{str(path)!r} is a folder; give the name of a picture")
     kind = path.suffix.removeprefix(".") or "png"
+    if kind not in (known := figure.canvas.get_supported_filetypes()):
+        raise ModelError(
+            f"{str(path)!r} ends with {path.suffix}; allowed: {', '.join(f'.{one}' for one in sorted(known))}"
+        )
     with replaced(path if path.suffix else path.with_suffix(".png")) as file:
         figure.savefig(file, format=kind, **SAVED)

@@ -19,12 +19,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from forms.declarations import is_number
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.fields import Shape, edges, gather, surface
 from thinlayer.output.plotting.curves import put, require_name
+from thinlayer_base import is_number
 
 LARGEST = 0.05  # drawn displacement, in units of the structure
 VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # by dimension: where one looks from
@@ -67,7 +67,7 @@ def deformed(
     Raises:
         ModelError: what is no state, a scale or a window that is no number, no name of a file.
         OSError: the picture could not be written; on all ranks.
-        ValueError: unknown component, no direction, view or cut in 2D, nothing in the window.
+        ModelError: unknown component, no direction, view or cut in 2D, nothing in the window.
     """
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
     if not panels:
@@ -121,12 +121,12 @@ class _View:
 
     @classmethod
     def of(cls, dim: int, view: Sequence[float] | None, cut: bool) -> _View:
-        """Where one looks from; raises ValueError where that cannot be chosen, or is no direction."""
+        """Where one looks from; raises ModelError where that cannot be chosen, or is no direction."""
         if dim == 2 and (view is not None or cut):
-            raise ValueError("view and cut are for three-dimensional structures")
+            raise ModelError("view and cut are for three-dimensional structures")
         towards = np.array(VIEWS[dim] if view is None else view, float)
         if towards.shape != (3,) or not np.isfinite(towards).all() or not towards.any():
-            raise ValueError(f"view is {view}; it needs three components, not all zero")
+            raise ModelError(f"view is {view}; it needs three components, not all zero")
         towards /= np.linalg.norm(towards)
         right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
         right /= np.linalg.norm(right)
@@ -144,7 +144,7 @@ def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float
     inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
     values = np.concatenate([shape.values for shape in shapes.values()])
     if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
-        raise ValueError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
+        raise ModelError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
     seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie amid a cell
     limits = (float(np.nanmin(seen)), float(np.nanmax(seen)))
     panel_width, height_per_width = 4.6, (y1 - y0) / (x1 - x0)

@@ -11,21 +11,29 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.kinematics import jump_strain
-from forms.law import Law, Step
+from forms.law import BulkLaw, Step
 from forms.work import Term
 from thinlayer.discretisation.model import Model
+from thinlayer.pointwise.quadrature import quadrature_degree
 
 FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
 TINY = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
 
 
-def may_soften(law: Law) -> bool:
+def may_soften(law: BulkLaw) -> bool:
     """Whether a law is asked if its stress falls.
 
     Not those that say so, are linear or not symmetric, have a rate, bound stresses or switch phases: theirs fall for other
     reasons, or never.
     """
-    return not (law.softens or law.linear or not law.symmetric or law.rate or law.yields or law.switches)
+    return not (
+        law.traits.softens
+        or law.traits.linear
+        or not law.traits.symmetric
+        or law.traits.rate
+        or law.traits.bounded
+        or law.traits.switches
+    )
 
 
 class Softening:
@@ -33,7 +41,7 @@ class Softening:
 
     def __init__(self, model: Model) -> None:
         self.comm: MPI.Intracomm = model.comm
-        asked = [p for p in model.layer_terms if not p.law.pointwise and may_soften(p.law)]
+        asked = [p for p in model.layer_terms if not p.law.traits.compiled and may_soften(p.law)]
         self._u, self._old = fem.Function(model.V), fem.Function(model.V)
         self._places = [_Place.of(p, model, self._u, self._old) for p in asked]
 
@@ -61,7 +69,7 @@ class _Place:
 
     @classmethod
     def of(cls, p: Term, model: Model, u: Any, old: Any) -> _Place:
-        degree = dict(p.measure.metadata()).get("quadrature_degree", model.degree_at(p))
+        degree = dict(p.measure.metadata()).get("quadrature_degree", quadrature_degree(model.V, p.measure))
         everywhere = fem.Constant(model.domain.mesh, 0.0)
         one = ufl.conditional(falling(p, u, old), 1.0, everywhere)
         measure = p.measure.reconstruct(metadata={"quadrature_degree": degree})

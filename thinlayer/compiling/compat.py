@@ -52,12 +52,6 @@ def interior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.ND
     return np.array(entities, dtype=np.int32).reshape(-1, 4)
 
 
-def cell_nodes(mesh: Mesh) -> npt.NDArray[np.int32]:
-    """Nodes of the geometry of each cell of this rank, (cells, nodes)."""
-    maps = getattr(mesh.geometry, "dofmaps", None)
-    return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])
-
-
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Interpolation points of a space's element on the reference cell."""
     points = V.element.interpolation_points

@@ -9,17 +9,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from forms.law import Law
-from forms.series import Stack
+from forms.law import BulkLaw, Law
 from geometry.order import along, by_place
 from geometry.topology import IntArray
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.parts.places import quadratures
 from thinlayer.pointwise.kernels import memory_slots
 from thinlayer.pointwise.quadrature import Quadrature
 
 Array = npt.NDArray[np.float64]
+NO_PHASES = "PhaseReport needs a layer whose law has phases, such as NonMonotone"
 
 
 @dataclass(frozen=True)
@@ -40,15 +41,22 @@ class PhaseReport:
     def __post_init__(self) -> None:
         if not isinstance(self.state, State):
             raise ModelError(f"state is {self.state!r}; PhaseReport takes what solve or march returns")
-        layer = self.state.model.layer
-        if self.state.model.kind == "bonded" or layer is None or not layer.law.phases:
-            raise ModelError("PhaseReport needs a layer whose law has phases, such as NonMonotone")
+        if not self._layer.law.traits.phases:
+            raise ModelError(NO_PHASES)
+
+    @cached_property
+    def _layer(self) -> ThinLayer:
+        layer = self.state.model.thin_layer
+        if layer is None:
+            raise ModelError(NO_PHASES)
+        return layer
 
     @cached_property
     def _parts(self) -> list[tuple[Quadrature, Array, Array]]:
         """Of every place with a law that has phases: points, phases (n,), weights (n,)."""
         parts = []
-        for quadrature, memory in zip(self.state.model.quadratures, self.state.memory, strict=False):
+        for key, quadrature in quadratures(self.state.model).items():
+            memory = self.state.memory[key]
             for a, k in phase_slots(quadrature.term.law):
                 parts.append((quadrature, memory[:, k], a * quadrature.weights))
         return parts
@@ -74,9 +82,7 @@ class PhaseReport:
 
         Of a mixture; for the bar of section 6.2 the position of the phase boundary, eps S of Eq. (47). The mean over S.
         """
-        layer = self.state.model.layer
-        assert isinstance(layer, ThinLayer)
-        return max(1 - self.plus - self.minus, 0.0) * float(layer.eps) * phase_thickness(layer.law)
+        return max(1 - self.plus - self.minus, 0.0) * float(self._layer.eps) * phase_thickness(self._layer.law)
 
     def profile(self) -> tuple[Array, Array]:
         """Centres (columns, d) of the facets of S and the mean phase (columns,) of the layer there.
@@ -127,11 +133,11 @@ class PhaseReport:
         return f"phase 1: {self.plus:.4g}, phase -1: {self.minus:.4g} of the layer, boundary at {self.boundary:.6g}"
 
 
-def phase_slots(law: Law) -> list[tuple[float, int]]:
+def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
     """Fraction of the thickness and place among the internal values of each phase of a law."""
-    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.phases]
+    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.traits.phases]
 
 
 def phase_thickness(law: Law) -> float:
     """Fraction of the thickness whose law has phases."""
-    return sum(a for a, one in law.sublayers if one.phases) if isinstance(law, Stack) else 1.0
+    return sum(a for a, one in law.sublayers if one.traits.phases)

@@ -1,0 +1,189 @@
+"""Joints from meshes and tags of DOLFINx, gathered from all ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from numbers import Integral
+from typing import Any
+
+import dolfinx
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from geometry.cells import Cells
+from geometry.compat import cell_nodes
+from geometry.facets import vertices_of_facets
+from geometry.joint import GeometryError, Joint
+from geometry.naming import Groups, Named, Sides
+from geometry.parallel import on_root
+from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
+
+WHOLE = "BODY"  # the region of all cells where there are no cell tags
+
+
+def from_dolfinx(
+    mesh: dolfinx.mesh.Mesh,
+    cell_tags: dolfinx.mesh.MeshTags | None = None,
+    facet_tags: dolfinx.mesh.MeshTags | None = None,
+    *,
+    regions: Mapping[int, str] | None = None,
+    facets: Mapping[int, str] | None = None,
+    S: str | None = "S",
+    upper: str | Sequence[str] | None = None,
+    lower: str | Sequence[str] | None = None,
+    direction: Sequence[float] | None = None,
+    comm: MPI.Intracomm | None = None,
+) -> Joint:
+    """A joint from a mesh of DOLFINx, on any number of ranks, with or without ghosts. Collective.
+
+    The joint does not depend on how the mesh is distributed: its nodes and cells are numbered by their places.
+
+    Args:
+        mesh: triangles, quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; 2D: in a plane z = const.
+        cell_tags: number of the region of each cell (default: one region, "BODY").
+        facet_tags: numbers of the sets of facets.
+        regions: number in `cell_tags` -> name of the region (default: the numbers, as text). Several numbers may have one
+            name; every cell must be in a region. What rank 0 gives counts.
+        facets: number in `facet_tags` -> name of the set of facets, likewise; facets with other numbers have no name.
+        S, upper, lower, direction: as in `read`.
+        comm: the ranks that the mesh is distributed on (default: the world).
+
+    Raises:
+        GeometryError: the tags are not those of this mesh; a number without cells or facets; cells of several types, of
+            one that is not allowed, or of a degree above 2; a mesh on other ranks than those of `comm`; and as in `read`.
+    """
+    comm = comm or MPI.COMM_WORLD
+    mine: _Part | Exception
+    try:
+        mine = _Part.of(mesh, cell_tags, facet_tags, comm)
+    except Exception as error:
+        mine = error  # the other ranks must not wait
+    parts = comm.gather(mine) or []
+    if cell_tags is None and regions is None:
+        regions = {0: WHOLE}
+    return on_root(comm, partial(_joined, parts, regions, facets, (S, upper, lower, direction)))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one rank has of a mesh; nodes have the mesh's own numbers, in which the ranks follow each other.
+
+    Attributes:
+        type: of the cells.
+        points: (n, 2 or 3) coordinates of the nodes that the rank owns.
+        nodes: (n_cells, k) of the cells that it owns.
+        region: (n_cells,) tags of these cells.
+        tagged: (n_cells,) whether they have one; without cell tags all have 0.
+        facets: (n_facets, k) vertices of its tagged facets.
+        tags: (n_facets,) their tags.
+    """
+
+    type: str
+    points: FloatArray
+    nodes: IntArray
+    region: IntArray
+    tagged: npt.NDArray[np.bool_]
+    facets: IntArray
+    tags: IntArray
+
+    @classmethod
+    def of(cls, mesh: Any, cell_tags: Any, facet_tags: Any, comm: MPI.Intracomm) -> _Part:
+        """The part of this rank; raises GeometryError for what a joint cannot be made of."""
+        if not isinstance(mesh, dolfinx.mesh.Mesh):
+            raise GeometryError(f"mesh is {mesh!r}; give a dolfinx.mesh.Mesh")
+        if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
+            raise GeometryError(
+                f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}; give comm the communicator that "
+                "the mesh was made with"
+            )
+        topology, geometry = mesh.topology, mesh.geometry
+        kinds = [dolfinx.mesh.to_string(kind) for kind in topology.entity_types[-1]]
+        if len(kinds) > 1 or kinds[0] not in CELL_TYPES:
+            raise GeometryError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
+        kind, dim, cells = kinds[0], topology.dim, cell_nodes(mesh)
+        try:
+            geometry_degree(kind, cells.shape[1])
+        except ValueError as error:
+            raise GeometryError(f"{error} (degree 1 or 2)") from None
+        owned = topology.index_map(dim).size_local
+        region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
+        numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
+        own = numbers < owned
+        region[numbers[own]], tagged[numbers[own]] = values[own], True
+        facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
+        whole = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
+        return cls(
+            kind,
+            np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float),
+            whole[:owned],
+            region,
+            tagged,
+            vertices_of_facets(mesh, kind, facets, whole[:, : corner_count(kind)]),
+            tags,
+        )
+
+
+def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.NDArray[np.int32], IntArray]:
+    """Local entities with a tag, and their tags; none where there are no tags."""
+    if tags is None:
+        return np.empty(0, np.int32), np.empty(0, np.int64)
+    if not isinstance(tags, dolfinx.mesh.MeshTags):
+        raise GeometryError(f"{what} is {tags!r}; give dolfinx.mesh.MeshTags")
+    if tags.dim != dim:
+        raise GeometryError(f"{what} are of entities of dimension {tags.dim}; those of this mesh have dimension {dim}")
+    if tags.topology is not mesh.topology and tags.topology is not mesh.topology._cpp_object:
+        raise GeometryError(f"{what} are of another mesh")
+    if tags.values.dtype.kind not in "iu":
+        raise GeometryError(f"{what} have values of type {tags.values.dtype}; they must be integers")
+    return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
+
+
+def _joined(parts: list[Any], regions: Any, facets: Any, sides: tuple[Any, ...]) -> Joint:
+    """The joint of all ranks' parts, in the order of places: of the nodes, and of the cells' nodes."""
+    for part in parts:
+        if isinstance(part, Exception):
+            raise part
+    points, nodes, region, tagged, rows, tags = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("points", "nodes", "region", "tagged", "facets", "tags")
+    )
+    kind = parts[0].type
+    if not len(nodes):
+        raise GeometryError("the mesh has no cells")
+    order = np.lexsort(points.T[::-1])
+    number = np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order))
+    points, nodes, rows = points[order], number[nodes], np.sort(number[rows], axis=1)
+    order = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
+    nodes, region, tagged = nodes[order], region[order], tagged[order]
+    cells = Cells.of(points, nodes, kind, f"{len(nodes)} {kind} cells")
+    groups = _groups(regions, region, tagged, "cell")
+    if not groups:
+        raise GeometryError("no cell has a tag")
+    sets = _groups(facets, tags, np.ones(len(tags), bool), "facet")
+    named = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in sets.items()}
+    chosen = Sides.of(*sides)
+    return Named.of(cells, groups, named, "tags", chosen).joint(chosen)
+
+
+def _groups(names: Any, values: IntArray, tagged: npt.NDArray[np.bool_], what: str) -> Groups:
+    """The entities of each name."""
+    found = [int(number) for number in np.unique(values[tagged])]
+    if names is None:
+        names = {number: str(number) for number in found}
+    argument = {"cell": "regions", "facet": "facets"}[what]
+    if not isinstance(names, Mapping) or not all(
+        isinstance(number, Integral) and not isinstance(number, bool) and isinstance(name, str)
+        for number, name in names.items()
+    ):
+        raise GeometryError(f"{argument} is {names!r}; give {{number in {what}_tags: name}}")
+    groups: Groups = {}
+    for number, name in names.items():
+        if number not in found:
+            known = ", ".join(map(str, found)) or "none"
+            raise GeometryError(f"{argument}: no {what} has the tag {number}, named {name!r}; tags: {known}")
+        groups[name] = groups.get(name, np.zeros(len(values), bool)) | (tagged & (values == number))
+    return groups

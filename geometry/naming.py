@@ -1,0 +1,175 @@
+"""Which named groups of cells and facets of a mesh are a joint's regions, its S and the two sides of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from geometry.cells import Cells
+from geometry.joint import GeometryError, Joint, S, place, unknown
+from geometry.topology import IntArray
+from thinlayer_base import is_finite
+
+Groups = dict[str, npt.NDArray[np.bool_]]  # name -> which cells are in the group
+Names = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Sides:
+    """What a caller says of S.
+
+    Attributes:
+        S: name of its set of facets; None for all facets between the regions `lower` and `upper`.
+        upper: names of the regions above S; None if not given.
+        lower: names of the regions below S; None if not given.
+        direction: (d,) to the upper side, for S inside one body.
+    """
+
+    S: str | None
+    upper: Names | None
+    lower: Names | None
+    direction: tuple[float, ...] | None
+
+    @classmethod
+    def of(
+        cls,
+        surface: str | None,
+        upper: str | Sequence[str] | None,
+        lower: str | Sequence[str] | None,
+        direction: Sequence[float] | None,
+    ) -> Sides:
+        """What was given, if it can be understood; raises GeometryError if not."""
+        if not (surface is None or isinstance(surface, str)):
+            raise GeometryError(
+                f"S is {surface!r}; give the name of one set of facets (a group can have several parts), or None for "
+                "all facets between the regions lower and upper"
+            )
+        above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
+        if direction is not None and not (np.ndim(direction) == 1 and all(map(is_finite, direction))):
+            raise GeometryError(f"direction is {direction!r}; it needs 2 components, in 3D 3, not all zero")
+        return cls(surface, above, below, None if direction is None else tuple(float(c) for c in direction))
+
+
+def _names_of(regions: str | Sequence[str] | None, what: str) -> Names | None:
+    """The names of one side's regions."""
+    names = (regions,) if isinstance(regions, str) else regions
+    if names is not None and not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
+        raise GeometryError(f"{what} is {regions!r}; give the name of a region, or several in a list")
+    return None if names is None else tuple(names)
+
+
+@dataclass(frozen=True)
+class Named:
+    """What has a name in a mesh.
+
+    Attributes:
+        cells: its cells.
+        regions: name -> which of them are in the region.
+        facets: name -> (n, k) vertices of the facets.
+        source: where the names are from, for messages.
+    """
+
+    cells: Cells
+    regions: Groups
+    facets: dict[str, IntArray]
+    source: str
+
+    @classmethod
+    def of(cls, cells: Cells, regions: Groups, facets: dict[str, IntArray], source: str, sides: Sides) -> Named:
+        """The named groups of a mesh; where groups of cells overlap, those that `sides` names are the regions."""
+        chosen = (sides.upper or ()) + (sides.lower or ())
+        both = [name for name in regions if name in facets and not name.isdigit()]
+        if both:
+            raise GeometryError(f"{both[0]!r} names both cells and facets; each needs its own name")
+        for name in chosen:
+            if name not in regions:
+                raise GeometryError(f"{unknown('region', name, regions)} ({source})")
+        cells.refuse(~np.any(list(regions.values()), axis=0), f"are in no named group ({source}: {', '.join(regions)})")
+        if chosen and (np.sum(list(regions.values()), axis=0) > 1).any():
+            regions = {name: regions[name] for name in dict.fromkeys(chosen)}
+            missed = ~np.any(list(regions.values()), axis=0)
+            cells.refuse(missed, f"are in none of {', '.join(regions)}; name every region in upper or lower")
+        several = np.sum(list(regions.values()), axis=0) > 1
+        cells.refuse(several, f"are in several of the groups {', '.join(regions)}; name the regions in upper and lower")
+        return cls(cells, regions, facets, source)
+
+    def joint(self, sides: Sides) -> Joint:
+        """The joint; raises GeometryError for unusable cells and for an S that does not fit them."""
+        self.cells.require_sound()
+        surface, upper, lower = self._interface(sides.S, sides.upper, sides.lower, sides.direction)
+        facets = {S: surface, **{name: rows for name, rows in self.facets.items() if name != sides.S}}
+        region = np.stack(list(self.regions.values())).argmax(axis=0)
+        cells, names = self.cells, tuple(self.regions)
+        return Joint(cells.points, cells.nodes, cells.type, region, names, facets, upper, lower, sides.direction)
+
+    def _interface(
+        self, name: str | None, upper: Names | None, lower: Names | None, way: tuple[float, ...] | None
+    ) -> tuple[IntArray, Names, Names]:
+        """Facets of S (n, k), the regions above it and below it."""
+        regions = f"regions: {', '.join(self.regions)}"
+        if name is not None and name not in self.facets:
+            raise GeometryError(
+                f"{unknown('set of facets', name, self.facets)} ({self.source})"
+                if self.facets
+                else f"no facets are named {name!r} or anything else; name some, or give S=None with upper and lower"
+            )
+        if name != S and S in self.facets:
+            raise GeometryError(f"other facets are named {S!r}; rename them, or give S={S!r}")
+        if name is None:
+            if not upper or not lower or set(upper) & set(lower):
+                raise GeometryError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
+            return self._boundary(upper, lower), upper, lower
+        facets = self.facets[name]
+        table = self.cells.facets_among(np.unique(facets))
+        rows = table.index(facets)
+        self._refuse(facets, rows < 0, f"named {name!r} are not facets of the mesh's cells")
+        outer = table.cells[rows, 1] < 0
+        if not outer.all():
+            self._refuse(
+                facets, outer, f"named {name!r} lie on the outer boundary, the others inside: S is one or the other"
+            )
+        elif not lower:
+            if way is not None:
+                raise GeometryError(f"direction is for S inside one body; {name!r} lies on the outer boundary")
+            self._require_touched(name, upper or tuple(self.regions), table.cells[rows, 0])
+            return facets, upper or tuple(self.regions), ()
+        if way is not None:
+            return facets, upper or lower or tuple(self.regions), lower or upper or tuple(self.regions)
+        if not upper:
+            touched = [region for region, member in self.regions.items() if member[table.cells[rows]].any()]
+            raise GeometryError(
+                f"{name!r} lies inside {' and '.join(touched)}; name the regions above it in upper, or give the "
+                f"direction of the upper side if the same body is on both; {regions}"
+            )
+        lower = tuple(region for region in self.regions if region not in upper) if lower is None else lower
+        if not lower:
+            raise GeometryError(f"{name!r} lies inside {'+'.join(upper)}, nothing is left below it; give the direction")
+        return facets, upper, lower
+
+    def _require_touched(self, name: str, upper: Names, cells: IntArray) -> None:
+        """Raise GeometryError unless the cells at S, which lies on the outer boundary, belong to the upper body."""
+        other = [region for region in self.regions if region not in upper and self.regions[region][cells].any()]
+        if other:
+            raise GeometryError(
+                f"{name!r} lies on the outer boundary of {' and '.join(other)}, and {'+'.join(upper)}, named in upper, "
+                f"does not touch it there; have both bodies the same nodes on {name!r}?"
+            )
+
+    def _refuse(self, facets: IntArray, bad: npt.NDArray[np.bool_], what: str) -> None:
+        if bad.any():
+            x = self.cells.points[facets[bad.argmax()]].mean(axis=0)
+            raise GeometryError(f"{bad.sum()} of {len(bad)} facets {what}; the first is at {place(x)}")
+
+    def _boundary(self, upper: Names, lower: Names) -> IntArray:
+        """All facets between the bodies."""
+        above, below = (np.any([self.regions[name] for name in side], axis=0) for side in (upper, lower))
+        shared = np.intersect1d(self.cells.corners[above], self.cells.corners[below])
+        table = self.cells.facets_among(shared)
+        first, second = table.cells[table.cells[:, 1] >= 0].T
+        found = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
+        if not len(found):
+            raise GeometryError(f"{'+'.join(lower)} and {'+'.join(upper)} have no facet in common")
+        return found

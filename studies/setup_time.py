@@ -1,0 +1,143 @@
+"""Benchmark: what is done before a solve, against a plain DOLFINx script without an interface; time, ratio and memory."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from typing import Any
+
+import basix.ufl
+import dolfinx
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms import LinearElastic
+from geometry import Joint, sandwich
+from geometry.compat import create_mesh
+from studies.performance import peak
+from thinlayer import Structure, ThinLayer, plotting
+from thinlayer.files.progress import track
+from thinlayer.files.table import Row
+from thinlayer.running.record import Record
+from thinlayer.solving.solvers import Solver
+
+BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), ThinLayer(LinearElastic(lmbda=60.0, mu=40.0), 0.01)
+SIZES = {"2D": 700, "3D": 40}  # cells along each side: 984,204 and 211,806 unknowns
+QUICK = {"2D": 100, "3D": 8}
+LIMIT = 1.5  # time of a model over that of the plain script
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Alternate the stages of our set-up and the plain script in one process, warm, and keep the least time of each.
+
+    Two blocks under a traction, displacements of degree 1. The plain script has the same cells, the bodies as tags and as
+    subdomains of a form, the sides as tags, supports and a load, and a continuous space. Times are of the processor.
+
+    Args:
+        record: where to write.
+        quick: small meshes.
+    """
+    repeats = 3
+    record.parameters = {"repeats": repeats, "eps": LAYER.eps}
+    table = record.table("table.csv")
+    for name, n in track(list((QUICK if quick else SIZES).items()), "setup_time", "{0[0]}"):
+        for row in compare(name, n, repeats):
+            table.append(row)
+            record.say(row)
+    if quick:
+        return
+    for row in table.rows:
+        if row["work"] == "model":
+            record.check(
+                f"{row['dim']}D: time of a model over the plain script's", float(row["ratio"] or 0), high=LIMIT
+            )
+
+
+def draw(record: Record) -> None:
+    """Draw the times from table.csv."""
+    rows = record.load("table.csv").rows
+    works = list(dict.fromkeys(str(row["work"]) for row in rows))
+    lines = {}
+    for dim in (2, 3):
+        own = {str(row["work"]): float(row["seconds"] or 0) for row in rows if int(float(row["dim"] or 0)) == dim}
+        lines[f"{dim}D"] = (np.arange(len(works)), np.array([own[work] for work in works]))
+    plotting.curves(
+        lines,
+        xlabel=", ".join(f"{k}: {work}" for k, work in enumerate(works)),
+        ylabel="seconds",
+        title="before a solve",
+        styles=dict.fromkeys(lines, "o"),
+        save=record.path("seconds.png"),
+    )
+
+
+def compare(name: str, n: int, repeats: int) -> list[Row]:
+    """Rows of the table: the stages of our set-up and the plain script."""
+    depth = 1.0 if name == "3D" else None
+
+    def build() -> Joint:
+        return sandwich(1.0, 0.5, 0.5, 1 / n, depth=depth, structured=True)
+
+    joint = build()
+    supports: dict[Any, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    load = {"TOP": (0.5, 1.0, 0.0)[: joint.dim]}
+
+    def structure() -> Structure:
+        return Structure(joint, body=BODY, supports=supports, tractions=load, element="P1")
+
+    model = structure().interface(LAYER)
+    stages: dict[str, Callable[[], Any]] = {
+        "joint": build,
+        "structure": structure,
+        "model": lambda: structure().interface(LAYER),
+        "stiffness": lambda: Solver(model).close(),
+        "plain script": lambda: plain(joint, load["TOP"]),
+    }
+    peaks = {work: peak(stage) for work, stage in stages.items()}  # which also warms up
+    times: dict[str, list[float]] = {work: [] for work in stages}
+    for _ in range(repeats):
+        for work, stage in stages.items():
+            gc.collect()
+            begin = time.process_time()
+            stage()
+            times[work].append(time.process_time() - begin)
+    reference = min(times["plain script"])
+    dofs = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
+    row = {"dim": joint.dim, "dofs": dofs, "cells_along": n}
+    return [
+        {"work": work} | row
+        | {"seconds": min(times[work]), "ratio": min(times[work]) / reference, "peak_mb": peaks[work]}
+        for work in stages
+    ]  # fmt: skip
+
+
+def plain(joint: Joint, load: tuple[float, ...]) -> tuple[fem.Form, fem.Form, list[fem.DirichletBC]]:
+    """What a script in plain DOLFINx has before it assembles: mesh, tags, space, supports and compiled forms."""
+    dim, cell = joint.dim, joint.cell_type
+    mesh = create_mesh(MPI.COMM_SELF, joint.points, joint.cells, cell)
+    original = mesh.topology.original_cell_index
+    numbers = np.arange(len(original), dtype=np.int32)
+    cell_tags = dolfinx.mesh.meshtags(mesh, dim, numbers, (joint.region[original] + 1).astype(np.int32))
+    places = {"BOTTOM": (1, -0.5), "TOP": (1, 0.5), "LEFT": (0, 0.0), "RIGHT": (0, 1.0)}
+    sides = {
+        name: dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, lambda x, k=k, at=at: np.isclose(x[k], at))
+        for name, (k, at) in places.items()
+    }
+    facet_tags = dolfinx.mesh.meshtags(mesh, dim - 1, np.sort(sides["TOP"]), 1)
+    V = fem.functionspace(mesh, basix.ufl.element("Lagrange", cell, 1, shape=(dim,)))
+    zero = dolfinx.default_scalar_type(0.0)
+    supports = [fem.dirichletbc(np.zeros(dim), fem.locate_dofs_topological(V, dim - 1, sides["BOTTOM"]), V)]
+    supports += [
+        fem.dirichletbc(zero, fem.locate_dofs_topological(V.sub(0), dim - 1, sides[name]), V.sub(0))
+        for name in ("LEFT", "RIGHT")
+    ]
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    dx, ds = (
+        ufl.Measure(kind, domain=mesh, subdomain_data=tags) for kind, tags in (("dx", cell_tags), ("ds", facet_tags))
+    )
+    e, d = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
+    work = (BODY.lmbda * ufl.tr(e) * ufl.tr(d) + 2 * BODY.mu * ufl.inner(e, d)) * dx((1, 2))
+    return fem.form(work), fem.form(ufl.inner(fem.Constant(mesh, np.array(load)), v) * ds(1)), supports

@@ -1,0 +1,33 @@
+"""Taylor tests of the tangent of a model's balance of forces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thinlayer.parts.part import Interval
+from thinlayer.solving.solvers import Solver
+
+
+def observed_orders(solver: Solver, size: float = 1e-2, theta: float = 1.0) -> float:
+    """Smallest order in h of |R(x + h d) - R(x) - h A d| at some unknowns x, for a direction d; inf where it vanishes."""
+    equations = solver.equations
+    equations.begin(Interval(solver.rest(0.0), 0.1, 0.1, theta))
+    random = np.random.default_rng(1)
+    x, d, at, there, linear = (equations.vector() for _ in range(5))
+    x.array[:] = size * random.standard_normal(x.getLocalSize())
+    d.array[:] = size * random.standard_normal(d.getLocalSize())
+    equations.residual(x, at)
+    A = equations.tangent()
+    A.mult(d, linear)
+    errors = []
+    for h in (1.0, 0.5, 0.25, 0.125):
+        moved = x.copy()
+        moved.axpy(h, d)
+        equations.residual(moved, there)
+        there.axpy(-1.0, at)
+        there.axpy(-h, linear)
+        errors.append(there.norm() / linear.norm())
+        moved.destroy()
+    if max(errors) < 1e-12:
+        return float("inf")
+    return float(np.log2(np.array(errors[:-1]) / errors[1:]).min())

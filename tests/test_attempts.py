@@ -1,0 +1,89 @@
+"""What a step tries in turn, and what the log says of it."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic, MohrCoulomb
+from geometry import sandwich
+from thinlayer import SolveError, Structure, ThinLayer, march, solve
+from thinlayer.solving.equilibrium import Equilibrium
+from thinlayer.solving.solvers import Solver
+
+JOINT = sandwich(8, 2, 2, h=1.0, structured=True)
+STEEL = LinearElastic.young(E=20e3, nu=0.2)
+
+
+def model(law=None, push=0.3):
+    law = law or MohrCoulomb(120.0, 80.0, cohesion=0.2, friction_angle=35)
+    supports = {"BOTTOM": 0, "TOP": {"y": -0.02}}
+    loads = {"TOP": (lambda x, t: (push * t, 0.0))}
+    return Structure(JOINT, body=STEEL, supports=supports, tractions=loads).interface(ThinLayer(law, 1.0))
+
+
+def failing(monkeypatch, times, after=0):
+    """Let some solves fail: so many, after so many others."""
+    solves = iter(range(after + times))
+
+    def find(self, start=None, real=Equilibrium.find):
+        if next(solves, -1) >= after:
+            raise SolveError("it was told to", residuals=(1.0, 0.5))
+        return real(self, start)
+
+    monkeypatch.setattr(Equilibrium, "find", find)
+
+
+def messages(caplog, name, level=logging.INFO):
+    return [r.getMessage() for r in caplog.records if r.name == name and r.levelno >= level]
+
+
+def test_what_succeeds_at_once_is_said_to_those_alone_who_ask_for_everything(caplog):
+    with caplog.at_level(logging.DEBUG, "thinlayer"):
+        solve(model(), 1.0)
+    assert not messages(caplog, "thinlayer.solve")
+    (told,) = messages(caplog, "thinlayer.solve", logging.DEBUG)
+    assert "newton, line search bt, lu: " in told
+    assert "iterations, residual" in told
+
+
+def test_attempts_are_data():
+    with Solver(model()) as solver:
+        attempts = solver._attempts()
+    assert [one.name for one in attempts] == ["newton, line search bt, lu", "newton, line search l2, lu", "easier laws"]
+    assert [one.eased for one in attempts] == [False, False, True]
+    assert attempts[1].options["snes_linesearch_type"] == "l2"
+    with Solver(model(LinearElastic.young(E=10.0, nu=0.3))) as solver:
+        assert [one.name for one in solver._attempts()] == ["linear, cholesky"]
+
+
+@pytest.mark.parametrize("failures", [1, 2])
+def test_the_next_attempt_is_told_with_the_reason(failures, caplog, monkeypatch):
+    """The same equilibrium, more iterations, and a line for each attempt after the first."""
+    straight = solve(model(), 1.0)
+    failing(monkeypatch, failures)
+    with caplog.at_level(logging.INFO, "thinlayer"):
+        found = solve(model(), 1.0)
+    told = messages(caplog, "thinlayer.solve")
+    assert len(told) == failures
+    assert "t = 1: newton, line search l2, lu is tried, as newton, line search bt, lu failed: it was told to" in told[0]
+    assert all("easier laws is tried" in line for line in told[1:])
+    assert found.report.iterations >= 2 * failures
+    assert (found.report.eased > 0) == (failures == 2)
+    near = 1e-8 * np.abs(straight.u.x.array).max()
+    np.testing.assert_allclose(found.u.x.array, straight.u.x.array, rtol=0, atol=near)
+
+
+def test_the_first_error_is_the_one_that_is_raised(monkeypatch):
+    failing(monkeypatch, 99)
+    with pytest.raises(SolveError, match="it was told to"):
+        solve(model(), 1.0)
+
+
+def test_shorter_steps_are_told(caplog, monkeypatch):
+    """Of a march, with the reason."""
+    failing(monkeypatch, 1, after=1)  # the first solve is at the start
+    with caplog.at_level(logging.INFO, "thinlayer"):
+        history = march(model(LinearElastic.young(E=10.0, nu=0.3)), [1.0])
+    assert "step from t = 0 to 1 is shortened to 0.5: it was told to" in messages(caplog, "thinlayer.march")
+    assert history.last.t == 1.0

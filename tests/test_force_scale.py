@@ -1,0 +1,104 @@
+"""How small a residual must be, without any model."""
+
+import math
+
+import pytest
+
+from thinlayer.solving.force_scale import AIM, ALLOWED, EPSILON, ForceScale
+
+STIFF = 1e6  # N/mm
+UNITS = [1.0, 1e-9, 1e9]  # of force
+
+
+def begun(stiffness=STIFF, cancelling=0.0, *, loads=0.0, prescribed=0.0, moved=0.0, stresses=()):
+    scale = ForceScale(stiffness, cancelling)
+    scale.begin(loads, prescribed, moved)
+    scale.see(*stresses)
+    return scale
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("length", [1.0, 1e3, 1e-6])
+def test_units_change_no_ratio(unit, length):
+    """Forces in another unit and lengths in another: every limit is that many times as large."""
+    given = {"loads": 3.0, "prescribed": 0.2, "moved": 0.1, "stresses": (5.0, 2.0)}
+    one = begun(cancelling=1e8, **given)
+    other = begun(
+        STIFF * unit / length, 1e8 * unit / length, loads=3.0 * unit, prescribed=0.2 * length, moved=0.1 * length,
+        stresses=(5.0 * unit, 2.0 * unit),
+    )  # fmt: skip
+    for far in (0.0, 1.0, 1e4, 1e9):
+        assert other.aim(far * length) == pytest.approx(unit * one.aim(far), rel=1e-12)
+    assert other.allowed == pytest.approx(unit * one.allowed, rel=1e-12)
+    assert other.relative(7.0 * unit) == pytest.approx(one.relative(7.0), rel=1e-12)
+
+
+def test_the_largest_forces_count():
+    """Loads, stresses, and what was out of balance at the start."""
+    scale = begun(loads=3.0, stresses=(5.0, 2.0))
+    assert scale.forces == 5.0
+    assert scale.aim(0.0) == pytest.approx(5.0 * AIM)
+    scale.see(1.0)
+    assert scale.forces == 3.0
+    scale.start(40.0)
+    scale.see(1.0)
+    assert scale.forces == scale.least == 40.0
+    assert scale.relative(4.0) == pytest.approx(0.1)
+    scale.begin(3.0, 0.0, 0.0)  # a new step forgets it
+    assert scale.forces == 3.0
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_forces_that_are_not_finite_do_not_count(wrong):
+    scale = begun(loads=3.0)
+    scale.start(wrong)
+    scale.see(math.nan)
+    assert scale.forces == 3.0
+    assert not math.nan <= scale.allowed
+
+
+def test_rigid_far_motion():
+    """Supports that carry stiff bodies far leave stresses of rounding; these pass for forces, a real one does not."""
+    scale = begun(prescribed=1e4, stresses=(EPSILON * STIFF * 1e4,))
+    assert scale.allowed >= EPSILON * STIFF * 1e4
+    assert scale.relative(EPSILON * STIFF * 1e4) < ALLOWED
+    assert scale.relative(1e-6 * STIFF * 1e4) > ALLOWED
+
+
+def test_loads_that_end_at_zero():
+    """Where they have moved the bodies before, rounding of that is all that is left."""
+    scale = begun(moved=0.3)
+    assert scale.least == pytest.approx(1e-8 * STIFF * 0.3)
+    assert scale.allowed == pytest.approx(1e-14 * STIFF * 0.3)
+    assert begun(moved=0.3, loads=1.0).forces == 1.0
+
+
+def test_no_loads_at_all():
+    """Nothing out of balance is in balance, anything else is not, and no division by zero."""
+    scale = begun()
+    assert scale.forces == scale.aim(0.0) == scale.aim(1.0) == scale.allowed == scale.relative(0.0) == 0.0
+    assert scale.relative(1e-100) > 1e100
+
+
+def test_stiff_bodies_moved_by_supports():
+    """Rounding of prescribed displacements is allowed, whatever the loads; what soft loads leave beyond it is not."""
+    scale = begun(1e12, loads=1e-6, prescribed=1.0)
+    assert scale.aim(0.0) >= EPSILON * 1e12
+    assert scale.allowed >= EPSILON * 1e12
+    assert scale.allowed < 0.1
+
+
+def test_bodies_far_away_on_soft_springs():
+    """Solvers may stop at rounding of stiffness times displacement, but never above the share of the loads for a state."""
+    scale = begun(loads=1.0)
+    assert scale.aim(0.1) == pytest.approx(AIM)
+    assert scale.aim(1e2) == pytest.approx(EPSILON * STIFF * 1e2)
+    assert scale.aim(1e12) == pytest.approx(ALLOWED)
+    assert scale.allowed == pytest.approx(ALLOWED)
+
+
+def test_springs_between_bodies_round_more():
+    """Springs that act on the difference of two bodies' displacements count where they are stiffer than the bodies."""
+    assert begun(cancelling=1e9).rounding(1.0) == 1e3 * begun().rounding(1.0)
+    assert begun(cancelling=1.0).rounding(1.0) == begun().rounding(1.0)
+    assert begun(cancelling=1e9, moved=1.0).least == begun(moved=1.0).least

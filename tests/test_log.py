@@ -1,0 +1,40 @@
+"""What the package tells through `logging`: nothing unless asked, and one rank for all."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from types import SimpleNamespace
+
+from forms import LinearElastic, Maxwell
+from geometry import sandwich
+from thinlayer import Structure, ThinLayer, march
+from thinlayer.parallel.log import logger
+
+
+def test_steps_of_a_march(caplog):
+    joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
+    column = Structure(
+        joint, body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, 1.0)}
+    )
+    with caplog.at_level(logging.INFO, "thinlayer"):
+        march(column.interface(ThinLayer(Maxwell(60.0, 40.0, t1=0.7), 0.1)), [0.1, 0.2])
+    told = [record.getMessage() for record in caplog.records if record.name == "thinlayer.march"]
+    assert [text.partition(":")[0] for text in told] == ["t = 0", "t = 0.1", "t = 0.2"]
+
+
+def test_one_rank_speaks(caplog):
+    with caplog.at_level(logging.DEBUG, "thinlayer"):
+        for rank in range(3):
+            logger("solve", SimpleNamespace(rank=rank)).error("rank %d", rank)
+    assert [record.getMessage() for record in caplog.records] == ["rank 0"]
+
+
+def test_quiet_unless_asked():
+    """Python itself shows warnings and errors where nobody listens."""
+    script = "import thinlayer\nfrom thinlayer.parallel.log import logger\nlogger('solve').error('told')"
+    shown = f"import logging\nlogging.basicConfig(format='%(message)s')\n{script}"
+    for words, expected in ((script, ""), (shown, "told\n")):
+        done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, timeout=60)
+        assert (done.returncode, done.stderr) == (0, expected)

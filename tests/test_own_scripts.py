@@ -1,0 +1,369 @@
+"""Layers in scripts that are not ours: on anybody's DOLFINx mesh with tags, in anybody's SNES, on one rank and on two."""
+
+from __future__ import annotations
+
+import re
+from functools import cached_property
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.optimize import brentq
+
+from forms import (
+    HolonomicCoulomb,
+    Incompressible,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    NonMonotoneUnrelaxed,
+    Norton,
+    Stack,
+)
+from forms.law import LawError
+from forms.work import body, energy, work
+from geometry import Joint
+from tests.test_parallel import CLONE, mpirun
+from tests.test_readme import OWN, README
+from thinlayer import BrokenMesh, ModelError, SolveError, StepProblem, Structure, ThinLayer, march
+
+SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[2].partition("\n## ")[0], re.DOTALL)
+STONE = LinearElastic.young(E=100.0, nu=0.3)
+LOWER, UPPER, LAYER, TOP = 1, 2, 3, 4
+PLACES = {"BOTTOM": 0.0, "S": 0.5, "TOP": 1.0}
+KINDS = {
+    "triangle": mesh.CellType.triangle,
+    "quadrilateral": mesh.CellType.quadrilateral,
+    "tetrahedron": mesh.CellType.tetrahedron,
+    "hexahedron": mesh.CellType.hexahedron,
+}
+
+
+# ---------------------------------------------------------------- the scripts
+def numbers(text: str) -> list[float]:
+    return [float(x) for x in re.findall(r"-?\d+\.\d+", text)]
+
+
+@pytest.mark.parametrize("name", ["glue", "mortar", "wall", "creep"])
+def test_script_on_one_rank_and_two(tmp_path, name):
+    """What it prints is the same, to all digits but the last, and what README says."""
+    texts = {"glue": SCRIPTS[0], "mortar": SCRIPTS[0] + SCRIPTS[1]}
+    folder = CLONE / "tests" / "own_scripts"
+    (tmp_path / "script.py").write_text(texts[name] if name in texts else (folder / f"{name}.py").read_text())
+    one, two = (mpirun(ranks, "script.py", cwd=tmp_path) for ranks in (1, 2))
+    assert one.returncode == two.returncode == 0, one.stderr + two.stderr
+    assert len(numbers(one.stdout)) >= 1
+    assert numbers(one.stdout) == pytest.approx(numbers(two.stdout), abs=2e-8)
+    if name in texts:
+        assert [line.strip() in README for line in one.stdout.splitlines()] == [True] * len(one.stdout.splitlines())
+
+
+def test_scripts_are_short():
+    assert len([line for line in SCRIPTS[0].splitlines() if line.strip()]) <= 40
+
+
+# ---------------------------------------------------------------- two blocks, as a script makes them
+def tagged(grid, dim, value):
+    """Tags of cells or facets by their centres (n, 3); -1: none."""
+    grid.topology.create_connectivity(dim, grid.topology.dim)
+    n = grid.topology.index_map(dim).size_local
+    values = value(mesh.compute_midpoints(grid, dim, np.arange(n, dtype=np.int32))).astype(np.int32)
+    found = np.flatnonzero(values >= 0).astype(np.int32)
+    return mesh.meshtags(grid, dim, found, values[found])
+
+
+class Blocks:
+    """Two blocks of height 1/2 and a layer between them, 2 long."""
+
+    def __init__(self, kind: str, degree: int, upper=UPPER) -> None:
+        self.kind, self.d = kind, 3 if kind in ("tetrahedron", "hexahedron") else 2
+        ghosts, cell = mesh.GhostMode.shared_facet, KINDS[kind]
+        if self.d == 2:
+            box = [(0, 0), (2, 1)]
+            self.grid = mesh.create_rectangle(MPI.COMM_WORLD, box, (6, 4), cell, ghost_mode=ghosts)
+        else:
+            box = [(0, 0, 0), (2, 1, 1)]
+            self.grid = mesh.create_box(MPI.COMM_WORLD, box, (4, 2, 2), cell, ghost_mode=ghosts)
+        self.cells = tagged(self.grid, self.d, lambda x: np.where(x[:, 1] > 0.5, UPPER, LOWER))
+        self.facets = tagged(self.grid, self.d - 1, lambda x: np.where(abs(x[:, 1] - 0.5) < 1e-9, LAYER, -1))
+        self.broken = BrokenMesh(self.grid, self.cells, self.facets, {LAYER: upper})
+        self.V = self.broken.space(("Lagrange", degree, (self.d,)))
+        self.u, self.move = fem.Function(self.V), fem.Constant(self.grid, np.zeros(self.d))
+        self.bcs = [
+            fem.dirichletbc(value, fem.locate_dofs_geometrical(self.V, lambda x, y=y: np.isclose(x[1], y)), self.V)
+            for y, value in ((0, np.zeros(self.d)), (1, self.move))
+        ]
+        self.v = ufl.TestFunction(self.V)
+        self.rest = ufl.inner(fem.Constant(self.grid, np.zeros(self.d)), self.v) * ufl.dx
+        self.dx = ufl.Measure("dx", domain=self.grid, subdomain_data=self.cells)
+
+    def solve(self, terms, moves, dt, form=None) -> StepProblem:
+        problem = StepProblem(form or self.rest, self.u, self.bcs, terms)
+        snes = PETSc.SNES().create(MPI.COMM_WORLD)
+        snes.setTolerances(rtol=1e-13, atol=1e-13, max_it=50)
+        snes.getKSP().getPC().setType("lu")
+        snes.getKSP().getPC().setFactorSolverType("mumps")
+        problem.attach(snes)
+        for move in moves:
+            self.move.value[:] = move
+            problem.begin(dt)
+            snes.solve(None, self.u.x.petsc_vec)
+            while problem.switch():
+                snes.solve(None, self.u.x.petsc_vec)
+            problem.accept()
+        snes.destroy()
+        return problem
+
+    @cached_property
+    def joint(self) -> Joint:
+        """The same mesh, as a joint."""
+        d, grid = self.d, self.grid
+        grid.topology.create_connectivity(d - 1, 0)
+        x = np.array(grid.geometry.x[:, :d])
+        at = {
+            name: tagged(grid, d - 1, lambda m, y=y: np.where(abs(m[:, 1] - y) > 1e-9, -1, 0))
+            for name, y in PLACES.items()
+        }
+        sets = {
+            name: np.asarray(mesh.entities_to_geometry(grid, d - 1, tags.indices), np.int64)
+            for name, tags in at.items()
+        }
+        return Joint(
+            x, np.asarray(grid.geometry.dofmap, np.int64), self.kind, self.cells.values - LOWER, ("LOWER", "UPPER"), sets,
+            upper=("UPPER",), lower=("LOWER",),
+        )  # fmt: skip
+
+    def difference(self, other: fem.Function, original) -> float:
+        """Largest difference to a displacement of a model of the joint, over the largest displacement."""
+
+        def of_cells(f):
+            V = f.function_space
+            dofs = np.asarray(V.dofmap.list)
+            values = f.x.array.reshape(-1, self.d)[dofs]
+            x = V.tabulate_dof_coordinates()[dofs] @ np.array([1.0, 0.1234, 0.05678])
+            return np.take_along_axis(values, np.argsort(x, axis=1)[..., None], axis=1)
+
+        mine, its = of_cells(self.u)[original], of_cells(other)
+        return float(np.abs(mine - its).max() / np.abs(its).max())
+
+
+MOVES = {
+    "Mohr-Coulomb": (MohrCoulomb(60.0, 40.0, C=0.2, Omega=30.0, h=0.02), 0.01),
+    "Norton": (Norton(lmbda=3.0, mu=2.0, eta=5.0, p=2.5), 0.02),
+    "two sublayers": (Stack((0.3, Maxwell(6.0, 4.0, t1=1.5, t2=2.0)), (0.7, LinearElastic(3.0, 2.0))), 0.02),
+    "elastic, order 1": (LinearElastic(6.0, 4.0), 0.02),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("triangle", "Mohr-Coulomb"),
+        ("quadrilateral", "Norton"),
+        ("triangle", "two sublayers"),
+        ("quadrilateral", "elastic, order 1"),
+        ("tetrahedron", "Norton"),
+        ("hexahedron", "Mohr-Coulomb"),
+    ],
+)
+def test_same_as_a_model(kind, name):
+    """The same mesh, bodies, layer and steps, as a Model and in a script: displacements and energies."""
+    law, eps = MOVES[name]
+    layer, degree = ThinLayer(law, eps, order=int("order 1" in name)), 2 if kind != "hexahedron" else 1
+    blocks = Blocks(kind, degree)
+    moves = [np.array([0.004 * k, -0.001 * k, 0.002 * k][: blocks.d]) for k in (1, 2, 3)]
+    terms = [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, layer)]
+    problem = blocks.solve(terms, moves, 0.5)
+    top = dict(zip("xyz", [lambda x, t, k=k: 2 * t * moves[0][k] for k in range(blocks.d)], strict=False))
+    options = {
+        "body": STONE,
+        "supports": {"BOTTOM": 0.0, "TOP": top},
+        "element": f"{'PQ'['h' in kind[:1] or 'q' in kind[:1]]}{degree}",
+    }
+    model = Structure(blocks.joint, **options).interface(layer)
+    history = march(model, [0.5, 1.0, 1.5])
+    assert blocks.difference(history.last.u, model.domain.original_cells) < 1e-8
+    if problem.compiled:
+        assert problem.energies[1] == pytest.approx(np.sum(history.table["dissipated"]), rel=1e-8)
+
+
+# ---------------------------------------------------------------- closed forms
+@pytest.mark.parametrize("kind", ["triangle", "hexahedron"])
+def test_hyperelastic_column(kind):
+    """Blocks that are pressed between rollers: one equation, neo-Hooke's stress = stiffness of the layer times its jump."""
+    blocks = Blocks(kind, 1)
+    d, u, v = blocks.d, blocks.u, blocks.v
+    F = ufl.Identity(d) + ufl.grad(u)
+    psi = 50 * (ufl.tr(F.T * F) - d - 2 * ufl.ln(ufl.det(F))) + 75 * ufl.ln(ufl.det(F)) ** 2
+    for axis in (0, 2)[: d - 1]:
+        for place in (0, [2, 1, 1][axis]):
+            sub = blocks.V.sub(axis)
+            at = mesh.locate_entities_boundary(blocks.grid, d - 1, lambda x, a=axis, p=place: np.isclose(x[a], p))
+            blocks.bcs.append(fem.dirichletbc(0.0, fem.locate_dofs_topological(sub, d - 1, at), sub))
+    terms = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(60.0, 40.0), 0.01))
+    blocks.solve(terms, [np.array([0.0, -0.2, 0.0][:d])], 0.0, ufl.derivative(psi * ufl.dx, u, v))
+
+    def stress(s):
+        return 100 * ((1 + s) - 1 / (1 + s)) + 150 * np.log(1 + s) / (1 + s)
+
+    s = brentq(lambda s: stress(s) - 140.0 * (-0.2 - s), -0.5, 0.0, xtol=1e-15)
+    jump = blocks.broken.interface(LAYER).jump(u)[1]
+    mean = fem.assemble_scalar(fem.form(jump * blocks.broken.dS(LAYER))) / 2
+    assert mean == pytest.approx(-0.2 - s, rel=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["triangle", "hexahedron"])
+def test_relaxing_body(kind):
+    """A law with memory in a body, on an ordinary space: backward Euler of a uniform shear that relaxes."""
+    blocks = Blocks(kind, 1)
+    d, grid, law, dt, shear = blocks.d, blocks.grid, Maxwell(6.0, 4.0, t1=1.5, t2=2.0), 0.25, 0.02
+    V = fem.functionspace(grid, ("Lagrange", 1, (d,)))
+    u, given, v = fem.Function(V), fem.Function(V), ufl.TestFunction(V)
+    given.interpolate(lambda x: np.vstack([shear * x[1], *(0 * x[0] for _ in range(d - 1))]))
+    boundary = fem.locate_dofs_topological(V, d - 1, mesh.exterior_facet_indices(grid.topology))
+    terms = [body(law, blocks.dx(tag)) for tag in (LOWER, UPPER)]
+    none = ufl.inner(fem.Constant(grid, np.zeros(d)), v) * ufl.dx
+    problem = StepProblem(none, u, [fem.dirichletbc(given, boundary)], terms)
+    snes = PETSc.SNES().create(MPI.COMM_WORLD)
+    snes.getKSP().getPC().setType("lu")
+    problem.attach(snes)
+    for n in (1, 2, 3):
+        problem.begin(dt)
+        snes.solve(None, u.x.petsc_vec)
+        problem.accept()
+        stress = law.mu * shear / (1 + dt / law.t1) ** n
+        assert problem.energies[0] == pytest.approx(2 * stress**2 / (2 * law.mu), rel=1e-10)
+    assert problem.t == 3 * dt
+
+
+def test_wall_in_running_bond():
+    """14 elastic bricks, 2 laws, T-junctions: the energy that a program with another numbering of unknowns found."""
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (3, 2)], (12, 8))
+
+    def brick(x, y):
+        course = np.floor(2 * y)
+        return 10 * course + np.floor(x + 0.5 * (course % 2))
+
+    def joints(x, y):
+        inside = (x > 0.01) & (x < 2.99) & (y > 0.01) & (y < 1.99)
+        head, bed = (brick(x - a, y - b) != brick(x + a, y + b) for a, b in ((0.01, 0), (0, 0.01)))
+        return np.select([inside & head, inside & bed], [4, 3], -1)
+
+    bricks, facets = tagged(grid, 2, lambda x: brick(*x.T[:2])), tagged(grid, 1, lambda x: joints(*x.T[:2]))
+    assert len(np.unique(bricks.values)) == 14
+    for rule in ({3: (0, 1), 4: (-1, 0)}, (3, 4)):
+        wall = BrokenMesh(grid, bricks, facets, rule)
+        V = wall.space(("Lagrange", 2, (2,)))
+        assert V.dofmap.index_map.size_global == 550
+        u = fem.Function(V)
+        terms = [body(LinearElastic.young(20.0, 0.2), ufl.Measure("dx", domain=grid))]
+        terms += wall.layer(3, ThinLayer(LinearElastic(0.8, 2.1), 0.1))
+        terms += wall.layer(4, ThinLayer(LinearElastic(0.4, 1.3), 0.2))
+        ends = [fem.locate_dofs_geometrical(V, lambda x, y=y: np.isclose(x[1], y)) for y in (0, 2)]
+        bcs = [fem.dirichletbc(np.array(w), dofs, V) for w, dofs in zip([(0.0, 0.0), (0.1, -0.05)], ends, strict=True)]
+        problem = StepProblem(work(terms[:1], u, ufl.TestFunction(V)), u, bcs, terms[1:])
+        snes = PETSc.SNES().create(MPI.COMM_WORLD)
+        snes.setTolerances(rtol=1e-14)
+        snes.getKSP().getPC().setType("lu")
+        snes.getKSP().getPC().setFactorSolverType("mumps")
+        problem.attach(snes)
+        snes.solve(None, u.x.petsc_vec)
+        problem.accept()
+        assert fem.assemble_scalar(fem.form(energy(terms, u))) == pytest.approx(0.011640644960255, rel=1e-11)
+
+
+def test_rigid_base():
+    """S on the boundary: a block stands on it, and the layer alone gives way under a push along it."""
+    blocks = Blocks("triangle", 1)
+    base = tagged(blocks.grid, 1, lambda x: np.select([x[:, 1] < 1e-9, abs(x[:, 1] - 0.5) < 1e-9], [TOP, LAYER], -1))
+    broken = BrokenMesh(blocks.grid, blocks.cells, base, (TOP, LAYER))
+    V = broken.space(("Lagrange", 1, (2,)))
+    u = fem.Function(V)
+    u.interpolate(lambda x: np.vstack([0.3 + 0 * x[0], -0.2 + 0 * x[0]]))
+    terms = broken.layer(TOP, ThinLayer(LinearElastic(6.0, 4.0), 0.1))
+    stored = fem.assemble_scalar(fem.form(energy(terms, u)))
+    assert stored == pytest.approx(2 * (14.0 * 0.2**2 + 4.0 * 0.3**2) / 2, rel=1e-12)
+
+
+def test_phases_without_a_joint():
+    """Columns are facets of S: all switch at once under a uniform push beyond the fall, none before."""
+    law = NonMonotoneUnrelaxed(lmbda=0.0, mu=10.0, alpha=1.5, C=0.15, chi=[[0, 0], [0, 1]]).per_thickness(0.1)
+    for push, share in ((0.05, 0.0), (0.2, 1.0)):
+        blocks = Blocks("triangle", 1)
+        problem = blocks.solve(
+            [body(LinearElastic.young(1e6, 0.0), blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.1))],
+            [np.array([0.0, -push * 0.1])], 1.0,
+        )  # fmt: skip
+        (term,), (memory,) = problem.compiled, problem.memory
+        phase = memory[:, list(law.internal).index("phase")]
+        assert len(term.columns.centres) == 6
+        assert np.abs(phase) == pytest.approx(share)
+
+
+# ---------------------------------------------------------------- what is refused
+def test_refused_tags():
+    blocks = Blocks("triangle", 1)
+    grid, cells, facets = blocks.grid, blocks.cells, blocks.facets
+    half = tagged(grid, 1, lambda x: np.where((abs(x[:, 1] - 0.5) < 1e-9) & (x[:, 0] < 1), LAYER, -1))
+    mixed = tagged(grid, 1, lambda x: np.where((abs(x[:, 1] - 0.5) < 1e-9) | (x[:, 1] < 1e-9), LAYER, -1))
+    one = tagged(grid, 2, lambda x: 0 * x[:, 0])
+    some = tagged(grid, 2, lambda x: np.where(x[:, 0] > 1, UPPER, -1))
+    for bodies, tags, S, message in [
+        (some, facets, LAYER, "24 cells have no tag"),
+        (one, facets, LAYER, r"6 facets of S lie inside a body.*\(.*, 0.5\)"),
+        (cells, half, LAYER, "3 facets where two bodies meet are not in S"),
+        (cells, mixed, LAYER, "6 of the 12 facets with tag 3 lie on the boundary"),
+        (cells, facets, (LAYER, 7), "no facet has the tag 7; there are 3"),
+        (cells, facets, {LAYER: (1, 0)}, "parallel"),
+        (cells, facets, {LAYER: (0, 0)}, "not all 0"),
+        (cells, facets, {LAYER: {LOWER, UPPER}}, "one side in"),
+    ]:
+        with pytest.raises(ModelError, match=message):
+            BrokenMesh(grid, bodies, tags, S)
+    with pytest.raises(ModelError, match="S has no tag 9; there are 3"):
+        blocks.broken.interface(9)
+    with pytest.raises(LawError, match="pressure of its own"):
+        blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1))
+    with pytest.raises(LawError, match="contact laws need a Model"):
+        blocks.broken.layer(LAYER, HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3))
+
+
+def test_refused_steps():
+    blocks = Blocks("triangle", 1)
+    law = MohrCoulomb(60.0, 40.0, C=0.2, Omega=30.0)
+    terms = [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.01))]
+    problem = StepProblem(blocks.rest, blocks.u, blocks.bcs, terms)
+    with pytest.raises(ModelError, match="no step has begun"):
+        problem.accept()
+    with pytest.raises(ModelError, match="allowed: >= 0"):
+        problem.begin(-1.0)
+    problem.begin(0.0)
+    blocks.move.value[:] = (0.1, 0.0)
+    with pytest.raises(SolveError, match="of the forces are out of balance"):
+        problem.accept()
+    with pytest.raises(ModelError, match=r"dx\(1\) has no tags"):
+        StepProblem(blocks.rest, blocks.u, (), [body(law, ufl.Measure("dx", domain=blocks.grid)(1))])
+
+
+def test_mesh_without_ghosts_on_two_ranks(tmp_path):
+    script = SCRIPTS[0].replace("shared_facet", "none")
+    (tmp_path / "script.py").write_text(script)
+    done = mpirun(2, "script.py", cwd=tmp_path)
+    assert done.returncode != 0
+    assert "ghost_mode=dolfinx.mesh.GhostMode.shared_facet" in done.stderr
+
+
+def test_upper_side_changes_signs_alone():
+    blocks = [Blocks("triangle", 2, upper) for upper in (UPPER, {LOWER}, (0, -1), None)]
+    for one in blocks:
+        terms = [body(STONE, one.dx), *one.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1))]
+        one.solve(terms, [np.array([0.1, -0.05])], 0.0)
+    slips = [
+        fem.assemble_scalar(fem.form(one.broken.interface(LAYER).jump(one.u)[0] * one.broken.dS(LAYER)))
+        for one in blocks
+    ]
+    assert slips[0] * np.array([1, -1, -1, 1]) == pytest.approx(slips, rel=1e-12)
+    assert slips[0] > 0

@@ -1,0 +1,237 @@
+"""Springs per area on a boundary: against closed forms in a solve, in a march and along a path; energies, files, ranks."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import ufl
+
+from forms.contact import HolonomicCoulomb
+from forms.laws import Anisotropic, Incompressible, LinearElastic
+from geometry import GeometryError, block, sandwich
+from tests.arc_length_run import Trilinear
+from tests.springs_run import BED, BODY, CREEP, EPS, GLUE, HEIGHT, PULL, E, P, mean, numbers, relaxing, turned
+from tests.taylor import observed_orders
+from tests.test_parallel import mpirun
+from thinlayer import (
+    Adaptive,
+    ArcLength,
+    ContactReport,
+    ModelError,
+    SolveError,
+    Structure,
+    ThinLayer,
+    UflPart,
+    march,
+    solve,
+)
+from thinlayer.parts.springs import Springs
+from thinlayer.solving.solvers import Solver
+
+KINDS = ["full", "interface"]
+CASES = [(dim, kind) for dim in (2, 3) for kind in KINDS]
+
+
+# ---------------------------------------------------------------- one solve
+@pytest.mark.parametrize(("dim", "kind"), CASES)
+def test_turned_blocks_on_springs(dim, kind):
+    """Springs alone hold them: the bottom moves by traction over stiffness, the column above is pressed together."""
+    state = solve(turned(dim, kind))
+    bottom, top = mean(state, "BOTTOM"), mean(state, "TOP")
+    expected = np.array([*(np.array(PULL[: dim - 1]) / BED.tangential), -P / BED.normal])
+    assert bottom == pytest.approx(expected, rel=1e-9)
+    expected[-1] -= P * (2 * HEIGHT / E + 1 / (2 * GLUE.mu))
+    assert top == pytest.approx(expected, rel=1e-9)
+    energies = state.energies()
+    area = 1.0 if dim == 2 else 0.5
+    pulled = np.array(PULL[: dim - 1])
+    assert energies["springs BOTTOM"] == pytest.approx(
+        area * (P**2 / BED.normal + pulled @ pulled / BED.tangential) / 2, rel=1e-9
+    )
+    stored = sum(value for name, value in energies.items() if name != "loads")
+    assert stored == pytest.approx(energies["loads"] / 2, rel=1e-9)
+    assert state.audit.total == pytest.approx(stored, rel=1e-9)
+    assert abs(state.audit.imbalance) < 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_springs_are_a_foundation_in_ufl(kind):
+    """The same as a form of one's own, whose forces differ in how they are told."""
+
+    def energy(u, model):
+        n = ufl.FacetNormal(model.domain.mesh)
+        across = (BED.normal - BED.tangential) * ufl.dot(u, n) ** 2
+        return (across + BED.tangential * ufl.inner(u, u)) / 2 * model.ds(model.domain.values("BOTTOM"))
+
+    one, other = solve(turned(kind=kind)), solve(turned(kind=kind, parts=[UflPart(energy=energy)]))
+    largest = np.abs(one.u.x.array).max()
+    assert other.u.x.array == pytest.approx(one.u.x.array, abs=1e-12 * largest)
+    assert other.energies()["own form"] == pytest.approx(one.energies()["springs BOTTOM"], rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+def test_tangent(kind, theta):
+    with Solver(turned(kind=kind), method="newton") as solver:
+        assert observed_orders(solver, theta=theta) == float("inf")  # all is linear: no error but rounding
+
+
+def test_an_incompressible_layer_on_springs():
+    """Pressures are unknowns, too: nothing but the springs and the bodies gives way."""
+    joint = sandwich(1.0, HEIGHT, HEIGHT, 0.25)
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    setup = {"body": BODY, "supports": rollers, "tractions": {"TOP": (0.0, -P)}, "parts": [BED]}
+    for kind in KINDS:
+        state = solve(getattr(Structure(joint, **setup), kind)(ThinLayer(Incompressible(40.0), EPS)))
+        energies = state.energies()
+        assert energies["springs BOTTOM"] == pytest.approx(P**2 / BED.normal / 2, rel=1e-9)
+        assert energies["bodies"] == pytest.approx(P**2 / E / 2 * 2 * HEIGHT, rel=1e-9)
+        assert np.abs(state.p.x.array + P).max() < 1e-8
+
+
+@pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
+def test_contact_above_springs(method):
+    """A body pressed on another one that rests on springs: penetration and springs in series, for every finder."""
+    joint = sandwich(1.0, HEIGHT, HEIGHT, 0.25)
+    rollers = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    setup = {"body": BODY, "supports": rollers, "tractions": {"TOP": (0.0, -P)}, "element": "P1", "parts": [BED]}
+    law = HolonomicCoulomb(50.0, 20.0, 0.3)
+    state = solve(Structure(joint, **setup).interface(law), method=method)
+    report = ContactReport.of(state)
+    assert report.p == pytest.approx(np.full(len(report.p), P), rel=1e-7)
+    assert report.equilibrium < 1e-7
+    assert state.energies()["springs BOTTOM"] == pytest.approx(P**2 / BED.normal / 2, rel=1e-7)
+
+
+# ---------------------------------------------------------------- marches
+def force(steps, dt, theta):
+    """Force of the creeping column after steps: F' (1 + c K) = -F/t1, with c = 1/k + 2 H/E and K = 2 mu."""
+    c, K = 1 / BED.normal + 2 * HEIGHT / E, 2 * CREEP.mu
+    tau = CREEP.t1 * (1 + c * K)
+    first = 0.02 / (c + 1 / K)
+    return first * ((1 - (1 - theta) * dt / tau) / (1 + theta * dt / tau)) ** np.arange(steps + 1), first, tau
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+def test_a_column_relaxes_on_springs(kind, theta):
+    """The layer creeps as bodies and springs go back: an exponential, as the time scheme has it."""
+    history = march(relaxing(kind), np.linspace(0.1, 0.8, 8), theta=theta)
+    expected = force(8, 0.1, theta)[0]
+    found = np.array([state.energies()["springs BOTTOM"] for state in history])[-9:]
+    assert np.sqrt(2 * BED.normal * found) == pytest.approx(expected, rel=1e-8)
+    table = history.table
+    assert np.abs(table["imbalance"]).max() < 1e-9
+    assert history.last.audit.total == pytest.approx(
+        sum(v for name, v in history.last.energies().items() if name != "loads"), rel=1e-9
+    )
+
+
+def test_steps_of_adaptive_length():
+    """The error of a step is measured in the springs' forces as well as in those of the bodies."""
+    history = march(relaxing(), Adaptive(end=0.8, first=0.01, tolerance=1e-4), theta=0.5)
+    _, first, tau = force(1, 0.1, 0.5)
+    found = np.sqrt(2 * BED.normal * history.last.energies()["springs BOTTOM"])
+    assert found == pytest.approx(first * np.exp(-0.8 / tau), rel=1e-3)
+
+
+def test_a_march_is_resumed_on_other_ranks(tmp_path):
+    """Two steps on one rank, the rest on two: the same as on one, energies by their keys."""
+    march(relaxing(), [0.1, 0.2], out=tmp_path / "parts")
+    alone = numbers(tmp_path / "whole")
+    found = mpirun(2, "-m", "tests.springs_run", str(tmp_path / "parts"))
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout) == pytest.approx(alone, rel=1e-9)
+
+
+def test_files_keep_energies_by_key(tmp_path):
+    whole = march(relaxing(), [0.1, 0.2, 0.3], out=tmp_path)
+    again = march(relaxing(), [0.1, 0.2, 0.3], out=tmp_path, resume=True)
+    assert set(again.last.stored) == {"layer", "springs BOTTOM"}
+    assert dict(again.last.stored) == pytest.approx(dict(whole.last.stored), rel=1e-12)
+    other = Structure(
+        whole.model.joint, body=BODY, supports={"TOP": {"x": 0.0, "y": -0.02}}, parts=[Springs("BOTTOM", normal=21.0)]
+    )
+    with pytest.raises(ModelError, match="of another march"):
+        march(other.interface(ThinLayer(CREEP, EPS)), [0.1, 0.2, 0.4], out=tmp_path, resume=True)
+
+
+# ---------------------------------------------------------------- a path
+def test_a_softening_interface_in_series_with_springs():
+    """t = w + sigma(w) (2 H/E + 1/k): the path turns back and forth, as the law alone with these bodies would not."""
+    law = Trilinear(k=20.0, fall=6.0, w_1=0.02, w_2=0.06, k_T=1.9)
+    joint = sandwich(1.0, HEIGHT, HEIGHT, 1.0, cell="quadrilateral", structured=True)
+    supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"y": lambda x, t: t}}
+    bed = Springs("BOTTOM", normal=4.0)
+    structure = Structure(joint, body=BODY, supports=supports, parts=[bed], element="Q1")
+    history = march(structure.interface(law), ArcLength(end=0.3, first=0.01))
+    sigma = np.sqrt([2 * bed.normal * state.energies()["springs BOTTOM"] for state in history])
+    c = 2 * HEIGHT / E + 1 / bed.normal
+    w = history.t - c * sigma
+    assert sigma == pytest.approx(law.sigma(w, lambda a, b, x, y: np.where(a < b, x, y)), abs=1e-9)
+    assert c * law.fall > 1 > 2 * HEIGHT / E * law.fall
+    assert np.count_nonzero(np.diff(np.sign(np.diff(history.t)))) == 2
+    assert np.abs(history.table["imbalance"]).max() < 1e-9
+
+
+# ---------------------------------------------------------------- what holds a structure, and what cannot be
+def test_springs_hold_a_structure():
+    """Across the bottom they do not hold it along; together with those across a side they do."""
+    with pytest.raises(ModelError, match="no support against rigid motion of the structure"):
+        turned(parts=[Springs("BOTTOM", normal=1.0)])
+    with pytest.raises(ModelError, match="no support against rigid motion of the structure"):
+        turned(3, parts=[Springs("BOTTOM", normal=1.0), Springs("LEFT", normal=1.0)])
+    solve(turned(parts=[Springs("BOTTOM", normal=1.0), Springs("LEFT", normal=1.0)]))
+
+
+def test_springs_hold_one_body_of_two():
+    """A layer that slides leaves the upper body to its own springs."""
+    slides = ThinLayer(Anisotropic(np.diag([0, 1e3, 0, 0, 0, 0.0]), "layer"), EPS)
+    joint, setup = sandwich(1.0, HEIGHT, HEIGHT, 0.25), {"body": BODY, "tractions": {"TOP": (0.1, -P)}}
+    clamped = {"supports": {"BOTTOM": 0.0}}
+    with pytest.raises(SolveError, match="can move along"):
+        solve(Structure(joint, **setup, **clamped).interface(slides))
+    state = solve(Structure(joint, **setup, **clamped, parts=[Springs("TOP", tangential=2.0)]).interface(slides))
+    assert state.energies()["springs TOP"] == pytest.approx(0.1**2 / 2 / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"normal": -1.0}, "normal is -1.0; allowed: a finite number >= 0"),
+        ({"tangential": float("nan")}, "tangential is nan"),
+        ({"normal": "stiff"}, "normal is 'stiff'"),
+        ({"normal": True}, "normal is True"),
+        ({}, "have no stiffness"),
+    ],
+)
+def test_stiffness_out_of_range(given, message):
+    with pytest.raises(ModelError, match=message):
+        Springs("BOTTOM", **given)
+
+
+def test_places_that_are_none():
+    with pytest.raises(GeometryError, match="did you mean 'BOTTOM'"):
+        turned(parts=[Springs("BOTTEM", normal=1.0)])
+    with pytest.raises(ModelError, match="its facets lie inside"):
+        turned(parts=[BED, Springs("S", normal=1.0)])
+    with pytest.raises(ModelError, match="two parts are called 'springs BOTTOM'"):
+        turned(parts=[BED, Springs("BOTTOM", normal=1.0)])
+
+
+def test_a_rigid_base_and_a_side_on_springs():
+    """The block above a rigid base, pulled along: layer and springs at the side share the load."""
+    strip = block(1.0, HEIGHT, 0.25, structured=True)
+    stiff = LinearElastic.young(1e8, 0.0)
+    side = Springs("RIGHT", normal=3.0)
+    setup = {"body": stiff, "supports": {"TOP": {"y": 0.0}}, "tractions": {"LEFT": (0.4, 0.0)}, "parts": [side]}
+    state = solve(Structure(strip, **setup).interface(ThinLayer(GLUE, EPS)))
+    w = 0.4 * HEIGHT / (3.0 * HEIGHT + GLUE.mu)
+    assert state.energies()["springs RIGHT"] == pytest.approx(3.0 * HEIGHT * w**2 / 2, rel=1e-6)
+
+
+def test_identity():
+    one, same, other = (turned(parts=[Springs("BOTTOM", k, 7.0)]).identity() for k in (20.0, 20.0, 21.0))
+    assert one == same != other

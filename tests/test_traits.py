@@ -1,0 +1,96 @@
+"""What a law is like: one value, which sublayers in series fold into that of their Stack."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import forms.law
+import forms.series
+from forms import BulkLaw, KelvinVoigt, LawError, LinearElastic, MohrCoulomb, NonMonotone, NonMonotoneUnrelaxed, Stack
+from forms.traits import Traits, trait
+from tests.own_laws import AgeingSpring
+
+STIFF = LinearElastic(30.0, 20.0)
+ACROSS = np.array([[0.0, 0.0], [0.0, 1.0]])
+
+
+def halves(one, other):
+    return Stack((0.5, one), (0.5, other))
+
+
+@dataclass(frozen=True)
+class Probed(Traits):
+    """With a trait that no other file knows."""
+
+    probe: bool = trait(any)
+    sure: bool = trait(all, default=True)
+
+
+@dataclass(frozen=True)
+class Odd(BulkLaw):
+    mu: float
+    probe: ClassVar = True
+    sure: ClassVar = False
+
+
+def test_a_new_trait_needs_no_line_in_a_stack(monkeypatch):
+    monkeypatch.setattr(forms.law, "Traits", Probed)
+    monkeypatch.setattr(forms.series, "Traits", Probed)
+    for stack, expected in (
+        (halves(LinearElastic(1.0, 1.0), Odd(1.0)), (True, False)),
+        (halves(LinearElastic(1.0, 1.0), LinearElastic(2.0, 1.0)), (False, True)),
+    ):
+        assert (stack.traits.probe, stack.traits.sure) == expected
+
+
+def test_stacks_fold_every_trait():
+    """Also the stored energy's, that of a plateau, and parameters that vary."""
+    assert halves(LinearElastic(1.0, 1.0), STIFF).traits.quadratic
+    assert not halves(NonMonotone(0.0, 1.0, 1.0, 1.0, ACROSS), STIFF).traits.quadratic
+    assert halves(NonMonotone(0.0, 1.0, 1.0, 1.0, ACROSS), STIFF).traits.plateau
+    stack = halves(AgeingSpring(2.0, 0.5), STIFF)
+    assert stack.traits.varies
+    mixed = halves(KelvinVoigt(1.0, 1.0, 1.0, 1.0), MohrCoulomb(1.0, 1.0, 1.0, 30.0)).traits
+    assert mixed == Traits(
+        rate=True, remembers=True, bounded=True, eases=True, compiled=True, has_energy=True, quadratic=True, in_series=True,
+        in_ufl=True, symmetric=False,
+    )  # fmt: skip
+
+
+def test_a_stack_gives_the_parameters_of_its_sublayers_that_vary():
+    x = np.array([[0.0, 1.0], [0.0, 0.0]])
+    stack = halves(STIFF, AgeingSpring(2.0, 0.5, along=1.0))
+    assert {name: value.tolist() for name, value in stack.at(x, 2.0).items()} == {"1.mu": [4.0, 8.0]}
+    assert stack.parameters() == {"0.lmbda": 30.0, "0.mu": 20.0, "1.mu": 2.0, "1.growth": 0.5, "1.along": 1.0}
+
+
+def test_traits_are_those_of_the_law_with_numbers():
+    """Whatever stands for the numbers: symbols, constants, those of a real layer."""
+    law = NonMonotone(3.0, 1.0, 1.0, 1.0, ACROSS, mixing=0.5)
+    assert law.traits.softens
+    assert law.with_parameters({"mixing": None}).traits == law.mapped(lambda value, _: None).traits == law.traits
+
+
+def test_pure_phases_are_no_sublayer():
+    with pytest.raises(LawError, match="a sublayer is NonMonotoneUnrelaxed"):
+        halves(NonMonotoneUnrelaxed(3.0, 1.0, 1.0, 1.0, ACROSS), STIFF)
+
+
+@pytest.mark.parametrize("value", [1, "yes", None])
+def test_a_trait_is_true_or_false(value):
+    @dataclass(frozen=True)
+    class Vague(BulkLaw):
+        mu: float
+        linear: ClassVar = value
+
+    with pytest.raises(LawError, match=r"Vague: linear is .*; a trait is True or False"):
+        Vague(1.0)
+
+
+def test_every_trait_says_how_sublayers_fold():
+    assert {f.metadata["fold"]([True, False]) for f in fields(Traits)} == {True, False}
+    assert Traits.of_series([Traits(), Traits()]) == Traits(compiled=True)

@@ -1,0 +1,92 @@
+"""What is added to a model beside bodies, layer, supports and loads: springs, a form of one's own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import dolfinx.fem.petsc
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from forms.kinematics import Expr
+from geometry.domain import Domain
+from thinlayer.discretisation.loads import Coordinates
+from thinlayer.errors import ModelError
+
+TAKEN = ("forms", "layer", "pressure", "contact", "bodies", "loads")  # keys of parts that every model may have
+
+
+class Host(Protocol):
+    """What an addition may ask of its model, see `Model`."""
+
+    comm: MPI.Intracomm
+    domain: Domain
+    coordinates: Coordinates
+    V: fem.FunctionSpace
+    dx: ufl.Measure
+    ds: ufl.Measure
+    plane: str
+
+
+class Addition(ABC):
+    """A description of a part of the balance of forces, given to a model as one of `parts`: a frozen dataclass.
+
+    Its fields and code are a part of the model's identity.
+
+    Attributes:
+        key: names the part's memory and energy in states and in files; another one for each addition of a model.
+    """
+
+    key: str
+
+    @abstractmethod
+    def check(self, model: Host) -> None:
+        """Raise ModelError unless the description fits the model. Collective."""
+
+    def is_linear(self, model: Host) -> bool:
+        """Whether the forces are linear in the unknowns."""
+        return True
+
+    def is_symmetric(self, model: Host) -> bool:
+        """Whether the tangent is symmetric."""
+        return True
+
+    @abstractmethod
+    def work(self, model: Host, u: Expr, v: Expr) -> Expr:
+        """Virtual work of the part's forces at displacements u, a UFL form linear in v."""
+
+    def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:
+        """Work (m, m), on rigid motions of the structure, of the forces that they bring about from rest. Collective."""
+        rest = fem.Function(model.V)
+        form = self.work(model, rest, ufl.TestFunction(model.V))
+        A = dolfinx.fem.petsc.assemble_matrix(fem.form(ufl.derivative(form, rest, ufl.TrialFunction(model.V))))
+        A.assemble()
+        forces = A.createVecLeft()
+        found = np.zeros((len(motions), len(motions)))
+        for row, motion in zip(found, motions, strict=True):
+            A.mult(motion.x.petsc_vec, forces)
+            row[:] = [float(other.x.petsc_vec.dot(forces)) for other in motions]
+        forces.destroy()
+        A.destroy()
+        return found
+
+    @abstractmethod
+    def part(self, model: Host) -> Any:
+        """The part, a `thinlayer.parts.part.Part` with this key. Collective."""
+
+
+def check_additions(parts: Sequence[Any], model: Host) -> None:
+    """Raise ModelError unless a model's parts are additions that fit it, with keys of their own. Collective."""
+    keys = set(TAKEN)
+    for part in parts:
+        if not isinstance(part, Addition):
+            raise ModelError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")
+        if part.key in keys:
+            raise ModelError(f"two parts are called {part.key!r}; give one of them another name")
+        keys.add(part.key)
+        part.check(model)

@@ -1,0 +1,96 @@
+"""A layer's law at rest: its tangents, whether it is stable, and along which axes it cannot have a traction."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.law import BulkLaw
+from forms.tangent import (
+    Array,
+    average_lame,
+    held_along,
+    require_stable_layer,
+    rests_by_itself,
+    tangent_at_rest,
+    tangent_over,
+)
+from thinlayer.errors import ModelError
+
+LOCKING = 12.0  # lmbda/mu where displacements linear through the layer add a third to the error of order 1 in the jump
+
+
+class AtRest:
+    """The law of a layer, or those of its sublayers, under small strains from rest.
+
+    Args:
+        law: with real parameters.
+        n: mean normal of S, (d,).
+
+    Attributes:
+        strata: share of the thickness, law and tangent at rest (6, 6) of each sublayer; None: not known.
+    """
+
+    def __init__(self, law: BulkLaw, n: Array) -> None:
+        self.n = n
+        self.strata = [
+            (share, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n))
+            for share, one in law.sublayers
+        ]
+
+    def over(self, dt: float) -> list[Array | None]:
+        """Tangents of the same under loads that have lasted dt > 0; None: not known, or as at rest."""
+        if dt not in self._over:
+            self._over[dt] = [
+                tangent_over(law, self.n, dt) if law.traits.compiled else None for _, law, _ in self.strata
+            ]
+        return self._over[dt]
+
+    @cached_property
+    def _over(self) -> dict[float, list[Array | None]]:
+        return {}
+
+    def require_stable(self) -> None:
+        """Raise an error if a stiffness at rest is negative: what is found would be no equilibrium that lasts."""
+        for _, law, C in self.strata:
+            if rests_by_itself(law):
+                require_stable_layer(law, C, self.n)
+
+    def require_no_locking(self) -> None:
+        """Raise ModelError for laws of order 1 that would lock: their displacements stay linear through the layer."""
+        _, law, C = self.strata[0]
+        if law.traits.relaxes or C is None:
+            return
+        lmbda, mu = average_lame(C)
+        if lmbda > LOCKING * mu:
+            raise ModelError(
+                f"order=1 of {type(law).__name__} with lmbda/mu = {lmbda / mu:.4g} at rest (nu = "
+                f"{lmbda / (lmbda + mu) / 2:.4g}); allowed: at most {LOCKING:g} (nu = {LOCKING / (LOCKING + 1) / 2:.4f}), "
+                "beyond which the next term locks; use order=0, the meshed layer (structure.full), or LinearElastic"
+            )
+
+    def silent(self, planar: bool, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
+        """Axes along which there is no traction where supports hold that component of both bodies together.
+
+        Laws with a stress of their own have one, an incompressible one has its pressure, and laws with memory or rate
+        remember that the bodies have been apart.
+
+        Args:
+            planar: whether S is planar.
+            moving: whether supports move in time.
+
+        Returns:
+            (d,), and whether there is none where supports hold all components.
+        """
+        none, laws = np.zeros(len(self.n), bool), [law for _, law, _ in self.strata]
+        if moving and any(law.traits.rate or law.internal for law in laws):
+            return none, False
+        along = np.full(len(self.n), planar)
+        for law in laws:
+            found = held_along(law, self.n)
+            if found is None:
+                return none, False
+            along &= found
+        return along, not any(law.traits.constrained for law in laws)

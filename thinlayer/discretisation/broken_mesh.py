@@ -1,0 +1,220 @@
+"""BrokenMesh: anybody's DOLFINx mesh, with tags, whose bodies may part on tagged facets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import cpp, fem, la
+from dolfinx.mesh import Mesh, MeshTags
+
+from forms.law import LawError
+from forms.traction import TractionLaw
+from forms.work import Interface, Term, surface
+from geometry.joint import Profile
+from thinlayer.compiling.compat import interior_facet_entities
+from thinlayer.discretisation.broken import broken_space
+from thinlayer.discretisation.layer import ThinLayer, constants, real_law
+from thinlayer.errors import ModelError
+from thinlayer.parallel.agreement import on_all
+from thinlayer.parallel.communicator import communicator
+
+Array = npt.NDArray[np.float64]
+Facets = npt.NDArray[np.int32]
+Upper = int | set[int] | frozenset[int] | Sequence[float] | None
+ALONG = 0.02  # cosine between a normal and a direction below which the direction does not tell the sides apart
+
+
+class BrokenMesh:
+    """A DOLFINx mesh whose bodies may part on tagged facets, S. Collective, as all methods are.
+
+    Args:
+        mesh: the mesh; on several ranks with ghost cells across facets, `ghost_mode=GhostMode.shared_facet`.
+        bodies: tags of all cells, one value for each body: functions are continuous in a body. Bodies of one value that
+            touch on S are one body there; give each brick of a wall its own value.
+        facet_tags: tags of facets.
+        S: values of `facet_tags` where bodies may part, and which side of each is the upper one:
+
+            - a vector, such as (0, 1): the side that it points to; for plane joints of many bodies, bed or head joints;
+            - a value of `bodies`, or a set of them: that body, or those; for an S of any shape;
+            - None, or no mapping but the values alone: the body of the larger value.
+
+            The side decides the sign of reported jumps and tractions, and which sublayer of a `Stack` is the lower one. S
+            on the boundary of the mesh is a rigid base: the body is above it.
+
+    Attributes:
+        mesh, bodies, facet_tags: as given.
+        dS: measure of the facets between bodies, dS(value); "+" is the upper side. DOLFINx allows one set of tags
+            for all integrals dS of a form: use this measure for other terms on facets of S in it, too.
+
+    Raises:
+        ModelError: cells without a body, bodies that meet outside S, facets of S inside a body, facets whose sides the rule
+            does not tell apart, ghost cells that are missing; with numbers and places.
+    """
+
+    def __init__(
+        self, mesh: Mesh, bodies: MeshTags, facet_tags: MeshTags, S: int | Iterable[int] | Mapping[int, Upper]
+    ) -> None:
+        self.mesh, self.bodies, self.facet_tags, self.comm = mesh, bodies, facet_tags, communicator(mesh)
+        self._dim = mesh.topology.dim
+        rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
+        mesh.topology.create_connectivity(self._dim - 1, self._dim)
+        mesh.topology.create_connectivity(self._dim, self._dim - 1)
+        self._outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
+        self._body = self._bodies()
+        self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned(tag) for tag in rules)]))
+        self._bases: set[int] = set()
+        oriented = []
+        for tag, upper in rules.items():
+            facets = self._owned(tag)
+            total, outer = self._sum(len(facets), np.isin(facets, self._outer).sum())
+            if not total:
+                raise ModelError(f"S: no facet has the tag {tag}; there are {self._known()}")
+            if outer not in (0, total):
+                raise ModelError(
+                    f"S: {outer} of the {total} facets with tag {tag} lie on the boundary; allowed: all or none"
+                )
+            if outer:
+                self._bases.add(tag)
+            else:
+                oriented.append((tag, self._oriented(tag, facets, upper).ravel()))
+        self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=oriented)
+        self._tags = tuple(rules)
+
+    # ---------------------------------------------------------------- what users ask for
+    def space(self, element: Any) -> fem.FunctionSpace:
+        """Function space, continuous in each body, with jumps on S.
+
+        Args:
+            element: a basix.ufl element, or its arguments (family, degree) or (family, degree, shape).
+        """
+        if isinstance(element, tuple):
+            family, degree, *shape = element
+            element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
+        values = np.unique(np.concatenate([np.unique(self._body), *self.comm.allgather(np.unique(self._body))]))
+        colours = np.searchsorted(values, self._body).astype(np.int32)
+        return broken_space(self.comm, self.mesh, element, colours)
+
+    def interface(self, tag: int) -> Interface:
+        """The two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""
+        if tag not in self._tags:
+            raise ModelError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
+        if tag in self._bases:
+            ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
+            return Interface.on_rigid_base(self.mesh, ds(tag))
+        return Interface.between_bodies(self.mesh, self.dS(tag))
+
+    def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
+        """The terms of a layer's law on the facets of S with a tag: for `work`, or for `StepProblem`.
+
+        Args:
+            tag: of the facets.
+            layer: the law and the thickness; a law of jumps (`TractionLaw`) may stand alone.
+
+        Raises:
+            LawError: a law of contact, or one that needs a pressure of its own.
+        """
+        if not isinstance(layer, ThinLayer | TractionLaw):
+            raise LawError(f"the layer is {layer!r}; allowed: a ThinLayer, or a TractionLaw; contact laws need a Model")
+        law, thin = real_law(layer, "strain"), layer if isinstance(layer, ThinLayer) else None
+        if law.traits.constrained:
+            raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
+        law.check_dimension(self._dim)
+        sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
+        if thin and thin.profile is not None:
+            eps = eps * sides.upper(self._relative_thickness(thin.profile))
+        return surface(law if law.traits.compiled else constants(law, self.mesh), sides, eps, thin.order if thin else 0)
+
+    def _relative_thickness(self, profile: Profile) -> fem.Function:
+        """A profile at the vertices, linear in between."""
+        shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
+        with on_all(self.comm):
+            shape.interpolate(lambda x: profile(x[: self._dim]))
+        return shape
+
+    # ---------------------------------------------------------------- the tags
+    def _sum(self, *counts: int) -> list[int]:
+        return [int(n) for n in self.comm.allreduce(np.array(counts, np.int64))]
+
+    def _owned(self, tag: int) -> Facets:
+        """This rank's own facets with a tag, sorted."""
+        facets = self.facet_tags.find(tag)
+        return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
+
+    def _known(self) -> str:
+        found = {int(tag) for tags in self.comm.allgather(np.unique(self.facet_tags.values)) for tag in tags}
+        return ", ".join(map(str, sorted(found))) or "none"
+
+    def _bodies(self) -> npt.NDArray[np.int32]:
+        """Body of each local cell, ghosts included."""
+        imap = self.mesh.topology.index_map(self._dim)
+        tagged, body = la.vector(imap, dtype=np.int32), la.vector(imap, dtype=np.int32)
+        own = self.bodies.indices < imap.size_local
+        tagged.array[self.bodies.indices[own]] = 1
+        body.array[self.bodies.indices[own]] = self.bodies.values[own]
+        (lost,) = self._sum(imap.size_local - np.count_nonzero(tagged.array[: imap.size_local]))
+        if lost:
+            raise ModelError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
+        body.scatter_forward()
+        return np.asarray(body.array)
+
+    def _check_cuts(self, cuts: Facets) -> None:
+        """Refuse bodies that meet where no layer holds them, and an S inside a body."""
+        topology = self.mesh.topology
+        own = np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32)
+        inner = np.setdiff1d(own, self._outer)
+        cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
+        (lost,) = self._sum(np.count_nonzero(cells_of[inner] < 2))
+        if lost:
+            raise ModelError(
+                f"the mesh has no ghost cells across {lost} facets between ranks; create it with "
+                "ghost_mode=dolfinx.mesh.GhostMode.shared_facet (of gmsh and XDMF files: a partitioner with this mode)"
+            )
+        pairs, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
+        number = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
+        apart = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
+        cut = np.isin(number, cuts)
+        self._refuse(
+            number[apart & ~cut], "where two bodies meet are not in S: tag them, or give both bodies one value"
+        )
+        self._refuse(number[cut & ~apart], "of S lie inside a body: give the bodies on its two sides different values")
+
+    def _refuse(self, facets: Facets, what: str) -> None:
+        (count,) = self._sum(len(facets))
+        if count:
+            places = dolfinx.mesh.compute_midpoints(self.mesh, self._dim - 1, facets[:1])[:, : self._dim]
+            first = next(p[0] for p in self.comm.allgather(places) if len(p))
+            raise ModelError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")
+
+    def _oriented(self, tag: int, facets: Facets, upper: Upper) -> Facets:
+        """(upper cell, local facet, lower cell, local facet) of facets between bodies, (n, 4)."""
+        rows = interior_facet_entities(self.mesh, facets)
+        first, second = rows[:, 0], rows[:, 2]
+        if upper is None:
+            swap = self._body[first] < self._body[second]
+        elif isinstance(upper, int | np.integer | set | frozenset):
+            above = np.isin(self._body, list(upper) if isinstance(upper, set | frozenset) else [upper])
+            what = f"with tag {tag} do not have one side in {upper} and the other outside"
+            self._refuse(facets[above[first] == above[second]], what)
+            swap = above[second]
+        else:
+            swap = ~self._points_to(first, tag, facets, np.asarray(upper, float))
+        rows[swap] = rows[swap][:, [2, 3, 0, 1]]
+        return rows
+
+    def _points_to(self, cells: Facets, tag: int, facets: Facets, direction: Array) -> npt.NDArray[np.bool_]:
+        """Whether cells lie on the side of their facets that a direction points to."""
+        if direction.shape != (self._dim,) or not np.linalg.norm(direction) > 0:
+            raise ModelError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
+        normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]
+        cosines = normals @ direction / np.linalg.norm(direction)
+        what = f"with tag {tag} are parallel to {tuple(map(float, direction))}, which does not tell their upper side"
+        self._refuse(facets[np.abs(cosines) < ALONG], what)
+        middle = dolfinx.mesh.compute_midpoints
+        towards = middle(self.mesh, self._dim, cells) - middle(self.mesh, self._dim - 1, facets)
+        return np.asarray(np.einsum("fk,fk->f", towards[:, : self._dim], normals) * cosines > 0)

@@ -1,0 +1,80 @@
+"""The loads and the supports of a model over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import dolfinx.fem.petsc
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from thinlayer.discretisation.model import Model
+from thinlayer.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
+BETWEEN = (0.21, 0.5, 0.83)  # shares of an interval of time at which it is looked at
+
+
+class LoadHistory:
+    """Nodal forces of the loads and prescribed displacements, as functions of time. Collective, as all methods are."""
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.comm = model, model.comm
+        self._moment = model.coordinates.moment(0.0)
+        self._work = fem.form(model.forces.work(ufl.TestFunction(model.V), self._moment))
+        self._prescribed = model.supports.on(model.V)
+
+    @property
+    def held(self) -> npt.NDArray[np.int32]:
+        """Displacements of this rank that supports prescribe."""
+        return self._prescribed.held
+
+    def loads_at(self, t: float) -> PETSc.Vec:
+        """Nodal forces of the loads at a time; whoever asks destroys them.
+
+        Raises:
+            ModelError: loads that are not finite.
+        """
+        self._moment.set(t)
+        b = dolfinx.fem.petsc.assemble_vector(self._work)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        if not np.isfinite(b.norm()):
+            names = self.model.forces.not_finite(t)
+            raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *names]))
+        return b
+
+    def prescribed_at(self, t: float) -> Array:
+        """Prescribed displacements at a time, in the order of `held`.
+
+        Raises:
+            ModelError: one of them is not finite.
+        """
+        prescribed = self._prescribed.at(t)
+        if self.comm.allreduce(int(not np.isfinite(prescribed).all())):
+            raise ModelError(f"a prescribed displacement is not finite at t = {t:g}")
+        return prescribed
+
+    def given_at(self, t: float) -> list[Array]:
+        """Loads and prescribed displacements at a time, on this rank."""
+        loads = self.loads_at(t)
+        given = [loads.array_r.copy(), self.prescribed_at(t)]
+        loads.destroy()
+        return given
+
+
+def linear_in_time(given_at: Callable[[float], list[Array]], start: float, end: float, comm: MPI.Intracomm) -> bool:
+    """Whether values of all ranks are linear in time between two times, as far as a few times tell. Collective."""
+    first, last = given_at(start), given_at(end)
+    for share in BETWEEN:
+        now = given_at(start + share * (end - start))
+        for a, b, c in zip(first, last, now, strict=True):
+            apart = np.abs((1 - share) * a + share * b - c).max(initial=0.0)
+            size = np.abs([a, b, c]).max(initial=0.0)
+            if comm.allreduce(float(apart), max) > LINEARITY * comm.allreduce(float(size), max):
+                return False
+    return True

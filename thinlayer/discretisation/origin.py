@@ -1,0 +1,42 @@
+"""Where a mesh comes from: the joint's numbers, places and columns, for laws that act at points."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from geometry.domain import Domain
+from geometry.joint import Joint, S
+from thinlayer.discretisation.loads import Coordinates
+from thinlayer.pointwise.quadrature import Origin
+
+Array = npt.NDArray[np.float64]
+
+
+def origin_of(domain: Domain) -> Origin:
+    """The joint that a domain was made from."""
+    return Origin(domain.comm, Coordinates.of(domain).x, domain.numbers, partial(column_numbers, domain.joint))
+
+
+def column_numbers(joint: Joint) -> tuple[npt.NDArray[np.int64], Array]:
+    """The column of every cell of an inflated joint (-1 outside the layer), or of every facet; and their centres.
+
+    Returns:
+        Numbers (cells or facets,), and the centres (columns, d) of the facets of S in the joint before inflating.
+    """
+    if joint.band is None:
+        rows = np.sort(joint.table.index(joint.facets[S]))
+        numbers = np.full(len(joint.table.vertices), -1, np.int64)
+        numbers[rows] = np.arange(len(rows))
+        return numbers, joint.points[joint.table.vertices[rows]].mean(axis=1)
+    layer = np.flatnonzero(joint.side == 0)
+    places, place = np.unique(joint.reference, axis=0, return_inverse=True)
+    below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice
+    below[:, 1:][below[:, 1:] == below[:, :-1]] = -1
+    facets, column = np.unique(np.sort(below, axis=1), axis=0, return_inverse=True)
+    numbers = np.full(len(joint.cells), -1, np.int64)
+    numbers[layer] = column.ravel()
+    vertices = (facets >= 0)[:, :, None]
+    return numbers, (places[facets] * vertices).sum(axis=1) / vertices.sum(axis=1)

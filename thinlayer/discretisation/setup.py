@@ -1,0 +1,123 @@
+"""Setup: what all models of a structure share, checked once, on all ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from forms.law import BulkLaw, Law
+from forms.tangent import Array, require_stable_body, tangent_at_rest
+from geometry.joint import Joint, unknown
+from geometry.sheet import Sheet
+from geometry.topology import is_tensor
+from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.forces import BodyForce
+from thinlayer.discretisation.layer import in_plane
+from thinlayer.discretisation.loads import Given, Load
+from thinlayer.errors import ModelError
+from thinlayer.parallel.agreement import on_all, require_same
+
+ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
+PLANES = ("strain", "stress")
+
+
+class Setup:
+    """A joint with the laws of its bodies, supports and loads.
+
+    Attributes:
+        joint: the joint before inflating.
+        plane: "strain" or "stress".
+        element: the elements of displacements.
+        body_laws: law of each body.
+        supports, tractions, body_force, parts: as given.
+        comm: MPI communicator; None stands for the world.
+        mark: stands for the data on several ranks, which all have the same.
+    """
+
+    def __init__(
+        self,
+        joint: Joint,
+        *,
+        body: BulkLaw | Mapping[str, BulkLaw],
+        supports: Given,
+        tractions: Mapping[str, Load] | None = None,
+        body_force: BodyForce | None = None,
+        plane: str = "strain",
+        element: str | None = None,
+        parts: Sequence[Addition] = (),
+        comm: MPI.Intracomm | None = None,
+    ) -> None:
+        self.joint, self.plane, self.comm = joint, plane, comm
+        self.supports, self.tractions, self.body_force = supports, tractions, body_force
+        self.parts = tuple(parts)
+        with on_all(comm):
+            self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
+            self._check_choices()
+            self.body_laws = self._laws_of(body)
+            for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
+                require_stable_body(law, C, joint.dim)
+        self.mark = require_same(
+            comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
+            plane=plane, element=self.element, parts=self.parts,
+        )  # fmt: skip
+
+    @property
+    def degree(self) -> int:
+        """Polynomial degree of the displacements."""
+        return int(self.element[1])
+
+    @cached_property
+    def sheet(self) -> Sheet:
+        """S as a sheet of straight simplices."""
+        return Sheet(self.joint)
+
+    @cached_property
+    def bodies_at_rest(self) -> list[Array | None]:
+        """Tangents of the bodies' laws at rest; None: not known."""
+        n = self.sheet.mean_normal
+        return [tangent_at_rest(in_plane(law, self.plane), n) for law in self.body_laws.values()]
+
+    @property
+    def size(self) -> float:
+        """Largest extent of the bodies along an axis."""
+        return float(np.ptp(self.joint.points, axis=0).max())
+
+    def _check_choices(self) -> None:
+        joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
+        if self.plane not in PLANES:
+            raise ModelError(unknown("plane", self.plane, PLANES))
+        if self.plane == "stress" and joint.dim == 3:
+            raise ModelError("plane='stress' needs a two-dimensional joint")
+        if self.element not in elements:
+            raise ModelError(
+                f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"
+            )
+
+    def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
+        """The law of each body, in the same order on all ranks."""
+        regions = self.joint.bodies
+        laws: dict[str, BulkLaw] = dict(body) if isinstance(body, Mapping) else dict.fromkeys(regions, body)
+        for name in laws:
+            if name not in regions:
+                raise ModelError(unknown("body", name, regions))
+        for name in regions:
+            law = laws.get(name)
+            if not isinstance(law, Law):
+                raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
+            if law.traits.compiled or law.traits.constrained or law.traits.of_jumps:
+                raise ModelError(f"body {name!r}: {type(law).__name__} is for layers; bodies take elastic laws")
+            if law.traits.softens:
+                raise ModelError(
+                    f"body {name!r}: the stress of {type(law).__name__} falls as strains grow: all strain would "
+                    "gather in one row of cells; let a layer soften, on S"
+                )
+        return {name: laws[name] for name in regions}
+
+
+def _ordered(given: Any) -> Any:
+    """Data with the order of its entries: later supports decide where two overlap."""
+    return [list(entry) for entry in given.items()] if isinstance(given, Mapping) else given

@@ -1,0 +1,61 @@
+"""Structure: bodies, supports and loads, from which the models of a thin layer are made."""
+
+from __future__ import annotations
+
+from thinlayer.discretisation.kinds import BondedModel, FullModel, InterfaceModel
+from thinlayer.discretisation.layer import Layer, ThinLayer
+from thinlayer.discretisation.setup import Setup
+
+
+class Structure(Setup):
+    """A structure with a thin soft layer: bodies, supports and loads, given once for all of its models. Collective.
+
+    Args:
+        joint: the joint; S is where the layer is.
+        body: law of the bodies (moduli: stress), or region name -> law.
+        supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer.
+        tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that returns d
+            components. On the bodies, and with bodies="extended" on the part of the layer's side that was theirs, so that
+            the loads of all models are the same; name "NAME/LAYER" to load that side by itself.
+        body_force: (d,) force per volume in the bodies, likewise, or region name -> force.
+        plane: "strain" or "stress" (linear elastic laws only).
+        element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
+        parts: what is added to the balance of forces: `Springs`, `UflPart`, or an `Addition` of one's own.
+        comm: MPI communicator (default: the world).
+
+    Raises:
+        ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed; what only a mesh tells
+            (names of facets, loads) when a model is made.
+    """
+
+    def full(self, layer: ThinLayer, *, bodies: str = "kept", cells_through: int = 4) -> FullModel:
+        """The model whose layer is meshed. Collective.
+
+        Args:
+            layer: law and thickness of the layer; S is inflated by the thickness.
+            bodies: "kept" or "extended", see `geometry.inflate`.
+            cells_through: number of cells through the layer's thickness.
+
+        Raises:
+            ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
+        """
+        return FullModel(self, layer, bodies=bodies, cells_through=cells_through)
+
+    def interface(self, layer: Layer) -> InterfaceModel:
+        """The model whose layer is replaced by its interface law on S. Collective.
+
+        Args:
+            layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law.
+
+        Raises:
+            ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
+        """
+        return InterfaceModel(self, layer)
+
+    def bonded(self) -> BondedModel:
+        """The model without a layer: bodies perfectly bonded on S (on a rigid base S does not move). Collective.
+
+        Raises:
+            ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
+        """
+        return BondedModel(self)

@@ -1,0 +1,128 @@
+"""Sweeps of comparisons as eps -> 0, with observed orders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from forms.law import LawError
+from geometry.parallel import on_root
+from thinlayer.errors import ModelError
+from thinlayer.files.folder import LOCK, owned
+from thinlayer.files.progress import track
+from thinlayer.files.table import Row, Table, read_back
+from thinlayer.output.sweep_file import ERRORS, ORDERS, SweepFile
+from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer_base import is_number
+
+SAME_EPS = 1e-9  # relative: thicknesses that are computed in two ways
+
+
+def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
+    """Observed order between each row and the one before it, log(e_k-1/e_k)/log(eps_k-1/eps_k).
+
+    None for the first row, and where one of the two errors is zero or not finite.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, e = np.log(np.array(list(eps), float)), np.log(np.array(list(errors), float))
+        orders = np.diff(e) / np.diff(x)
+    return [None, *(order if math.isfinite(order) else None for order in orders.tolist())]
+
+
+def sweep(
+    run: Callable[[float], Mapping[str, Any]],
+    eps: Iterable[float],
+    out: str | Path | None = None,
+    resume: bool = False,
+) -> Table:
+    """A table of comparisons over decreasing thickness, with observed orders. Collective.
+
+    Args:
+        run: eps -> a row with error_traction and error_jump, such as `compare` returns; the same on all ranks.
+        eps: thicknesses, > 0 and different.
+        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. Beside it
+            stands out.json, which tells what the rows were made from: the code of `run` and what it refers to. The file of
+            another sweep, or of anything else, is moved to previous-1, previous-2, ... in its folder.
+        resume: keep the rows that `out` already has, and compute the others.
+
+    Raises:
+        LawError: a thickness out of range or given twice. ModelError: a row of another thickness, lacking columns or with
+            others than the first; `out` is a folder, cannot be written, another run writes it, or it is to be resumed and
+            is another sweep's. OSError: a row could not be written. All of them on all ranks.
+    """
+    with on_all(MPI.COMM_WORLD):
+        if out is not None and Path(out).is_dir():
+            raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
+        try:
+            given = () if isinstance(eps, str) else tuple(eps)
+            if not given or not all(map(is_number, given)):
+                raise TypeError("thicknesses are numbers")
+            values = sorted(map(float, given), reverse=True)
+        except (TypeError, ValueError) as error:
+            raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
+        if values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
+            raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
+    require_same(MPI.COMM_WORLD, eps=values, out=out and str(out), resume=resume)
+    path = None if out is None else Path(out)
+    with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
+        file = None if path is None else SweepFile(path, run)
+        rows = {} if file is None else on_root(None, lambda: file.begin(resume))
+        for e in track(values, "sweep", "eps = {:g}"):
+            if e not in rows:
+                rows[e] = _row(run, e, next(iter(rows.values()), None))
+                if file is not None:
+                    table = _with_orders(rows)
+                    on_root(None, lambda table=table: file.write(table))  # type: ignore[misc]
+        return _with_orders(rows)
+
+
+def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
+    """The row of a thickness, as any rank's error is all ranks'."""
+    what = "return what compare returns"
+    with on_all(MPI.COMM_WORLD):
+        row = run(eps)
+    problem = _flaw(row, eps, first)
+    if problem := next(filter(None, MPI.COMM_WORLD.allgather(problem)), None):
+        raise ModelError(f"run({eps:g}) returns {problem}; {what}")
+    row = {name: read_back(row[name]) for name in (*ERRORS, *(n for n in row if n not in ERRORS))} | {"eps": eps}
+    return row if first is None else {name: row[name] for name in first}
+
+
+def _flaw(row: Any, eps: float, first: Row | None) -> str | None:
+    """What is wrong with a row."""
+    if not isinstance(row, Mapping):
+        return repr(row)
+    if missing := {*ERRORS} - row.keys():
+        return f"a row without {', '.join(sorted(missing))}"
+    if taken := [name for name in row if name in ORDERS or not isinstance(name, str)]:
+        return f"a row with {taken[0]!r}; names of columns are texts, and the sweep itself adds {', '.join(ORDERS)}"
+    for name, value in row.items():
+        if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
+            return f"{name} = {value!r}, which is neither a number nor a text"
+        if name in ERRORS and not isinstance(value, Real):
+            return f"{name} = {value!r}, which is no number"
+    if not abs(float(row["eps"]) - eps) <= SAME_EPS * eps:
+        return f"a row of another thickness, eps = {float(row['eps']):g}"
+    if first is not None and set(row) != set(first):
+        return f"a row with the columns {', '.join(row)}, where the first row has {', '.join(first)}"
+    return None
+
+
+def _with_orders(rows: Mapping[float, Row]) -> Table:
+    """The table of rows by thickness, descending, with the observed orders between each row and the one before."""
+    ordered = [rows[e] for e in sorted(rows, reverse=True)]
+    columns = {name: [float(row[name]) for row in ordered] for name in ERRORS}  # type: ignore[arg-type]
+    orders = {name: observed_orders(columns["eps"], columns[f"error_{name}"]) for name in ("traction", "jump")}
+    table = Table()
+    for k, row in enumerate(ordered):
+        first = {name: row[name] for name in ERRORS}
+        rest = {name: value for name, value in row.items() if name not in ERRORS}
+        table.append(first | {f"order_{name}": orders[name][k] for name in orders} | rest)
+    return table

@@ -1,0 +1,95 @@
+"""The csv file of a sweep, and the file beside it that says what its rows were made from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from thinlayer.errors import ModelError
+from thinlayer.files.folder import moved_away
+from thinlayer.files.table import Row, Table, hash_of, replaced
+from thinlayer.identity.described import referred
+from thinlayer.identity.describer import CODE, SAME
+from thinlayer.identity.differences import MISSING, differences
+
+ERRORS = ("eps", "error_traction", "error_jump")
+ORDERS = ("order_traction", "order_jump")  # what a sweep adds
+
+
+class SweepFile:
+    """The csv file of a sweep, and beside it the one that says what its rows were made from; on one rank.
+
+    What `run` itself changes as it goes, such as a list of what it has found, is no part of that; what stands beside it,
+    and code, are.
+    """
+
+    def __init__(self, path: Path, run: Callable[[float], Mapping[str, Any]]) -> None:
+        self.path, self.beside, self._run = path, path.with_name(f"{path.name}.json"), run
+        self._made_from = referred(run)
+        self._changing: set[tuple[str, ...]] = set()
+
+    def begin(self, resume: bool) -> dict[float, Row]:
+        """Thickness -> row, without orders, of the rows that are kept; errors as in `sweep`."""
+        if not self.path.exists():
+            return {}
+        problem = self._problem()
+        if problem and resume:
+            raise ModelError(f"{problem}; give another name, or remove it")
+        if problem:
+            moved_away(self.path.parent, [self.path.name, self.beside.name])
+        if not resume:
+            return {}
+        rows = Table.got(self.path).rows
+        if any(not isinstance(row.get(name), float) for row in rows for name in ERRORS):
+            raise ModelError(f"{str(self.path)!r} is not the table of a sweep; give another name, or remove it")
+        return {float(row["eps"]): {n: v for n, v in row.items() if n not in ORDERS} for row in rows}  # type: ignore[arg-type]
+
+    def _problem(self) -> str | None:
+        """Why the table that is there is not of this sweep."""
+        name = str(self.path)
+        if not self.beside.exists():
+            return (
+                f"{name!r} is not the table of a sweep: there is no {self.beside.name} that tells what it was made from"
+            )
+        try:
+            content = json.loads(self.beside.read_text(encoding="utf-8"))
+            there, changing, hashes = (
+                dict(content["made from"]),
+                {*map(tuple, content["changing"])},
+                [*content["sha256"]],
+            )
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            return f"{str(self.beside)!r} cannot be read ({error})"
+        if hash_of(self.path) not in hashes:
+            return f"{name!r} is not the table of a sweep: it has been changed since one wrote it"
+        self._changing = changing
+        found = [one for one in differences(there, self._made_from) if _changed(*one) not in changing]
+        what = "; ".join(f"{'.'.join(path)}: {_short(one)} there, {_short(two)} here" for path, one, two in found)
+        return f"{name!r} is the table of another sweep ({what})" if found else None
+
+    def write(self, table: Table) -> None:
+        """Replace the table. The file beside it names the old and the new one, and is written first."""
+        changed = (_changed(*one) for one in differences(self._made_from, referred(self._run)))
+        self._changing |= {path for path in changed if path}
+        hashes = [hash_of(self.path), hashlib.sha256(table.content()).hexdigest()]
+        content = {"made from": self._made_from, "changing": sorted(self._changing), "sha256": hashes}
+        with replaced(self.beside) as file:
+            file.write(json.dumps(content, indent=1).encode() + b"\n")
+        table.put(self.path)
+
+
+def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
+    """What has changed where two descriptions differ: a value, or that there are further ones ("*"); None for code."""
+    if {CODE, SAME} & {*path}:
+        return None
+    return (*path[:-1], "*") if one is MISSING else path
+
+
+def _short(value: Any) -> str:
+    if value is MISSING:
+        return "nothing"
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 200 else f"{text[:200]} ..."

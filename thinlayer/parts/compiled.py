@@ -1,0 +1,158 @@
+"""A compiled law at its quadrature points, as a part of the balance of forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from forms.law import LawError
+from forms.symmetry import NOT_SYMMETRIC
+from forms.work import Term
+from thinlayer.discretisation.model import Model
+from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits, may_weaken
+from thinlayer.parts.softening import may_soften
+from thinlayer.parts.time_response import not_linear_at_once, takes_time
+from thinlayer.pointwise.compiled_term import CompiledTerm
+
+ASYMMETRY = 1e-8  # of a tangent, over its size
+
+
+class CompiledPart(Part):
+    """A compiled law over a time step.
+
+    Attributes:
+        points: where it acts.
+        eased: ease of the law, 0: itself.
+    """
+
+    def __init__(self, key: str, model: Model, term: Term) -> None:
+        self.key, self.comm, self._symmetric = key, model.comm, model.symmetric
+        self.points = CompiledTerm(model.V, term, model.origin)
+        self.law = law = term.law
+        self._t = 0.0
+        self.traits = PartTraits(
+            uses_dt=not law.traits.switches,
+            weakens=may_weaken(law),
+            singular=law.traits.singular,
+            eases=law.traits.eases,
+            switches=law.traits.switches,
+        )
+
+    def destroy(self) -> None:
+        self.points.destroy()
+
+    @property
+    def comms(self) -> list[MPI.Intracomm]:
+        return [self.points.B.getComm().tompi4py()]
+
+    # ---------------------------------------------------------------- a step
+    def rest(self) -> Array:
+        return self.points.rest()
+
+    def at_time(self, t: float) -> None:
+        self._t = t
+        self.points.at_time(t)
+
+    def parameters(self) -> list[Array]:
+        material = self.points.material
+        return [material.parameters] if material.varies else []
+
+    def ease(self, ease: float) -> None:
+        self.points.ease(ease)
+        self.points.at_time(self._t)
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        self._e_old = self.points.strain(interval.old.u.x.petsc_vec)
+        self._memory = interval.old.memory[self.key]
+        self.at_time(interval.balanced)
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        self._u, self._e = u, self.points.strain(u.x.petsc_vec)
+        self._response = self.points.respond(self._e, self._e_old, self._memory, self.interval.dt, self.interval.theta)
+        self.failed = self.comm.allreduce(self._response.failed)
+
+    def failure(self) -> str:
+        if not self.failed:
+            return ""
+        first = next(filter(None, self.comm.allgather(self.points.failure(self._response))))
+        return f"the layer's law failed at {self.failed} points: {first}"
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        out.axpy(1.0, self.points.forces(self._response.stress))
+        return 0.0
+
+    def tangents(self, lack: float) -> list[Block]:
+        """Raises LawError for a law that says it is symmetric, and is not: half of its tangent would be lost."""
+        if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:
+            raise LawError(NOT_SYMMETRIC.format(type(self.law).__name__, skew))
+        return [Block(self.points.stiffness(self._response.tangent, lack))]
+
+    # ---------------------------------------------------------------- an accepted step
+    def commit(self) -> Outcome:
+        """Laws know their own remainder only of parameters that stay the same: where they vary it is what is left."""
+        response, interval = self._response, self.interval
+        before = interval.old.stored.get(self.key, 0.0)
+        after, dissipated, remainder = self.comm.allreduce(response.energies)
+        if self.points.material.varies:
+            if interval.t != self._t:
+                after = self._stored_at(interval.t)
+            change = self._u.x.petsc_vec.copy()
+            change.axpy(-1.0, interval.old.u.x.petsc_vec)
+            remainder = float(self.points.forces(response.stress).dot(change)) - (after - before) - dissipated
+            change.destroy()
+        return Outcome(before, float(after), float(dissipated), float(remainder), response.memory)
+
+    def _stored_at(self, t: float) -> float:
+        """Energy of the last response with the parameters of a time; the law keeps those that it answers with."""
+        answering = self._t
+        self.at_time(t)
+        stored = self.points.stored(self._e, self._response.memory, self.interval.dt)
+        self.at_time(answering)
+        return float(self.comm.allreduce(stored))
+
+    @property
+    def excess(self) -> float:
+        switching = self.points.switching
+        return switching.excess(self._response.memory) if switching else super().excess
+
+    def switch(self) -> bool:
+        switching = self.points.switching
+        new = switching.switched(self._response.memory, self._memory) if switching else None
+        if new is None:
+            return False
+        self._memory = new
+        return True
+
+    # ---------------------------------------------------------------- what is asked about it
+    def undeclared_softening(self) -> tuple[str, str] | None:
+        if not may_soften(self.law):
+            return None
+        count = self.comm.allreduce(self.points.falls(self._e, self._e_old, self._memory, self._response))
+        return (type(self.law).__name__, f"at {count} points") if count else None
+
+    def takes_time(self) -> str:
+        return type(self.law).__name__ if takes_time(self.points) else ""
+
+    def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
+        return not_linear_at_once(self.points, times)
+
+    def seen(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+        return (self.points.strain(u.x.petsc_vec) * np.sqrt(np.abs(self.points.weights))[:, None]).ravel()
+
+    def seen_of_unit_jump(self) -> float:
+        steepest = float(self.points.B.norm(PETSc.NormType.INFINITY))
+        return steepest**2 * float(self.comm.allreduce(float(np.abs(self.points.weights).sum())))
+
+    @property
+    def file_order(self) -> FileOrder:
+        """By cell, or facet; on facets, which may be seen from either side, points are put in the order of their places."""
+        points = self.points
+        numbers = points.original[: len(points.cells)]
+        if points.region.dim < points.dim:
+            return FileOrder.by_place(numbers, points.cells, points.x)
+        return FileOrder(numbers, points.cells)

@@ -1,0 +1,76 @@
+"""A contact law at the nodes of S, as a part of the balance of forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from forms.contact import ContactLaw
+from thinlayer.contact.nodes import CONTACT, Array, ContactNodes
+from thinlayer.discretisation.model import Model
+from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
+
+
+class ContactPart(Part):
+    """A contact law over a time step; what it remembers is the slip at the nodes of this rank.
+
+    Attributes:
+        law: the law.
+        nodes: where it acts.
+    """
+
+    key = CONTACT
+    traits = PartTraits(releases=True)
+
+    def __init__(self, model: Model, law: ContactLaw, held: npt.NDArray[np.int32]) -> None:
+        self.law, self.nodes = law, ContactNodes(model, held)
+        if self.nodes.lower is not None:
+            areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
+            self.cancelling = float(max(law.K_N, law.K_T) * np.sqrt(areas))
+
+    def rest(self) -> Array:
+        return np.zeros((len(self.nodes.upper), self.nodes.dim - 1))
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        self._slip = interval.old.memory[self.key]
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        self._w = self.nodes.jump(u.x.petsc_vec)
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        self.nodes.add_forces(self.law.traction(self._w, self._slip), out)
+        return 0.0
+
+    def tangents(self, lack: float) -> list[Block]:
+        """At rest, where the law has no tangent, that of bonded springs."""
+        w = self._w
+        moved = self.nodes.comm.allreduce(int(w.any()))
+        C = self.law.tangent(w, self._slip) if moved else self.law.bonded(len(w), self.nodes.dim)
+        return [Block(self.nodes.stiffness(C))]
+
+    def commit(self) -> Outcome:
+        w, law, nodes = self._w, self.law, self.nodes
+        old = self.interval.old
+        stored, dissipated = law.energies(w, self._slip)
+        worked = (law.traction(w, self._slip) * (w - nodes.jump(old.u.x.petsc_vec))).sum(axis=1)
+        sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked)]))
+        after, lost, work = map(float, sums if law.traits.has_energy else np.full(3, np.nan))
+        before = old.stored.get(self.key, 0.0)
+        return Outcome(before, after, lost, work - (after - before) - lost, law.slip_after(w, self._slip))
+
+    def seen(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+        return (self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]).ravel()
+
+    def seen_of_unit_jump(self) -> float:
+        return float(self.nodes.comm.allreduce(float(self.nodes.weights.sum())))
+
+    @property
+    def file_order(self) -> FileOrder:
+        numbers = self.nodes.numbers
+        return FileOrder(numbers, np.arange(len(numbers))[:, None])
+
+    def destroy(self) -> None:
+        self.nodes.destroy()

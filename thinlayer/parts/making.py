@@ -1,0 +1,33 @@
+"""The parts of a model's balance of forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from thinlayer.discretisation.model import Model
+from thinlayer.parts.compiled import CompiledPart
+from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.forms import LawForms
+from thinlayer.parts.part import Part
+from thinlayer.parts.places import compiled_terms
+from thinlayer.parts.pressure import PressurePart
+
+
+def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
+    """The parts of a model, with keys of their own, the bodies' first. Collective.
+
+    Args:
+        model: the model.
+        held: displacements of this rank that supports prescribe (local, unrolled).
+    """
+    forms = LawForms(model)
+    parts: list[Part] = [forms]
+    parts += [CompiledPart(key, model, term) for key, term in compiled_terms(model).items()]
+    parts += [
+        PressurePart(model.V, p, forms.largest, model.origin)
+        for p in [p for p in model.terms if p.law.traits.constrained][:1]
+    ]
+    if model.contact:
+        parts.append(ContactPart(model, model.contact, held))
+    return parts + [addition.part(model) for addition in model.parts]

@@ -1,0 +1,97 @@
+"""The pressure of an incompressible layer: a field on the cells of the meshed layer, or on S."""
+
+from __future__ import annotations
+
+import dolfinx.fem.petsc
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from forms.work import Term
+from thinlayer.discretisation.state import PRESSURE, State
+from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Outcome, Part, PartTraits
+from thinlayer.pointwise.quadrature import Origin, Region
+
+
+class PressurePart(Part):
+    """int q tr e(u) = 0 for all pressures q, continuous of degree 1, beside displacements of degree 2.
+
+    In the meshed layer this is the pair of Taylor and Hood. On S a multiplier of degree 1 meets jumps of degree 2.
+
+    Args:
+        V: displacements.
+        term: where the incompressible law acts.
+        stiffness: force over displacement that the bodies answer a node with, > 0. The rows of G are made forces with it,
+            like those of the balance: residuals of both are of one unit then.
+        origin: what files know the cells of the mesh by.
+
+    Attributes:
+        region: the cells of the meshed layer, or S.
+        unit: what G is multiplied by; the unknown pressures of `field` are over it.
+        G: matrix of int q tr e(v), times the unit, pressures by displacements.
+    """
+
+    key = PRESSURE
+    traits = PartTraits(saddle=True, weakens=True)
+    hint = "S has too few cells for the pressures of its layer"
+
+    def __init__(self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None) -> None:
+        self._origin = origin
+        self.region = region = Region(V.mesh, term.measure)
+        space = fem.functionspace(region.mesh, ("Lagrange", 1))
+        self.field = self._p = fem.Function(space)
+        q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
+        form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
+        self.G = dolfinx.fem.petsc.assemble_matrix(fem.form(form, entity_maps=region.maps))
+        self.G.assemble()
+        self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
+        self.G.scale(self.unit)
+        self._turned = PETSc.Mat()
+        self.G.transpose(self._turned)
+        self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        self.G.mult(u.x.petsc_vec, self._volume)
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        self.G.multTranspose(self._p.x.petsc_vec, self._forces)
+        out.axpy(1.0, self._forces)
+        return 0.0
+
+    def own_residual(self) -> Array:
+        return np.asarray(self._volume.array_r)
+
+    def tangents(self, lack: float) -> list[Block]:
+        return [
+            Block(self._turned, row=DISPLACEMENTS, column=self.key, kept=True),
+            Block(self.G, row=self.key, column=DISPLACEMENTS, kept=True),
+        ]
+
+    def commit(self) -> Outcome:
+        """Pressures of a constraint that holds do no work."""
+        return Outcome(kept=False)
+
+    def own_start(self, old: State) -> Array:
+        p = old.fields.get(self.key)
+        return super().own_start(old) if p is None else p.x.array[: self.own_size] / self.unit
+
+    def own_result(self) -> fem.Function:
+        """The pressure at the end of the step; the balance of forces has the one at t + theta dt."""
+        p, old, theta = self._p.copy(), self.interval.old.fields.get(self.key), self.interval.theta
+        p.x.array[:] *= self.unit
+        if theta < 1 and old is not None:
+            p.x.array[:] = (p.x.array - (1 - theta) * old.x.array) / theta
+        return p
+
+    @property
+    def own_file_order(self) -> FileOrder:
+        assert self._origin is not None, "a mesh without a joint"
+        space, region = self._p.function_space, self.region
+        cells = np.asarray(space.dofmap.list)
+        x = space.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
+        return FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
+
+    def destroy(self) -> None:
+        for thing in (self.G, self._turned, self._volume, self._forces):
+            thing.destroy()

@@ -1,0 +1,141 @@
+"""A UFL form of one's own, as a part of the balance of forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import dolfinx.fem.petsc
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from ufl.algorithms import expand_derivatives
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
+
+from forms.kinematics import Expr
+from thinlayer.discretisation.addition import Addition, Host
+from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.errors import ModelError
+from thinlayer.parts.forms import FormPart
+from thinlayer.parts.part import Outcome, PartTraits
+
+ASYMMETRY = 1e-12  # difference of a matrix from its transpose, over its norm, that still counts as rounding
+
+
+@dataclass(frozen=True)
+class UflPart(Addition):
+    """Forces that a UFL form gives: by their virtual work, or by the energy that they derive from.
+
+    UFL finds the derivatives. The form is taken where forces balance, at the displacements of t + theta dt. Give an energy
+    where there is one: the tangent is symmetric then, and the audit of a step has the energy. Forces that are given by
+    their work have a tangent that is not taken for symmetric, and no energy (NaN) unless they are linear and their matrix
+    is symmetric.
+
+    Attributes:
+        virtual_work: function (u, v, model) -> the virtual work at displacements u, a form linear in v; `model.dx` and
+            `model.ds` are measures, and `model.domain.values(name)` the tags of a boundary.
+        energy: function (u, model) -> the stored energy, a form without v. One of both is given.
+        key: names the part in `State.energies`.
+
+    Raises:
+        ModelError: neither function, or both. Once a model is made: what is no such form.
+    """
+
+    virtual_work: Callable[[Any, Any, Any], Any] | None = None
+    energy: Callable[[Any, Any], Any] | None = None
+    key: str = "own form"
+
+    def __post_init__(self) -> None:
+        given = [function for function in (self.virtual_work, self.energy) if function is not None]
+        if len(given) != 1 or not callable(given[0]):
+            raise ModelError(f"{self!r}: give one function, virtual_work(u, v, model) or energy(u, model)")
+
+    def check(self, model: Host) -> None:
+        """Raise ModelError unless the function gives a form that can be assembled on the model. Collective."""
+        u, v = fem.Function(model.V), ufl.TestFunction(model.V)
+        what = f"the part {self.key!r}"
+        try:
+            form = self._given(model, u, v)
+        except Exception as error:
+            raise ModelError(f"{what}: {type(error).__name__}: {error}") from error
+        arguments = () if self.virtual_work is None else (v,)
+        wanted = "of u alone" if self.virtual_work is None else "of u, and linear in v"
+        if not isinstance(form, ufl.Form):
+            raise ModelError(f"{what} gives {form!r}; it must be a UFL form {wanted}")
+        if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
+            raise ModelError(f"{what} is a form on another mesh than the model's; use model.dx and model.ds")
+        if not all(has_finite_numbers(integral.integrand()) for integral in form.integrals()):
+            raise ModelError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
+        if model.coordinates.t in form.constants():
+            raise ModelError(f"{what} depends on the time; what does is a load, or a support")
+        if form.arguments() != arguments or not _has_arity(form):
+            raise ModelError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
+
+    def _given(self, model: Host, u: Expr, v: Expr) -> Any:
+        return self.virtual_work(u, v, model) if self.virtual_work else self.energy(u, model)  # type: ignore[misc]
+
+    def work(self, model: Host, u: Expr, v: Expr) -> Any:
+        """Virtual work at displacements u, a form linear in v."""
+        if self.virtual_work:
+            return self.virtual_work(u, v, model)
+        assert self.energy is not None
+        unknown = fem.Function(model.V)
+        return ufl.replace(expand_derivatives(ufl.derivative(self.energy(unknown, model), unknown, v)), {unknown: u})
+
+    def is_linear(self, model: Host) -> bool:
+        return _has_arity(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
+
+    def is_symmetric(self, model: Host) -> bool:
+        return self.energy is not None
+
+    def part(self, model: Host) -> FormPart:
+        """The part of a model. Collective."""
+        return _OwnForms(self, model)
+
+
+class _OwnForms(FormPart):
+    """The forces of a `UflPart`: those of a matrix, or others."""
+
+    traits = PartTraits(saddle=True)
+
+    def __init__(self, given: UflPart, model: Host) -> None:
+        K = None
+        if linear := given.is_linear(model):
+            form = given.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V))
+            K = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
+            K.assemble()
+        super().__init__(
+            given.key,
+            model.V,
+            K,
+            None if linear else lambda u, v: given.work(model, u, v),
+            None if linear or given.energy is None else lambda u: given.energy(u, model),  # type: ignore[misc]
+        )
+        self._has_energy = K is None or _is_symmetric(K)
+        if not self._has_energy or not linear:
+            self.traits = replace(self.traits, weakens=True)
+
+    def commit(self) -> Outcome:
+        found = replace(super().commit(), kept=True)
+        nan = float("nan")
+        return found if self._has_energy else replace(found, before=nan, after=nan, remainder=nan)
+
+
+def _has_arity(form: Any) -> bool:
+    """Whether a form is linear in each of its arguments, and none of its terms is without one of them."""
+    try:
+        check_form_arity(apply_algebra_lowering(expand_derivatives(form)), form.arguments())
+    except (ArityMismatch, ValueError):  # UFL fails to say which terms of a sum do not match
+        return False
+    return True
+
+
+def _is_symmetric(K: PETSc.Mat) -> bool:
+    turned = PETSc.Mat()
+    K.transpose(turned)
+    turned.axpy(-1.0, K, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
+    apart = float(turned.norm())
+    turned.destroy()
+    return apart <= ASYMMETRY * float(K.norm())

@@ -1,0 +1,67 @@
+"""What results depend on besides a study's options: versions, PETSc options, the source code."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import platform
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from petsc4py import PETSc
+
+from thinlayer_base import PACKAGES
+
+INSTALLED = (
+    "fenics-dolfinx",
+    "fenics-basix",
+    "fenics-ufl",
+    "fenics-ffcx",
+    "petsc4py",
+    "mpi4py",
+    "numba",
+    "gmsh",
+    "meshio",
+    "pyvista",
+    "vtk",
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "rich",
+)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on; "not installed" where one lacks."""
+    import thinlayer
+
+    found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
+    found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
+    for name in INSTALLED:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def petsc_options() -> dict[str, Any]:
+    """The PETSc options in force, and where they may be from besides the command line."""
+    places = (Path.home() / ".petscrc", Path(".petscrc"), Path("petscrc"))
+    found = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
+    files = [str(path.absolute()) for path in places if path.is_file()]
+    return {"options": found, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", ""), "files": files}
+
+
+@cache
+def code() -> str:
+    """What stands for the source of the package and of its studies."""
+    folder, content = Path(__file__).parents[2], hashlib.sha256()
+    for package in (*PACKAGES, "studies"):
+        for path in sorted((folder / package).rglob("*")):
+            if path.suffix in (".py", ".c"):
+                content.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
+    return content.hexdigest()[:12]

@@ -1,0 +1,48 @@
+"""Where unknowns are in a vector: displacements first, then those that parts of the balance have beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+
+class Layout:
+    """The unknowns of this rank, those of each field in one piece. Collective.
+
+    Args:
+        comm: communicator.
+        fields: key -> the function that unknowns are values of, in the order of the unknowns.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
+        self.comm, self.fields = comm, fields
+        maps = {
+            key: (f.function_space.dofmap.index_map, f.function_space.dofmap.index_map_bs) for key, f in fields.items()
+        }
+        self.sizes = {key: int(imap.size_local * bs) for key, (imap, bs) in maps.items()}
+        self._ends = np.cumsum([*self.sizes.values()])
+
+    def vector(self) -> PETSc.Vec:
+        """A vector of unknowns, zero."""
+        return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
+
+    def split(self, values: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[np.float64]]:
+        """The pieces of all unknowns of this rank, by key; views."""
+        return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
+
+    def put(self, x: PETSc.Vec) -> None:
+        """Write unknowns into their functions, ghosts included."""
+        for key, values in self.split(x.array_r).items():
+            f = self.fields[key]
+            f.x.array[: len(values)] = values
+            f.x.scatter_forward()
+
+    def rows(self, local: npt.NDArray[np.int32]) -> npt.NDArray[PETSc.IntType]:
+        """Global numbers of unknowns of this rank."""
+        n = int(self._ends[-1])
+        return (self.comm.scan(n) - n + local).astype(PETSc.IntType)
