@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
-from thinlayer_base import PACKAGES, InputError, is_number
+from forms.base import PACKAGES, InputError, is_number
 
 DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))  # of the base classes
 ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain

@@ -11,9 +11,9 @@ import numpy.typing as npt
 import ufl
 from scipy.spatial.transform import Rotation
 
+from forms.base import is_number
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame, lift
 from forms.law import BulkLaw, LawError, Step, choice, require
-from thinlayer_base import is_number
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 OUT_OF_PLANE = [2, 3, 4]

@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.base import is_number
 from forms.declarations import SIZES, require_dataclass, require_declarations, take_back
 from forms.declarations import LawError as LawError
 from forms.kinematics import Expr
 from forms.traits import Traits
-from thinlayer_base import is_number
 
 
 class Step(NamedTuple):

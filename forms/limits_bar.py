@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import is_number
 from forms.declarations import LawError
 from forms.limits_non_monotone import ROUNDING, Array, fraction, mixed_share, phase_energy, require_pure
-from thinlayer_base import is_number
 
 
 class Response(NamedTuple):

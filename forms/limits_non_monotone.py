@@ -12,8 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import is_number
 from forms.declarations import LawError
-from thinlayer_base import is_number
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # relative, of bounds that parameters may meet exactly

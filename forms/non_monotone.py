@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from forms.base import is_number
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr, layer_frame, lift
 from forms.law import BulkLaw, LawError, Step, require
 from forms.temperature import Field, OfTemperature, evaluated, place, real, temperatures
 from forms.viscous import isotropic_energy
-from thinlayer_base import is_number
 
 Array = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 
 import ufl
 
+from forms.base import is_number
 from forms.declarations import warn_of_range
 from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
 from forms.law import BulkLaw, LawError, Step, choice, require
 from forms.viscous import isotropic_energy
-from thinlayer_base import is_number
 
 RADIANS = 1.6  # degrees: smaller friction angles look like radians, which end at pi/2
 LEAST_FRACTION = 1e-6  # that continuation takes before none at all

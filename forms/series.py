@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import is_number
 from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError, require
 from forms.traits import Traits
-from thinlayer_base import is_number
 
 
 def _fraction(a: Any) -> float:

@@ -9,6 +9,7 @@ from itertools import combinations
 import basix
 import numpy as np
 
+from forms.base import is_finite
 from geometry.joint import (
     BASE,
     FLAT,
@@ -33,7 +34,6 @@ from geometry.topology import (
     lagrange,
     node_jacobians,
 )
-from thinlayer_base import is_finite
 
 WAYS = ("kept", "extended")
 NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"

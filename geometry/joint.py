@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from forms.base import InputError, is_finite
 from geometry.sides import sides_by_direction, upper_cells
 from geometry.topology import (
     CELL_TYPES,
@@ -24,7 +25,6 @@ from geometry.topology import (
     lagrange,
     ridges,
 )
-from thinlayer_base import InputError, is_finite
 
 Profile = Callable[[FloatArray], FloatArray]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import is_finite
 from geometry.cells import Cells
 from geometry.joint import GeometryError, Joint, S, place, unknown
 from geometry.topology import IntArray
-from thinlayer_base import is_finite
 
 Groups = dict[str, npt.NDArray[np.bool_]]  # name -> which cells are in the group
 Names = tuple[str, ...]

@@ -10,13 +10,13 @@ import meshio
 import numpy as np
 from mpi4py import MPI
 
+from forms.base import is_finite
 from geometry.cells import Cells
 from geometry.joint import GeometryError, Joint, place
 from geometry.meshfile import cells_of, load
 from geometry.naming import Groups, Named, Sides
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
-from thinlayer_base import is_finite
 
 FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # how meshio's names of them start
 PHYSICAL = "gmsh:physical"

@@ -7,8 +7,8 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 
+from forms.base import InputError
 from geometry.topology import FACET_TYPES, FacetTable, FloatArray, IntArray
-from thinlayer_base import InputError
 
 LEAST_COSINE = 0.02  # between the direction of the upper side and the normals of S
 

@@ -9,7 +9,7 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
-from thinlayer_base import InputError
+from forms.base import InputError
 
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]

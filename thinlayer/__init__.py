@@ -79,7 +79,7 @@ def _refuse_shadows() -> None:
     program = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv
     if program and not sys.flags.safe_path and Path(sys.path[0]).resolve() == Path.cwd() != home:
         del sys.path[0]
-    for name in ("thinlayer_base", "forms", "geometry"):
+    for name in ("forms", "geometry"):
         spec = find_spec(name)
         if spec and spec.origin and Path(spec.origin).resolve().parent != home / name:
             message = f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it"

@@ -8,10 +8,10 @@ from typing import Any
 
 from mpi4py import MPI
 
+from forms.base import InputError as InputError
+from forms.base import ThinlayerError as ThinlayerError
 from forms.declarations import RangeWarning as RangeWarning
 from forms.declarations import show_warnings, warn_of_range
-from thinlayer_base import InputError
-from thinlayer_base import ThinlayerError as ThinlayerError
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:

@@ -28,7 +28,7 @@ import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
 
 import thinlayer.parallel.abort  # noqa: F401  # whoever starts DOLFINx starts PETSc
-from thinlayer_base import ThinlayerError
+from forms.base import ThinlayerError
 
 _LOCKS: dict[Path, int] = {}  # descriptors of lock files by folder; never closed, which would free the process's locks
 SEAL = b"thinlayer: a library of "

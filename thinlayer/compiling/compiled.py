@@ -13,9 +13,9 @@ import cffi
 from dolfinx import jit
 from mpi4py import MPI
 
+from forms.base import ThinlayerError
 from thinlayer.compiling.compilation import acquire, is_whole, keep, release, seal, workshop
 from thinlayer.identity.sources import content, contents
-from thinlayer_base import ThinlayerError
 
 _LOADED: dict[Any, Any] = {}  # modules of compiled sources, by path and state of the files they depend on
 _FILES: dict[Path, tuple[Path, ...]] = {}  # files that a source depended on when it was last loaded

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from forms.base import ThinlayerError
 from thinlayer.compiling.compiled import library
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 from thinlayer.solving.petsc_missing import keep_unknowns, schur_of
-from thinlayer_base import ThinlayerError
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

@@ -12,12 +12,12 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
+from forms.base import is_number
 from forms.contact import ContactLaw
 from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError
 from forms.traction import TractionLaw
 from geometry.joint import Profile
-from thinlayer_base import is_number
 
 LawOnS = TractionLaw | ContactLaw  # of jumps, or of nodes: there is no thickness in it
 

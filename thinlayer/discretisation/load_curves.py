@@ -18,9 +18,9 @@ from ufl.core.multiindex import MultiIndex
 from ufl.core.terminal import Terminal
 from ufl.corealg.traversal import unique_pre_traversal
 
+from forms.base import is_number
 from forms.kinematics import Expr
 from forms.trace import asked_by_ufl
-from thinlayer_base import is_number
 
 Array = npt.NDArray[np.float64]
 ROUNDING = 1e-12  # of times, relative: a sum of steps that ends where the curve does; of slopes that are the same

@@ -16,6 +16,7 @@ from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 
+from forms.base import is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
@@ -24,7 +25,6 @@ from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Moment, Time, symbols
 from thinlayer.errors import ModelError
-from thinlayer_base import is_number
 
 AXES = "xyz"
 Place = str | tuple[float, ...]

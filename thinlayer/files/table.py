@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from forms.base import InputError
 from geometry.parallel import on_root
 from thinlayer.errors import ModelError
-from thinlayer_base import InputError
 
 Row = dict[str, float | str | None]
 

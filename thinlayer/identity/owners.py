@@ -11,7 +11,7 @@ import types
 from pathlib import Path
 from typing import Any
 
-from thinlayer_base import PACKAGES
+from forms.base import PACKAGES
 
 HEAP = 1 << 9  # Python's flag of classes that were made by running code
 

@@ -9,6 +9,7 @@ import numpy as np
 import ufl
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 
+from forms.base import is_number
 from forms.kinematics import Expr
 from geometry.parallel import on_root
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
@@ -17,7 +18,6 @@ from thinlayer.errors import ModelError
 from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
-from thinlayer_base import is_number
 
 Where = Callable[[Expr], Expr]
 SAME_PROFILE = 1e-9  # relative

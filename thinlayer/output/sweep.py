@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from forms.base import is_number
 from forms.law import LawError
 from geometry.parallel import on_root
 from thinlayer.errors import ModelError
@@ -20,7 +21,6 @@ from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
 from thinlayer.output.sweep_file import ERRORS, ORDERS, SweepFile
 from thinlayer.parallel.agreement import on_all, require_same
-from thinlayer_base import is_number
 
 SAME_EPS = 1e-9  # relative: thicknesses that are computed in two ways
 

@@ -11,12 +11,12 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
+from forms.base import is_number
 from forms.kinematics import Expr
 from geometry.joint import S
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.errors import ModelError
 from thinlayer.parts.part import Array, Block, Outcome, Part
-from thinlayer_base import is_number
 
 
 @dataclass(frozen=True)

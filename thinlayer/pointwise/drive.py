@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from forms.base import is_number
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import Law
 from forms.temperature import real
@@ -16,7 +17,6 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.table import Table
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, MaterialPointState
-from thinlayer_base import is_number
 
 
 @dataclass(frozen=True, eq=False, repr=False)

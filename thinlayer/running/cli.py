@@ -15,7 +15,6 @@ from thinlayer.files.say import say
 from thinlayer.running import startup
 from thinlayer.running.arguments import command_line, folder, petsc_options, refuse
 from thinlayer.running.catalogue import Study, studies
-from thinlayer_base import InputError
 
 OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 
@@ -102,7 +101,7 @@ def _run_study(
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    from thinlayer.errors import SolveError
+    from thinlayer.errors import InputError, SolveError
     from thinlayer.parallel import abort, log
     from thinlayer.running.record import Record
     from thinlayer.solving.options import given_elsewhere

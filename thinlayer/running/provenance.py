@@ -12,7 +12,7 @@ from typing import Any
 
 from petsc4py import PETSc
 
-from thinlayer_base import PACKAGES
+from forms.base import PACKAGES
 
 INSTALLED = (
     "fenics-dolfinx",

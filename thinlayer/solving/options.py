@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
+from forms.base import InputError
 from thinlayer.solving.petsc_missing import was_read
-from thinlayer_base import InputError
 
 PREFIX = "thinlayer_"
 # PETSc's errors that values of options lead to: not supported, wrong, out of range, wrong state, user's function missing,

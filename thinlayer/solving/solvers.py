@@ -11,6 +11,7 @@ from typing import Any
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.base import is_number
 from thinlayer.contact.solver import METHODS, ContactFinder, check_method, default_method
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.model import Model
@@ -36,7 +37,6 @@ from thinlayer.solving.options import (
 )
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
-from thinlayer_base import is_number
 
 SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
 

@@ -8,11 +8,11 @@ from numbers import Integral
 
 import numpy as np
 
+from forms.base import is_number
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.solving.equations import Equations
 from thinlayer.time.plan import distinct
-from thinlayer_base import is_number
 
 
 @dataclass(frozen=True)

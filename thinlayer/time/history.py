@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import is_number
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
-from thinlayer_base import is_number
 
 SAME_TIME = 1e-9  # relative to the span of a march
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from forms.base import ThinlayerError
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -21,7 +22,6 @@ from thinlayer.parts.phases import PhaseReport
 from thinlayer.solving.equations import Equations
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
 from thinlayer.time.history import History
-from thinlayer_base import ThinlayerError
 
 Observe = Mapping[str, Callable[[State], float]]
 COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from forms.base import is_number
 from forms.temperature import real
 from thinlayer.errors import ModelError
 from thinlayer.time.history import SAME_TIME
-from thinlayer_base import is_number
 
 HALVINGS = 10
 SHORTENED = 1e6  # adaptive steps, at most, unless told

@@ -19,12 +19,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from forms.base import is_number
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.fields import Shape, edges, gather, surface
 from thinlayer.output.plotting.curves import put, require_name
-from thinlayer_base import is_number
 
 LARGEST = 0.05  # drawn displacement, in units of the structure
 VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # by dimension: where one looks from

@@ -6,7 +6,7 @@ import math
 from numbers import Real
 from typing import Any
 
-PACKAGES = ("thinlayer_base", "forms", "geometry", "thinlayer")
+PACKAGES = ("forms", "geometry", "thinlayer")
 
 
 class ThinlayerError(Exception):
