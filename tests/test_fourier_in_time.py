@@ -44,7 +44,8 @@ def marched(build, law, e, times, theta=1.0, cell="quadrilateral", bodies="kept"
     """History of a model; several tests ask for the same."""
     joint, setup = problem(H, cell=cell)
     choice = {"bodies": bodies} if build == Structure.full else {}
-    return march(build(Structure(joint, **setup), ThinLayer(law, e), **choice), times, theta=theta)
+    layer = law if isinstance(law, TractionLaw) else ThinLayer(law, e)
+    return march(build(Structure(joint, **setup), layer, **choice), times, theta=theta)
 
 
 def errors(law_at, times, *, limits=(None,), eps=EPS, cell="quadrilateral", theta=1.0, bodies="kept"):

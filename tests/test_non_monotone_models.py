@@ -54,13 +54,13 @@ def test_relaxed_law_in_columns(eps, angle):
         assert np.abs(history.table["imbalance"]).max() < 1e-9
         assert np.abs(history.table["dissipated"]).max() < 1e-12 * history.table["energy"].max()
     n, mirrored = np.array([0.0, 1.0]), CHI * [[1, -1], [-1, 1]]
-    t, phases = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.C, CHI, point.jumps, n)
+    t, phases = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.transformation_energy, CHI, point.jumps, n)
     assert point.tractions == pytest.approx(t, abs=1e-9 * np.abs(t).max())
     for k, phase in enumerate(phases):
         assert PhaseReport(limit.at(k + 1.0)).plus == pytest.approx(max(phase, 0), abs=1e-9)
         assert PhaseReport(full.at(k + 1.0)).minus == pytest.approx(max(-phase, 0), abs=1e-9)
     assert {-1, 1} <= {int(np.sign(phase)) for phase in phases if 0 < abs(phase) < 1}
-    wrong, _ = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.C, mirrored, point.jumps, n)
+    wrong, _ = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.transformation_energy, mirrored, point.jumps, n)
     assert np.abs(wrong - t).max() > 0.2 * np.abs(t).max()  # the tangent is (n_2, -n_1), not its opposite
 
 
@@ -71,7 +71,7 @@ def test_pure_phases_in_columns(eps):
     surface = Surface(limit.model)
     for k, phase in enumerate(CLEAR_PHASES):
         t, holds = limits.non_monotone_branch(
-            LMBDA, MU, ALPHA, PURE.C, CHI, point.jumps[k], np.array([0.0, 1.0]), phase
+            LMBDA, MU, ALPHA, PURE.transformation_energy, CHI, point.jumps[k], np.array([0.0, 1.0]), phase
         )
         assert holds
         assert point.tractions[k] == pytest.approx(t, abs=1e-9)
@@ -252,7 +252,7 @@ def test_temperature_beyond_its_table(tmp_path):
     law, seen = heated(lambda x, t: 50 + 60 * t * x[0]), []
     for make in (Structure.interface, Structure.full):
         model = make(Structure(joint(), **tall_column("normal", move=0.01)), ThinLayer(law, 0.02))
-        with pytest.raises(LawError, match=r"C\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"):
+        with pytest.raises(LawError, match=r"transformation_energy\(T\): T is 1\d\d\.?\d*; the table knows 20 to 100"):
             march(model, [0.5, 1.0], out=tmp_path / "out", observe={"seen": lambda state: seen.append(1) or 1.0})
         with pytest.raises(LawError, match="the table knows 20 to 100"):
             solve(model, t=1.0)

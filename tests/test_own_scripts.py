@@ -151,7 +151,7 @@ class Blocks:
 
 
 MOVES = {
-    "Mohr-Coulomb": (MohrCoulomb(60.0, 40.0, C=0.2, Omega=30.0, h=0.02), 0.01),
+    "Mohr-Coulomb": (MohrCoulomb(60.0, 40.0, cohesion=0.2, friction_angle=30.0, elastic_fraction=0.02), 0.01),
     "Norton": (Norton(lmbda=3.0, mu=2.0, eta=5.0, p=2.5), 0.02),
     "two sublayers": (Stack((0.3, Maxwell(6.0, 4.0, t1=1.5, t2=2.0)), (0.7, LinearElastic(3.0, 2.0))), 0.02),
     "elastic, order 1": (LinearElastic(6.0, 4.0), 0.02),
@@ -290,7 +290,9 @@ def test_rigid_base():
 
 def test_phases_without_a_joint():
     """Columns are facets of S: all switch at once under a uniform push beyond the fall, none before."""
-    law = NonMonotoneUnrelaxed(lmbda=0.0, mu=10.0, alpha=1.5, C=0.15, chi=[[0, 0], [0, 1]]).per_thickness(0.1)
+    law = NonMonotoneUnrelaxed(
+        lmbda=0.0, mu=10.0, alpha=1.5, transformation_energy=0.15, chi=[[0, 0], [0, 1]]
+    ).per_thickness(0.1)
     for push, share in ((0.05, 0.0), (0.2, 1.0)):
         blocks = Blocks("triangle", 1)
         problem = blocks.solve(
@@ -333,7 +335,7 @@ def test_refused_tags():
 
 def test_refused_steps():
     blocks = Blocks("triangle", 1)
-    law = MohrCoulomb(60.0, 40.0, C=0.2, Omega=30.0)
+    law = MohrCoulomb(60.0, 40.0, cohesion=0.2, friction_angle=30.0)
     terms = [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.01))]
     problem = StepProblem(blocks.rest, blocks.u, blocks.bcs, terms)
     with pytest.raises(ModelError, match="no step has begun"):

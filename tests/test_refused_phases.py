@@ -231,7 +231,7 @@ def test_loads_and_supports_that_are_no_numbers():
     moved = SETUP | {"supports": {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: np.inf}}}
     with pytest.raises(ModelError, match=r"support on 'TOP': a component gives inf; it must be a finite number"):
         Structure(JOINT, **moved).interface(layer)
-    with pytest.raises(GeometryError, match="layers is '4'; the layer needs a whole number"):
+    with pytest.raises(GeometryError, match="cells_through is '4'; the layer needs a whole number"):
         Structure(JOINT, **SETUP).full(layer, cells_through="4")
 
 

@@ -35,7 +35,7 @@ def joints(x, y):
 
 wall = BrokenMesh(grid, tags(2, brick), tags(1, joints), S={BED: (0, 1), HEAD: (1, 0)})
 V = wall.space(("Lagrange", 2, (2,)))
-bed = MohrCoulomb(lmbda=0.8, mu=2.1, C=0.02, Omega=30)  # per thickness
+bed = MohrCoulomb(lmbda=0.8, mu=2.1, cohesion=0.02, friction_angle=30)  # per thickness
 head = LinearElastic(lmbda=0.4, mu=1.3)
 terms = wall.layer(BED, ThinLayer(bed, 0.01)) + wall.layer(HEAD, ThinLayer(head, 0.02))
 
