@@ -23,13 +23,12 @@ from forms import (
     Stack,
     limits,
 )
+from tests.at_points import E2, at_rest, jump_strain, material, respond, tensor, traction, vector
 from tests.own_laws import Slipping
-from tests.test_points import jump_strain, material, respond, tensor, traction, vector
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.pointwise.drive import drive
 
 LMBDA, MU, C, OMEGA = 60.0, 40.0, 0.1, 30.0  # nu = 0.3
-E2 = np.array([0.0, 1.0, 0.0])
 ONE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 PLANE = [0, 1, 3]
 THETAS = [1.0, 0.7, 0.5]
@@ -75,10 +74,6 @@ def excess(s, C=C, Omega=OMEGA):
     """(s_1 - s_3)/2 + (s_1 + s_3)/2 sin(Omega) - C cos(Omega)."""
     p, angle = principal(s), np.radians(Omega)
     return (p[..., 0] - p[..., 2]) / 2 + (p[..., 0] + p[..., 2]) / 2 * np.sin(angle) - C * np.cos(angle)
-
-
-def at_rest(law, points):
-    return np.zeros((points, material(law).memory))
 
 
 def strains(random, points, size=0.02, plane=False):
@@ -384,15 +379,15 @@ def remainders(law, e, direction, theta, slots, sizes):
     """Of Taylor's expansion of the stress for each size, (sizes, points); NaN where a point changes its kind."""
     n, q, zero = normals(len(e)), at_rest(law, len(e)), np.zeros((len(e), len(slots)))
     now = respond(law, e, zero, q, n, 1.0, theta, slots)
-    kind, out = situation(law, e, now, theta, slots), []
+    kind, out = part_of_the_surface(law, e, now, theta, slots), []
     for h in sizes:
         moved = respond(law, e + h * direction, zero, q, n, 1.0, theta, slots)
         left = np.abs(moved.stress - now.stress - h * np.einsum("kij,kj->ki", now.tangent, direction)).max(axis=1)
-        out.append(np.where(situation(law, e + h * direction, moved, theta, slots) == kind, left, np.nan))
+        out.append(np.where(part_of_the_surface(law, e + h * direction, moved, theta, slots) == kind, left, np.nan))
     return kind, np.array(out)
 
 
-def situation(law, e, answer, theta, slots):
+def part_of_the_surface(law, e, answer, theta, slots):
     """Elastic 0, face 1, edge 2 or 3 (the upper or the lower two are equal), apex 4; slipping 1, with tension or not."""
     whole = np.zeros((len(e), 6))
     whole[:, slots] = e

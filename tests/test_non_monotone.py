@@ -11,14 +11,13 @@ from scipy.optimize import minimize
 from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated, limits
 from forms.non_monotone import lamination_gain
 from geometry import sandwich
-from tests.test_points import jump_strain, material, respond, tensor, traction, vector
+from tests.at_points import E2, at_rest, jump_strain, material, respond, tensor, traction, vector
 from thinlayer import Structure, ThinLayer, drive
 from thinlayer.discretisation.layer import real_law
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import TIE
 
 LMBDA, MU, ALPHA, C = 60.0, 40.0, 1.2, 0.02
-E2 = np.array([0.0, 1.0, 0.0])
 ACROSS, ALONG = np.diag([0.0, 1.0]), np.array([[0.0, 0.5], [0.5, 0.0]])  # n (x) n, sym(tangent (x) n)
 CHI2 = np.array([[-0.3, 0.5], [0.5, 0.9]])
 CHI3 = np.array([[0.3, 0.5, -0.2], [0.5, 0.9, 0.4], [-0.2, 0.4, -0.6]])
@@ -62,7 +61,7 @@ def drives(law, e):
 
 def at(law, e, e_old=None, theta=1.0, n=E2, phase=None):
     """Answer of a law to strains after e_old, with phases held if they are given."""
-    q = np.zeros((len(e), material(law).memory))
+    q = at_rest(law, len(e))
     if phase is not None:
         q[:, 0] = phase
     return respond(law, e, 0 * e if e_old is None else e_old, q, np.broadcast_to(n, (len(e), 3)), 1.0, theta)
