@@ -28,10 +28,10 @@ from thinlayer import (
     plotting,
     solve,
 )
-from thinlayer.contact import dense
-from thinlayer.contact import nodes as nodes_module
-from thinlayer.contact.nodes import ContactNodes
+from thinlayer.discretisation import contact_nodes as nodes_module
+from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.output.contact_report import ContactReport
+from thinlayer.solving.contact import dense
 
 SOLVERS = ("condensed", "multigrid", "newton")
 STIFFNESS = {"stiff": (15e8, 5e8), "middle": (15e4, 5e4), "soft": (15.0, 5.0)}

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from scipy.sparse.linalg import spsolve
 
 from forms.contact import HolonomicCoulomb, Status, Tresca
-from thinlayer.contact.gauss_seidel import BlockRows, Relaxation, relax, sweep_nodes
+from thinlayer.solving.contact.gauss_seidel import BlockRows, Relaxation, relax, sweep_nodes
 
 EXACT = 1e-12  # relative: one node, a few operations; a threshold that grows steeply with the pressure multiplies it
 LAWS = {

@@ -8,7 +8,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.contact import ContactLaw
-from thinlayer.contact.nodes import CONTACT, Array, ContactNodes
+from thinlayer.discretisation.contact_nodes import CONTACT, Array, ContactNodes
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 

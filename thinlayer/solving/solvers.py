@@ -12,7 +12,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import is_number
-from thinlayer.contact.solver import METHODS, ContactFinder, check_method, default_method
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
@@ -20,6 +19,7 @@ from thinlayer.errors import ModelError, SolveError, warn
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.parallel.log import logger
 from thinlayer.parts.part import Interval
+from thinlayer.solving.contact.solver import METHODS, ContactFinder, check_method, default_method
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
