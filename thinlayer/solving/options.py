@@ -74,4 +74,4 @@ def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
         theirs = [name for name in found if name not in _PLACED.intersection(ours)]
         given = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
         if theirs:
-            raise OptionError(f"PETSc does not accept the value of one of these options: {given}") from error
+            raise OptionError(f"PETSc does not take the value of one of these options: {given}") from error
