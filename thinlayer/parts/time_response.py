@@ -53,10 +53,10 @@ def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
     change = [False] * len(points.term.law.sublayers)
     if not points.material.varies:
         return change
-    seen = [a + share * (b - a) for a, b in pairwise(times) for share in (*BETWEEN, 1.0)]
+    sampled = [a + share * (b - a) for a, b in pairwise(times) for share in (*BETWEEN, 1.0)]
     points.at_time(times[0])
     first = points.material.of_sublayers
-    for t in seen:
+    for t in sampled:
         points.at_time(t)
         for k, (a, b) in enumerate(zip(first, points.material.of_sublayers, strict=True)):
             change[k] = change[k] or not np.allclose(a, b, rtol=SAME, atol=0.0)

@@ -149,12 +149,12 @@ class Equilibrium:
         tell_multigrid(ksp, A, equations.model)
         self._factored = key
 
-    def _require_finite(self, what: str, size: float) -> None:
-        """Raise SolveError if a norm at the start of the step, of `what` UFL forms give, is NaN or infinite."""
+    def _require_finite(self, quantity: str, size: float) -> None:
+        """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
         if not math.isfinite(size):
             names = sorted({name for part in self.equations.parts for name in part.unchecked})
             raise SolveError(
-                f"the {what} of {' or '.join(names)} is not finite at the start of the step",
+                f"the {quantity} of {' or '.join(names)} is not finite at the start of the step",
                 advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
                 "of strains, or a ufl.conditional",
             )

@@ -26,9 +26,9 @@ from thinlayer.parallel.exchange import carry
 # Length delta of the pressure along S, relative to eps:
 NEARLY_INCOMPRESSIBLE = 0.5  # (nu = 3/8) a shorter pressure has no effect along S
 LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter pressure changes jumps only within a thickness of free ends
-LEAST_ERROR = 0.1  # least relative error of a layer's stiffness that leads to a warning
+LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
-VOLUME = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # trace of a strain in Voigt's order
+VOLUME = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # trace of a strain, as a row over its six components
 BULK_MODULUS = 1e8  # penalty that keeps the volume, relative to the tangent
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
 NEGLIGIBLE = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
@@ -36,7 +36,7 @@ SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]]
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
 SAME_RATIO = 1e-3  # relative change of lmbda/mu in time that counts as none
 JUMP_ROUNDING = 1e-9  # rounding of jumps, relative to the displacements
-LATE_OPENING = 0.5  # opening of the last state that is tested, at least, relative to the largest opening
+LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
 
 
 def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
@@ -401,7 +401,7 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
     openings = [float(np.abs(faces.opening).max()) for faces in found]
     most = openings.index(max(openings))
     last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
-    worst, told = LEAST_ERROR, None
+    worst, worst_stratum = LEAST_ERROR, None
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
         strata = _strata(model, 0.0 if start is None else state.t - start)
@@ -409,10 +409,10 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
             continue
         excess = pressure_excess(faces, strata[0])
         if excess > worst:
-            worst, told = excess, strata[0]
-    if told:
+            worst, worst_stratum = excess, strata[0]
+    if worst_stratum:
         warn(
-            f"the layer is nearly incompressible{told.when} (lmbda/mu = {told.lmbda / told.mu:.4g}): with the jumps found, "
+            f"the layer is nearly incompressible{worst_stratum.when} (lmbda/mu = {worst_stratum.lmbda / worst_stratum.mu:.4g}): with the jumps found, "
             f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
             "structure is off by less where the bodies are soft; mesh the layer (structure.full) to see by how much",
             model.comm,

@@ -30,7 +30,7 @@ RUN_AWAY = 30.0  # distance, relative to that of an elastic layer, that shows th
 STOP_DISTANCE = 1e6  # distance, relative to that of an elastic layer, at which the search ends
 TOLERANCE = 1e-3  # residual of solutions with springs, relative to the forces of the springs
 ITERATIONS, HALVINGS = 40, 6  # largest numbers of Newton's steps, and of trial lengths of one step
-COMPARED_RESIDUALS = 6  # number of last residuals that a new one must not exceed
+COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which bounds a new one
 LEAST_DECREASE = 0.1  # relative decrease of the residual over the length of the step
 
 

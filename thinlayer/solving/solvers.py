@@ -55,7 +55,7 @@ def solve(
         model: the model.
         t: the time of loads and supports.
         options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides both.
-        method: "linear" (default if every law is linear) or "newton". Of contact laws "condensed" (to the jumps on S;
+        method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the jumps on S;
             default on one rank while S is narrow), "multigrid" (default otherwise), "newton" (default if a body is not
             linear, or for a law of one's own) or "relaxation" (the paper's, for comparison).
         like: under a contact law, a state of the same joint with a similar contact status, such as that of another load or
@@ -272,7 +272,7 @@ class Solver:
                 words = [self.method, f"line search {search}" if search else "", str(linear.get("pc_type", ""))]
                 attempts.append(Attempt(", ".join(filter(None, words)), linear, options))
         if self.equations.traits.eases:
-            attempts.append(Attempt("easier laws", self._linear[-1], attempts[-1].options, eased=True))
+            attempts.append(Attempt("eased laws", self._linear[-1], attempts[-1].options, eased=True))
         return attempts
 
     def _work_through(self, attempts: list[Attempt], start: PETSc.Vec | None = None) -> tuple[Found, int]:
@@ -292,7 +292,7 @@ class Solver:
             if failed:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, failed)
             try:
-                found, solves = self._through_easier_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
+                found, solves = self._through_eased_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
             except SolveError as error:
                 failed = f"{attempt.name} failed: {error.reason}"
                 if len(self._linear) > 1:
@@ -315,7 +315,9 @@ class Solver:
             except SolveError as error:
                 if not self._finder.forget():
                     raise
-                self._log.debug("%s: with a new factor, as with that of earlier steps: %s", attempt.name, error.reason)
+                self._log.debug(
+                    "%s: tried again with a new factor, as it failed with an old one: %s", attempt.name, error.reason
+                )
                 found = self._with_options(attempt, start)
         except SolveError as error:
             seconds = time.perf_counter() - began
@@ -327,7 +329,7 @@ class Solver:
         self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *outcome)
         return found
 
-    def _through_easier_laws(self, attempt: Attempt) -> tuple[Found, int]:
+    def _through_eased_laws(self, attempt: Attempt) -> tuple[Found, int]:
         """Result of `Continuation`, and its number of solves. All solves begin with the strains and memory of the step."""
         continuation, spent, residual = Continuation(), 0, math.nan
 

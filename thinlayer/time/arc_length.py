@@ -90,14 +90,14 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
         if law.traits.rate:
             raise ModelError(f"{name} depends on the strain rate, and t is no time on a path: march in time")
         if law.traits.constrained:
-            raise ModelError(f"{name} is incompressible: paths have displacements alone; march in time")
+            raise ModelError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
         if law.traits.bounded:
             raise ModelError(
-                f"{name} bounds stresses: loads come to their limit, and stay there; march in time, which tells it"
+                f"{name} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit"
             )
         if law.traits.switches:
             raise ModelError(
-                f"{name} has pure phases, whose equilibria are no curve: march in time, which finds its snaps"
+                f"{name} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps"
             )
 
 

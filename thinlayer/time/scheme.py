@@ -25,21 +25,21 @@ def require_ends(model: Model, theta: float) -> None:
         raise ModelError(f"theta is {theta}; contact laws hold at the ends of steps: {ALLOWED_THETA}")
     for body, law in model.body_laws.items():
         if not law.traits.linear:
-            raise ModelError(f"theta is {theta}; {_swings(type(law).__name__)} (body {body!r})")
+            raise ModelError(f"theta is {theta}; {_oscillates(type(law).__name__)} (body {body!r})")
     for part in model.parts:
         if not part.is_linear(model):
-            raise ModelError(f"theta is {theta}; {_swings(f'the part {part.key!r}')}")
+            raise ModelError(f"theta is {theta}; {_oscillates(f'the part {part.key!r}')}")
     for law in (one for p in model.layer_terms for _, one in p.law.sublayers):
         name = type(law).__name__
         if law.traits.switches:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ALLOWED_THETA}")
         if law.traits.bounded:
             raise ModelError(
-                f"theta is {theta}; {name} bounds stresses, and a stress that keeps its bound within a step may have "
-                f"left it at the end, beyond what the layer bears: {ALLOWED_THETA}"
+                f"theta is {theta}; {name} bounds stresses: a stress within its bound where forces balance may "
+                f"exceed it at the end of the step: {ALLOWED_THETA}"
             )
         if not (law.traits.linear or law.traits.rate or law.traits.compiled):
-            raise ModelError(f"theta is {theta}; {_swings(name)}")
+            raise ModelError(f"theta is {theta}; {_oscillates(name)}")
 
 
 def require_time_scale(equations: Equations, theta: float, times: Sequence[float]) -> None:
@@ -58,11 +58,11 @@ def require_time_scale(equations: Equations, theta: float, times: Sequence[float
         if found := part.answers_at_once(times):
             name, changes = found
             how = "with parameters that change in time" if changes else "not linearly"
-            raise ModelError(f"theta is {theta}; {_swings(name, how)}")
+            raise ModelError(f"theta is {theta}; {_oscillates(name, how)}")
 
 
-def _swings(name: str, how: str = "not linearly") -> str:
+def _oscillates(name: str, how: str = "not linearly") -> str:
     return (
-        f"{name} answers at once, and {how}: with an equilibrium within a step its ends swing about "
-        f"the path, and nothing damps them: {ALLOWED_THETA}"
+        f"{name} answers at once, and {how}: if forces balance within a step, states at the ends of steps "
+        f"oscillate about the solution, and nothing damps them: {ALLOWED_THETA}"
     )
