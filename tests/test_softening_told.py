@@ -16,8 +16,8 @@ from forms.law import BulkLaw
 from forms.laws import LinearElastic
 from geometry import block
 from tests.arc_length_run import HEIGHT, WIDTH, bar
+from tests.ranks import CLONE
 from tests.snapping_bars import STEEP, C, Cohesive, openings, sigma
-from tests.test_parallel import CLONE
 from thinlayer import ModelError, RangeWarning, Structure, ThinLayer, march, solve
 
 
