@@ -13,13 +13,13 @@ from petsc4py import PETSc
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from thinlayer import SolveError, Structure, plotting
-from thinlayer.contact.blocks import faster_products
-from thinlayer.contact.problem import ContactProblem
-from thinlayer.contact.solver import SCHEMES
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record
+from thinlayer.solving.contact.blocks import faster_products
+from thinlayer.solving.contact.problem import ContactProblem
+from thinlayer.solving.contact.solver import SCHEMES
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.options import PREFIX, defaults, require_all_read

@@ -15,8 +15,7 @@ from mpi4py import MPI
 
 from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, limits
 from geometry import block, sandwich
-from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring
-from tests.test_points import Hardening, Slipping, StandardSolid
+from tests.own_laws import AgeingFluid, AgeingKelvinVoigt, AgeingSpring, Hardening, Slipping, StandardSolid
 from thinlayer import History, ModelError, Structure, Surface, ThinLayer, march
 from thinlayer.pointwise.material import Material
 

@@ -13,7 +13,7 @@ from forms import Anisotropic, BulkLaw, HolonomicCoulomb, LinearElastic, MohrCou
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
-from thinlayer.contact.solver import ContactFinder
+from thinlayer.solving.contact.solver import ContactFinder
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.linear_solvers import solve_linear
 from thinlayer.solving.uniqueness import pieces

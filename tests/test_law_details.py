@@ -28,8 +28,8 @@ from forms import (
 from forms.declarations import RangeWarning
 from forms.elastic import lame
 from geometry import sandwich
+from tests.at_points import E2, respond, tensor, vector
 from tests.own_laws import Slipping
-from tests.test_points import E2, respond, tensor, vector
 from thinlayer import Structure, ThinLayer, drive, solve
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.columns import Columns

@@ -10,26 +10,20 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 
 from forms import Anisotropic, LawError, LinearElastic, Stack, limits
-from forms.kinematics import MANDEL, ROOT2, layer_frame
+from forms.kinematics import layer_frame
+from tests.at_points import at_rest, jump_strain, respond, traction
 from thinlayer import ThinLayer
-from thinlayer.pointwise.material import Material
 
 CELL = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
 
 
-def respond(law, w, n):
-    """Traction (3,) and energy of a law at one point of S with jump w and normal n, (2,) or (3,), compiled."""
-    w, n = np.pad(w, (0, 3 - len(w))), np.pad(n, (0, 3 - len(n)))
-    e = (np.outer(w, n) + np.outer(n, w)) / 2
-    strain = np.array([[e[i, j] * (1 if i == j else ROOT2) for i, j in MANDEL]])
-    material = Material(MPI.COMM_SELF, law)
-    rest = np.zeros((1, material.memory))
-    stress, _, _, energies, failed = material.update(range(6), strain, 0 * strain, rest, n[None], 0.0, 1.0)
-    assert not failed
-    s = np.zeros((3, 3))
-    for k, (i, j) in enumerate(MANDEL):
-        s[i, j] = s[j, i] = stress[0, k] / (1 if i == j else ROOT2)
-    return s @ n, energies[0, 0]
+def traction_and_energy(law, w, n):
+    """Traction (3,) and energy of a law at one point of S with jump w and normal n, (2,) or (3,)."""
+    w, n = (np.pad(a, (0, 3 - len(a)))[None] for a in (w, n))
+    strain = jump_strain(w, n)
+    answer = respond(law, strain, 0 * strain, at_rest(law, 1), n, dt=0.0)
+    assert not answer.failed
+    return traction(answer.stress, n)[0], answer.stored[0]
 
 
 moduli = st.floats(0.1, 50.0)
@@ -49,7 +43,7 @@ def direction(a, b, dim):
 def test_elastic(dim, lmbda, mu, w, a, b):
     """Eq. (17) and its energy, w.K w/2."""
     n, law = direction(a, b, dim), LinearElastic(lmbda, mu)
-    t, energy = respond(law, w[:dim], n)
+    t, energy = traction_and_energy(law, w[:dim], n)
     expected = limits.elastic(lmbda, mu, w[:dim], n)
     size = (lmbda + 2 * mu) * max(np.linalg.norm(w), 1e-300)
     assert t[:dim] == pytest.approx(expected, abs=1e-13 * size)
@@ -65,7 +59,7 @@ def test_stratified(dim, m, w, a, b):
     laws = [LinearElastic(m[2 * k], m[2 * k + 1]) for k in range(3)]
     fractions = (0.3, 0.5, 0.2)
     K = limits.stratified(fractions, [limits.elastic_stiffness(law.lmbda, law.mu, n) for law in laws])
-    t, energy = respond(Stack(*zip(fractions, laws, strict=True)), w[:dim], n)
+    t, energy = traction_and_energy(Stack(*zip(fractions, laws, strict=True)), w[:dim], n)
     size = np.linalg.norm(K) * max(np.linalg.norm(w), 1e-300)
     assert t[:dim] == pytest.approx(K @ w[:dim], abs=1e-11 * size)
     assert energy == pytest.approx(w[:dim] @ K @ w[:dim] / 2, rel=1e-8, abs=1e-12 * size)
@@ -76,7 +70,7 @@ def test_stratified(dim, m, w, a, b):
 @given(k_n=moduli, k_t=moduli, w=jumps, a=angles, b=angles)
 def test_springs(dim, k_n, k_t, w, a, b):
     n = direction(a, b, dim)
-    t, _ = respond(Anisotropic.springs(k_n, k_t), w[:dim], n)
+    t, _ = traction_and_energy(Anisotropic.springs(k_n, k_t), w[:dim], n)
     w = w[:dim]
     expected = k_t * w + (k_n - k_t) * (w @ n) * n
     assert t[:dim] == pytest.approx(expected, abs=1e-9 * (k_n + k_t) * max(np.linalg.norm(w), 1e-300))

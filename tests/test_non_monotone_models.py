@@ -16,7 +16,7 @@ from geometry import block, sandwich
 from studies.sweep_non_monotone import CASES, Formula, blocks
 from tests.non_monotone_run import CHI, END, HALF, HEATED, models, numbers
 from tests.non_monotone_run import C as OF_T
-from tests.test_bar import BAR
+from tests.phases_of_bars import BAR
 from tests.test_columns_in_time import BODY, both, check_balance, check_same, joint, jump_of
 from tests.test_columns_in_time import C as COMPLIANCE
 from tests.test_columns_in_time import K as STIFFNESS

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.contact import Status
 from forms.work import work
 from geometry.order import edges_of_s, order_on_s
-from thinlayer.contact.nodes import CONTACT, Array, ContactNodes
+from thinlayer.discretisation.contact_nodes import CONTACT, Array, ContactNodes
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table

@@ -20,7 +20,7 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
-from thinlayer.contact.nodes import CONTACT, ContactNodes
+from thinlayer.discretisation.contact_nodes import CONTACT, ContactNodes
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from thinlayer.contact.nodes import Array
+from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.errors import ModelError
 from thinlayer.output.contact_report import PINNED, ContactReport
 from thinlayer.output.plotting.curves import COLOURS, finish

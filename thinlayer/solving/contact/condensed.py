@@ -10,13 +10,13 @@ import numpy as np
 from petsc4py import PETSc
 
 from forms.contact import ContactLaw
-from thinlayer.contact.dense import STALLED, DenseSystem, Load
-from thinlayer.contact.nodes import Array
-from thinlayer.contact.orders import chains_of, oblique_order
-from thinlayer.contact.problem import ContactProblem
-from thinlayer.contact.schur import FactorError, SchurFactor
-from thinlayer.contact.side_displacements import SideDisplacements
+from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.contact.dense import STALLED, DenseSystem, Load
+from thinlayer.solving.contact.orders import chains_of, oblique_order
+from thinlayer.solving.contact.problem import ContactProblem
+from thinlayer.solving.contact.schur import FactorError, SchurFactor
+from thinlayer.solving.contact.side_displacements import SideDisplacements
 from thinlayer.solving.force_scale import TINY
 
 TOLERANCE = 1e-11  # of Newton's method, over the forces

@@ -6,9 +6,9 @@ import numpy as np
 import scipy.sparse
 from petsc4py import PETSc
 
-from thinlayer.contact.gauss_seidel import BlockRows, sweep_nodes
-from thinlayer.contact.nodes import Array
-from thinlayer.contact.problem import ContactProblem
+from thinlayer.discretisation.contact_nodes import Array
+from thinlayer.solving.contact.gauss_seidel import BlockRows, sweep_nodes
+from thinlayer.solving.contact.problem import ContactProblem
 
 SWEEPS = 4  # of Gauss-Seidel, before a Newton step that goes on from what the tangent has not foreseen
 DIAGONAL = 3.0  # of the stiffness at a node of S over its area times E/h, at most about

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
-from thinlayer.contact.nodes import Array, ContactNodes
-from thinlayer.contact.problem import ContactProblem
+from thinlayer.discretisation.contact_nodes import Array, ContactNodes
+from thinlayer.solving.contact.problem import ContactProblem
 
 Indices = npt.NDArray[Any]
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from petsc4py import PETSc
 
-from thinlayer.contact.nodes import CONTACT
+from thinlayer.discretisation.contact_nodes import CONTACT
 from thinlayer.parts.contact import ContactPart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.force_scale import AIM, TINY

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from thinlayer.contact.nodes import Array
-from thinlayer.contact.problem import ContactProblem
+from thinlayer.discretisation.contact_nodes import Array
+from thinlayer.solving.contact.problem import ContactProblem
 
 
 class SideDisplacements:

@@ -13,9 +13,9 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from forms.contact import ContactLaw
-from thinlayer.contact.gauss_seidel import sweep_nodes
-from thinlayer.contact.nodes import Array
-from thinlayer.contact.turning import Sliding, sliding, turned
+from thinlayer.discretisation.contact_nodes import Array
+from thinlayer.solving.contact.gauss_seidel import sweep_nodes
+from thinlayer.solving.contact.turning import Sliding, sliding, turned
 from thinlayer.solving.force_scale import ALLOWED, ForceScale
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 

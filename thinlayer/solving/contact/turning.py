@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.contact import ContactLaw, Status
-from thinlayer.contact.nodes import Array
+from thinlayer.discretisation.contact_nodes import Array
 
 Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
 

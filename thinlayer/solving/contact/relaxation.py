@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.contact.gauss_seidel import relax
-from thinlayer.contact.nodes import Array
-from thinlayer.contact.problem import ContactProblem
+from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.solving.contact.gauss_seidel import relax
+from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.force_scale import ALLOWED
 from thinlayer.solving.options import PREFIX, OptionError
 

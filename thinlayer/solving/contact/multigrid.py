@@ -10,14 +10,14 @@ import numpy as np
 from petsc4py import PETSc
 
 from forms.law import LawError
-from thinlayer.contact.gauss_seidel import load
-from thinlayer.contact.nodes import Array, ContactNodes
-from thinlayer.contact.problem import ContactProblem
-from thinlayer.contact.surface_stiffness import SurfaceStiffness
-from thinlayer.contact.tangent import Tangent
-from thinlayer.contact.turning import Sliding, sliding, turned
+from thinlayer.discretisation.contact_nodes import Array, ContactNodes
 from thinlayer.errors import SolveError
 from thinlayer.parallel.exchange import carry
+from thinlayer.solving.contact.gauss_seidel import load
+from thinlayer.solving.contact.problem import ContactProblem
+from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
+from thinlayer.solving.contact.tangent import Tangent
+from thinlayer.solving.contact.turning import Sliding, sliding, turned
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.options import PREFIX, OptionError, OptionValue, defaults, is_set
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from thinlayer.contact.blocks import faster_products, in_blocks, smooth_in_blocks
-from thinlayer.contact.nodes import Array
-from thinlayer.contact.surface_stiffness import SurfaceStiffness
+from thinlayer.discretisation.contact_nodes import Array
+from thinlayer.solving.contact.blocks import faster_products, in_blocks, smooth_in_blocks
+from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
 from thinlayer.solving.options import PREFIX
 
 CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # stiffest springs in the hierarchy, times E/h

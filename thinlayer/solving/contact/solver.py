@@ -7,14 +7,14 @@ from typing import Any, Protocol
 import numpy as np
 from petsc4py import PETSc
 
-from thinlayer.contact.condensed import Condensed
-from thinlayer.contact.multigrid import MultigridContact
-from thinlayer.contact.nodes import Array
-from thinlayer.contact.problem import ContactProblem
-from thinlayer.contact.relaxation import ContactRelaxation
+from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
+from thinlayer.solving.contact.condensed import Condensed
+from thinlayer.solving.contact.multigrid import MultigridContact
+from thinlayer.solving.contact.problem import ContactProblem
+from thinlayer.solving.contact.relaxation import ContactRelaxation
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.finder import Found
 

@@ -1,0 +1,69 @@
+"""Mohr-Coulomb laws and what tests of them at points share: elastic and principal stresses, the yield function, strains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from forms import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
+from tests.at_points import E2, tensor
+
+LMBDA, MU, C, OMEGA = 60.0, 40.0, 0.1, 30.0  # nu = 0.3
+ONE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+PLANE = [0, 1, 3]
+THETAS = [1.0, 0.7, 0.5]
+
+
+@dataclass(frozen=True)
+class ClosedOnly(MohrCoulomb):
+    """The closed in-plane form, without another law where it does not hold."""
+
+    otherwise: ClassVar = None
+
+
+LAW, CLOSED, RETURN = (kind(LMBDA, MU, C, OMEGA) for kind in (MohrCoulomb, ClosedOnly, MohrCoulombReturn))
+MONO = MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA)
+LAWS = {
+    "closed form and return": LAW,
+    "return": RETURN,
+    "psi = 12": MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=12.0),
+    "psi = Omega": MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=OMEGA),
+    "elastic fraction": MohrCoulombReturn(LMBDA, MU, C, OMEGA, 0.2, 12.0),
+    "monodirectional": MONO,
+    "unilateral": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, unilateral=True),
+    "unilateral, elastic fraction": MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA, 0.2, unilateral=True),
+}
+
+
+def elastic(e, lmbda=LMBDA, mu=MU):
+    """Stress (..., 6) of Mandel strains."""
+    return lmbda * e[..., :3].sum(-1)[..., None] * ONE + 2 * mu * e
+
+
+def compliance(s, lmbda=LMBDA, mu=MU):
+    return s / (2 * mu) - lmbda / (2 * mu * (3 * lmbda + 2 * mu)) * s[..., :3].sum(-1)[..., None] * ONE
+
+
+def principal(s):
+    """Descending principal stresses (..., 3)."""
+    return np.linalg.eigvalsh(tensor(s))[..., ::-1]
+
+
+def excess(s, C=C, Omega=OMEGA):
+    """(s_1 - s_3)/2 + (s_1 + s_3)/2 sin(Omega) - C cos(Omega)."""
+    p, angle = principal(s), np.radians(Omega)
+    return (p[..., 0] - p[..., 2]) / 2 + (p[..., 0] + p[..., 2]) / 2 * np.sin(angle) - C * np.cos(angle)
+
+
+def strains(random, points, size=0.02, plane=False):
+    e = size * random.normal(size=(points, 6))
+    e[:, 0:3] -= size / 2
+    if plane:
+        e[:, [2, 4, 5]] = 0
+    return e
+
+
+def normals(points):
+    return np.tile(E2, (points, 1))

@@ -1,0 +1,188 @@
+"""A point driven by jumps and tractions follows closed formulas of friction to the law's limit; bad paths are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import Incompressible, LinearElastic, Maxwell, MohrCoulomb, MohrCoulombReturn, Norton, limits
+from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C
+from tests.own_laws import Slipping
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.pointwise.drive import drive
+
+
+def closing_and_shearing(law, steps, end=0.03, w_N=-0.01):
+    path = [{"w_T": 0.0, "w_N": w_N}, *({"w_T": w, "w_N": w_N} for w in np.linspace(0, end, steps + 1)[1:])]
+    return drive(law, path)
+
+
+def test_opening_held():
+    """Order 1 to the closed form, whose number is known; slip on planes parallel to S alone gives another one."""
+    expected = np.array([0.573611999372, -1.12276731876])
+    exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, C, OMEGA, -0.01, np.array(0.03))
+    assert exact == pytest.approx(expected, rel=1e-11)
+    ends = [closing_and_shearing(LAW, steps).tractions[-1] for steps in (100, 200, 400)]
+    errors = [np.abs(t - exact) for t in ends]
+    assert np.log2(errors[1] / errors[2]) == pytest.approx([1, 1], abs=0.01)
+    assert 2 * ends[2] - ends[1] == pytest.approx(exact, abs=5e-6)
+    for law in (MONO, MohrCoulombReturn(LMBDA, MU, C, OMEGA, dilatancy_angle=10.0), MohrCoulomb(LMBDA, MU, C, 29.9)):
+        assert np.abs(closing_and_shearing(law, 400).tractions[-1] - exact).max() > 5e-4
+    mono = closing_and_shearing(MONO, 10).tractions[-1]  # any number of steps: it is penalised Coulomb
+    assert mono == pytest.approx([C + np.tan(np.radians(OMEGA)) * 1.4, -1.4], rel=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_any_start_of_shear_under_a_held_opening(sign):
+    """From a state beside the axis: elastic until first yield, then the arc; the midpoint rule is of order 2 there."""
+    start = [{"w_T": 0.004, "w_N": -0.004}, {"w_T": 0.0045, "w_N": -0.006}]
+    before = drive(LAW, start)
+    s = before.tractions[-1] - [0, (LMBDA + MU) * -0.006]
+    exact = limits.mohr_coulomb_fixed_opening(LMBDA, MU, C, OMEGA, -0.006, sign * np.array([1e-4, 0.02]), tuple(s))
+    errors = []
+    for steps in (400, 800):
+        path = [{"w_T": 0.0045 + sign * w, "w_N": -0.006} for w in np.linspace(0, 0.02, steps + 1)[1:]]
+        errors.append(np.abs(drive(LAW, [*start, *path]).tractions[-1] - exact[1]).max())
+    assert errors[1] < 2e-4
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(1, abs=0.03)
+    one = drive(LAW, [*start, {"w_T": 0.0045 + sign * 1e-4, "w_N": -0.006}]).tractions[-1]
+    if sign < 0:
+        assert one == pytest.approx(exact[0], rel=1e-12)  # unloading is elastic
+    with pytest.raises(ValueError, match="at the start exceeds R"):
+        limits.mohr_coulomb_fixed_opening(LMBDA, MU, C, OMEGA, -0.006, 0.1, (1.0, 0.0))
+
+
+def test_friction_of_the_layer():
+    """First yield, lasting friction for several psi, and tan(Omega) while the pressure is taken away."""
+    law = MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
+    first = limits.first_yield_ratio(0.3, OMEGA)
+    assert first == pytest.approx(0.3 / 1.4, rel=1e-12)
+    for share, flows in ((1 - 1e-9, False), (1 + 1e-9, True)):
+        found = drive(law, [{"w_T": 0.0, "w_N": -0.01}, {"w_T": share * first * 1.4 / MU, "w_N": -0.01}])
+        assert found.memory[-1].any() == flows
+    assert limits.first_yield_ratio(0.2, OMEGA) == 0.0
+    for psi, value in ((0.0, 0.5), (10.0, 0.539221272), (20.0, 0.566769624), (30.0, 0.577350269)):
+        assert limits.apparent_friction(OMEGA, psi) == pytest.approx(value, rel=2e-9)
+        dilatant = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
+        held = drive(dilatant, [{"w_T": w, "t_N": -1.4} for w in np.linspace(0, 2.0, 60)]).tractions[-1]
+        assert held == pytest.approx([1.4 * value, -1.4], rel=1e-7)
+    pressed = [{"w_T": w, "w_N": -0.01} for w in np.linspace(0, 0.3, 50)]
+    opened = [{"w_T": 0.3, "w_N": w} for w in np.linspace(-0.01, -0.002, 400)]
+    t = drive(law, [*pressed, *opened]).tractions
+    assert t[49, 0] / -t[49, 1] == pytest.approx(0.5, rel=1e-8)
+    assert (t[:, 0] / -t[:, 1]).max() == pytest.approx(np.tan(np.radians(OMEGA)), rel=2e-5)
+
+
+def test_drive_under_a_constant_normal_stress():
+    """The tractions asked for are there, the closed formula gives them at the jumps found, and energies balance."""
+    path = [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.2, 0.4, 0.55, -0.5, 0.3))]
+    found = drive(LAW, path)
+    assert found.tractions[:, 0] == pytest.approx([0.0, 0.2, 0.4, 0.55, -0.5, 0.3], abs=1e-11)
+    assert found.tractions[:, 1] == pytest.approx(-np.ones(6), abs=1e-11)
+    assert (found.parts == 1).all()
+    w_old = s = np.zeros(2)
+    for w, t in zip(found.jumps, found.tractions, strict=True):
+        expected, s = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, w, w_old, s)
+        assert t == pytest.approx(expected, rel=1e-11)
+        w_old = w
+    work = np.sum(found.tractions * np.diff(found.jumps, axis=0, prepend=0), axis=1)
+    stored, dissipated, remainder = found.energies.T
+    assert work == pytest.approx(np.diff(stored, prepend=0) + dissipated + remainder, rel=1e-10)
+    assert found.stress[:, 1, 1] == pytest.approx(found.tractions[:, 1], rel=1e-12)
+    assert found.stress[:, 2, 2] == pytest.approx(LMBDA * found.jumps[:, 1], rel=1e-10)
+    table = found.table
+    assert table.columns == ["t", "w_T", "w_N", "t_T", "t_N", "stored", "dissipated", "remainder"]
+    assert table["w_T"] == pytest.approx(found.jumps[:, 0])
+
+
+def test_drive_in_three_dimensions_and_other_frames():
+    """The layer's axes do not matter: the law is isotropic. With theta the traction asked for is that inside the step."""
+    steps = [{"w_T1": 0.02, "t_T2": 0.1, "t_N": -1.0}, {"t_T1": 0.3, "w_T2": 0.01, "w_N": -0.02}]
+    law = LAWS["psi = 12"]
+    first = drive(law, steps, n=(0, 1, 0), theta=0.7)
+    assert first.tractions[0, 1:] == pytest.approx([0.1, -1.0], rel=1e-11)
+    assert first.tractions[1, 0] == pytest.approx(0.3, rel=1e-11)
+    for n in [(1.0, 2.0, -2.0), (0, -3, 0), (0, 0, 1), (1e-9, -1, 0)]:
+        other = drive(law, steps, n=n, theta=0.7)
+        assert other.jumps == pytest.approx(first.jumps, rel=1e-9)
+        assert other.tractions == pytest.approx(first.tractions, rel=1e-9)
+        unit = np.array(n) / np.linalg.norm(n)
+        assert np.einsum("kij,i,j->k", other.stress, unit, unit) == pytest.approx(first.tractions[:, 2], rel=1e-9)
+    flat = drive(law, [{"w_T": 0.02, "t_N": -1.0}], n=(0.6, 0.8))
+    assert flat.jumps == pytest.approx(drive(law, [{"w_T": 0.02, "t_N": -1.0}]).jumps, rel=1e-11)
+    deep = drive(law, [{"w_T1": 0.02, "w_T2": 0.0, "t_N": -1.0}], n=(0, 1, 0))
+    assert deep.jumps[0, [0, 2]] == pytest.approx(flat.jumps[0], rel=1e-9)
+
+
+def test_drive_any_law():
+    """Static, viscous, of tractions, in series: the formulas of `limits`."""
+    elastic_layer = drive(LinearElastic(LMBDA, MU), [{"t_T": 0.5, "t_N": 1.0}])
+    assert elastic_layer.jumps[0] == pytest.approx([0.5 / MU, 1.0 / (LMBDA + 2 * MU)], rel=1e-11)
+    norton = drive(Norton(LMBDA, MU, 5.0, 1.5), [{"t_T": 0.5, "t_N": 0.0}] * 100, dt=0.01, theta=0.5)
+    assert norton.jumps[-1, 0] == pytest.approx(limits.norton_creep(0.5, MU, 5.0, 1.5, 1.0, shear=True), rel=1e-3)
+    assert norton.t[-1] == pytest.approx(1.0)
+    maxwell = drive(Maxwell(LMBDA, MU, 0.7), [{"t_T": 0.5, "t_N": 1.0}] * 11, dt=[0.0] + 10 * [0.1], theta=0.5)
+    assert maxwell.jumps[-1, 1] == pytest.approx(limits.maxwell_creep(1.0, LMBDA + 2 * MU, 0.7, 1.0), rel=1e-9)
+    assert drive(Slipping(70.0, 30.0, 12.0, 90.0), [{"w_T": 0.01, "w_N": -0.01}], dt=1.0).energies == pytest.approx(
+        np.full((1, 3), np.nan), nan_ok=True
+    )
+
+
+def test_traction_beyond_the_limit():
+    """The steps before are kept, up to them all is as without the step too many."""
+    path = [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.3, 0.58, 0.59))]
+    bound = C * np.cos(np.radians(OMEGA)) + np.sin(np.radians(OMEGA))
+    assert 0.58 < bound < 0.59
+    with pytest.raises(SolveError, match=r"step 4 of 4 \(t_T = 0.59, t_N = -1\): no jump was found") as caught:
+        drive(LAW, path)
+    kept = caught.value.history
+    assert len(kept) == 3
+    assert kept.jumps == pytest.approx(drive(LAW, path[:3]).jumps)
+    with pytest.raises(SolveError, match="Beyond the law's limit") as caught:
+        drive(MONO, [{"t_T": 0.0, "t_N": -1.0}, {"t_T": C + np.tan(np.radians(OMEGA)) + 1e-3, "t_N": -1.0}])
+    assert len(caught.value.history) == 1
+    with pytest.raises(SolveError, match="step 1 of 1"):  # it does not pull
+        drive(LAWS["unilateral"], [{"w_T": 0.0, "t_N": 0.01}])
+
+
+def test_an_open_layer_closes_under_pressure():
+    """Where the tangent vanishes there is a way back."""
+    for law, pressed in ((LAWS["unilateral"], -1 / (LMBDA + 2 * MU)), (LAW, None)):
+        found = drive(law, [{"w_T": 0.1, "w_N": 1.0}, {"w_T": 0.1, "t_N": -1.0}])
+        assert found.tractions[-1, 1] == pytest.approx(-1.0, rel=1e-11)
+        if pressed:
+            assert found.jumps[-1, 1] == pytest.approx(pressed, rel=1e-9)
+        else:
+            assert found.jumps[-1, 1] > 0.9  # the volume gained is still there
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"steps": []}, "at least one step"),
+        ({"steps": None}, "steps is None; it must be a sequence of dictionaries"),
+        ({"steps": {"w_T": 0.0, "w_N": 0.0}}, "steps is {'w_T': 0.0, 'w_N': 0.0}; it must be a sequence"),
+        ({"law": [{"w_T": 0.0}], "steps": LAW}, "the law of a point is "),
+        ({"steps": [(0.0, 1.0)]}, r"step 1 is \(0.0, 1.0\); it must be a dictionary with w_T or t_T, w_N or t_N"),
+        ({"steps": [{"w_T": 0.0}]}, r"step 1 has neither of w_N \(jump\) and t_N \(traction\)"),
+        ({"steps": [{"w_T": 0.0, "w_N": 0.0, "t_N": 1.0}]}, "step 1 has both of w_N"),
+        ({"steps": [{"w_T": 0.0, "w_n": 0.0}]}, "step 1 has 'w_n'; allowed in 2D: w_T or t_T, w_N or t_N"),
+        ({"steps": [{"w_T": 0.0, "w_N": float("nan")}]}, "step 1: w_N is nan; it must be a finite number"),
+        ({"steps": [{"w_T": 0.0, "w_N": "1"}]}, "w_N is '1'"),
+        ({"n": (0, 1, 0)}, "allowed in 3D: w_T1 or t_T1, w_T2 or t_T2, w_N or t_N"),
+        ({"n": (0, 0)}, r"the normal n is \(0, 0\)"),
+        ({"n": 1.0}, "the normal n is 1.0"),
+        ({"n": (0, "up")}, "the normal n is"),
+        ({"dt": -1.0}, "dt is -1.0"),
+        ({"dt": [1.0, 2.0]}, "one for each of the 1 steps"),
+        ({"dt": None}, "dt is None"),
+        ({"theta": 0.4}, "theta is 0.4; allowed: 0.5 to 1"),
+        ({"theta": "half"}, "theta is 'half'"),
+        ({"law": "glue"}, "the law of a point is 'glue'"),
+        ({"law": Incompressible(1.0)}, r"the law of a point is Incompressible\(mu=1.0\)"),
+        ({"law": Norton(LMBDA, MU, 5.0, 1.5), "dt": 0}, "dt is 0 in step 1; Norton lets no jump change at once"),
+    ],
+)
+def test_what_drive_refuses(change, message):
+    with pytest.raises(ModelError, match=message):
+        drive(**({"law": LAW, "steps": [{"w_T": 0.0, "w_N": 0.0}]} | change))

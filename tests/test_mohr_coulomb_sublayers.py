@@ -1,0 +1,135 @@
+"""Slip on planes parallel to S is penalised Coulomb; sublayers that yield share one traction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack, limits
+from tests.at_points import E2, at_rest, jump_strain, material, respond, tensor, traction
+from tests.mohr_coulomb_points import LAW, LAWS, LMBDA, MONO, MU, OMEGA, C, normals
+from thinlayer.pointwise.drive import drive
+
+
+@pytest.mark.parametrize("unilateral", [False, True])
+def test_monodirectional_is_penalised_coulomb(unilateral):
+    """Any path in 3D, in tension and compression."""
+    law, random = MohrCoulombMonodirectional(LMBDA, MU, 1.0, OMEGA, unilateral=unilateral), np.random.default_rng(3)
+    n, slip = np.array([1.0, 2.0, -2.0]) / 3, np.zeros(3)
+    old, q = np.zeros((1, 3)), at_rest(law, 1)
+    seen = set()
+    for _ in range(40):
+        w = old + 0.01 * random.normal(size=3)
+        answer = respond(law, jump_strain(w, n[None]), jump_strain(old, n[None]), q, n[None])
+        before = slip
+        t, slip = limits.penalised_coulomb(LMBDA, MU, 1.0, OMEGA, w[0], slip, n, unilateral=unilateral)
+        assert traction(answer.stress, n[None])[0] == pytest.approx(t, abs=1e-12)
+        assert tensor(answer.q[0]) @ n == pytest.approx(slip / 2, abs=1e-15)
+        seen.add((bool(np.abs(slip - before).max() > 1e-9), bool(w[0] @ n > 0)))
+        old, q = w, answer.q
+    assert len(seen) == (4 if unilateral else 3)  # bilateral, nothing sticks in tension
+
+
+def test_elastic_and_monodirectional_sublayers():
+    """t = K (w - w^p), the threshold on the common traction."""
+    above = LinearElastic(100.0, 15.0)
+    law, random, n = Stack((0.3, above), (0.7, MONO)), np.random.default_rng(3), np.array([0.6, 0.8])
+    stiffnesses = [limits.elastic_stiffness(part.lmbda, part.mu, n) for part in (above, MONO)]
+    w, slip, path, expected, slips = np.zeros(2), np.zeros(2), [], [], 0
+    tangent = np.array([n[1], -n[0]])
+    for _ in range(20):
+        w = w + 0.01 * random.normal(size=2) - (w @ n) * n - 0.002 * n
+        before = slip
+        t, slip = limits.stratified_coulomb(law.fractions, stiffnesses, C, OMEGA, w, slip, n)
+        slips += bool(np.abs(slip - before).max() > 1e-9)
+        path.append({"w_T": w @ tangent, "w_N": w @ n})
+        expected.append([t @ tangent, t @ n])
+    found = drive(law, path, n=n)
+    assert 3 < slips < 20
+    assert found.tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)
+    mean = [np.sum(law.fractions * np.array([k[0, 0] for k in stiffnesses]))]  # the arithmetic mean is another law
+    assert abs(mean[0] - limits.stratified(law.fractions, stiffnesses)[0, 0]) > 0.05 * mean[0]
+
+
+@pytest.mark.parametrize("name", ["closed form and return", "monodirectional", "unilateral"])
+def test_sublayers_that_all_yield(name):
+    """Equal ones are the law itself, whatever the split; of others, under pressure, the order does not matter."""
+    law, random = LAWS[name], np.random.default_rng(9)
+    w = np.cumsum(0.01 * random.normal(size=(40, 3)), axis=0) * [1.0, 0.3, 0.0] - [0.0, 0.005, 0.0]
+    path = [{"w_T": x, "w_N": y} for x, y, _ in w]
+    alone, stack = drive(law, path), drive(Stack((0.2, law), (0.5, law), (0.3, law)), path)
+    size = np.abs(alone.tractions).max()
+    assert (alone.energies[:, 1] > 0).any()
+    assert stack.tractions == pytest.approx(alone.tractions, abs=1e-9 * size)
+    assert stack.energies == pytest.approx(alone.energies, abs=1e-8 * np.abs(alone.energies).max())
+    mixed = Stack((0.2, law), (0.5, LinearElastic(30.0, 50.0)), (0.3, law.with_parameters({"cohesion": 0.3})))
+    reverse = Stack(*mixed.sublayers[::-1])
+    pressed = [step | {"w_N": -0.002 - abs(step["w_N"])} for step in path]
+    one, other = drive(mixed, pressed), drive(reverse, pressed)
+    assert other.tractions == pytest.approx(one.tractions, abs=1e-7 * size)
+    assert one.energies[:, 1].min() > -1e-12
+
+
+PAIRS = {
+    "full, unilateral": (
+        MohrCoulomb(113.0, 75.0, 0.1, 10.0),
+        MohrCoulombMonodirectional(52.0, 34.0, 0.1, 30.0, unilateral=True),
+    ),
+    "full, full": (MohrCoulomb(86.0, 58.0, 0.0, 30.0), MohrCoulomb(120.0, 80.0, 0.1, 45.0)),
+    "bilateral, bilateral": (
+        MohrCoulombMonodirectional(90.0, 60.0, 0.2, 45.0),
+        MohrCoulombMonodirectional(60.0, 40.0, 0.1, 30.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_shares_of_sublayers_that_yield(name):
+    """Whatever happens, tractions are equal and the shares add up to nothing; they do not run away."""
+    laws, fractions, points, random = PAIRS[name], np.array([0.3, 0.7]), 200, np.random.default_rng(1)
+    law, n = Stack(*zip(fractions, laws, strict=True)), normals(points)
+    q, e, failed = at_rest(law, points), np.zeros((points, 6)), 0
+    for _ in range(8):
+        new = e + jump_strain(0.003 * random.normal(size=(points, 3)) - 0.002 * E2, n)
+        answer = respond(law, new, e, q, n)
+        done = ~np.isnan(answer.stress[:, 0])
+        failed += answer.failed
+        shares, old = (memory[:, :6].reshape(points, 2, 3) for memory in (answer.q, q))
+        assert np.abs(shares[done]).max() < 1.0
+        assert np.einsum("i,kij->kj", fractions, shares[done]) == pytest.approx(0, abs=1e-14)
+        first, tractions = 6, []
+        for i, one in enumerate(laws):
+            memory = q[:, first : first + material(one).memory]
+            first += memory.shape[1]
+            ends = new + jump_strain(shares[:, i], n), e + jump_strain(old[:, i], n)
+            tractions.append(traction(respond(one, *ends, memory, n).stress, n)[done])
+        tractions = np.array(tractions)
+        assert np.abs(tractions - tractions[0]).max() < 1e-7 * np.abs(tractions).max()
+        q, e = np.where(done[:, None], answer.q, q), np.where(done[:, None], new, e)
+    assert failed < 0.1 * 8 * points
+
+
+def test_elastic_and_full_sublayers():
+    """Against a Newton method of its own: the sublayers' jumps, with the closed formula for the plastic one."""
+    a, above = 0.6, LinearElastic(100.0, 15.0)
+    law = Stack((1 - a, above), (a, LAW))
+    K = np.diag([above.mu, above.lmbda + 2 * above.mu])
+    share_old, s, path, expected, yielded = np.zeros(2), np.zeros(2), [], [], 0
+    for w_T, w_N in [(0, -0.01), (0.01, -0.01), (0.03, -0.012), (0.02, -0.02), (-0.03, -0.02), (-0.03, -0.005)]:
+        w, share = np.array([w_T, w_N], float), share_old
+
+        def lack(share, w=w, share_old=share_old, s=s):
+            t, _ = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
+            return t - K @ (w - a * share) / (1 - a)
+
+        for _ in range(50):
+            J = np.column_stack([(lack(share + d) - lack(share - d)) / 2e-7 for d in 1e-7 * np.eye(2)])
+            share = share - np.linalg.solve(J, lack(share))
+        assert np.abs(lack(share)).max() < 1e-10
+        t, s = limits.mohr_coulomb(LMBDA, MU, C, OMEGA, share, share_old, s)
+        yielded += np.linalg.norm(s) > C * np.cos(np.pi / 6) - (LMBDA + MU) * share[1] / 2 - 1e-12
+        share_old = share
+        path.append({"w_T": w_T, "w_N": w_N})
+        expected.append(t)
+    assert 2 <= yielded < 6
+    assert drive(law, path).tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)

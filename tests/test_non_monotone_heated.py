@@ -1,0 +1,132 @@
+"""Parameters of non-monotone laws that depend on temperature: tables, fields, thickness, functions that are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Tabulated, limits
+from forms.non_monotone import lamination_gain
+from tests.at_points import E2, jump_strain, material, traction
+from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C
+from thinlayer import ThinLayer, drive
+from thinlayer.discretisation.layer import real_law
+from thinlayer.errors import ModelError
+
+
+def test_a_table_is_linear_in_between():
+    assert TABLE(5.0) == pytest.approx(1.5)
+    assert TABLE(np.array([0.0, 10.0, 25.0, 40.0])) == pytest.approx([2.0, 1.0, 2.5, 4.0])
+    assert TABLE([[0, 40]]).shape == (1, 2)
+    assert Tabulated(iter([(1, 2), (3, 4)])).values == ((1.0, 2.0), (3.0, 4.0))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [], [(1.0, 2.0)], [(2.0, 1.0), (1.0, 1.0)], [(1.0, 1.0), (1.0, 2.0)], [(1.0, np.nan), (2.0, 1.0)],
+        [(np.nan, 1.0), (2.0, 1.0)], [(1.0, 1.0), (np.inf, 1.0)], [1.0, 2.0], [(1, 2, 3), (2, 3, 4)], "ab", None,
+        [("cold", 1.0), ("hot", 2.0)],
+    ],
+)  # fmt: skip
+def test_a_bad_table(values):
+    with pytest.raises(LawError, match=r"Tabulated needs .*pairs \(T, value\)"):
+        Tabulated(values)
+
+
+@pytest.mark.parametrize(("T", "named"), [(-0.1, "-0.1"), (np.array([20.0, 41.0]), "41"), (np.nan, "nan")])
+def test_temperatures_outside_the_table(T, named):
+    with pytest.raises(LawError, match=f"T is {named}; the table knows 0 to 40"):
+        TABLE(T)
+
+
+def test_the_layer_switches_only_above_a_temperature():
+    """alpha chi:E = C(T) at T = 20; alpha grows with T too, and both are values at T whatever the form they come in."""
+    jump = [{"w_T": 0.0, "w_N": 0.03}]
+    reached = ALPHA * 0.9 * 0.03
+    falling = Tabulated([(0.0, 2 * reached), (40.0, 1e-9)])
+    for kind, warm in ((NonMonotoneUnrelaxed, 20.1), (NonMonotone, 36.0)):
+        cold = kind(LMBDA, MU, lambda T: ALPHA + 0 * T, lambda T: falling(T) + 0.008, CHI2, T=0.0)
+        hot = kind(
+            LMBDA, MU, ALPHA, falling if kind is NonMonotoneUnrelaxed else lambda T: falling(T) + 0.008, CHI2, T=warm
+        )
+        assert drive(cold, jump).memory[0, 0] == 0
+        assert drive(hot, jump).memory[0, 0] == 1
+        number = kind(LMBDA, MU, ALPHA, float(hot.parameters()["transformation_energy"]), CHI2)
+        assert drive(hot, jump).tractions == pytest.approx(drive(number, jump).tractions, rel=1e-14)
+    just = NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, falling, CHI2, T=19.9)
+    assert drive(just, jump).memory[0, 0] == 0
+    grown = NonMonotoneUnrelaxed(LMBDA, MU, Tabulated([(0.0, 1.0), (40.0, 2.0)]), reached, CHI2, T=20.0)
+    assert grown.parameters()["alpha"] == pytest.approx(1.5)
+    assert drive(grown, jump).memory[0, 0] == 1
+
+
+def test_a_field_of_temperatures():
+    """Each point has its parameters; and eps is that of the layer, whose real C is C/eps."""
+    law = NonMonotone(LMBDA, MU, ALPHA, lambda T: 0.01 + 0.001 * T, CHI2, T=lambda x, t: 10 * x[0] + t)
+    assert law.traits.varies
+    x = np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
+    values = law.at(x, 3.0)
+    assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
+    assert values["transformation_energy"] == pytest.approx([0.013, 0.023, 0.033])
+    assert values["alpha"] == pytest.approx(3 * [ALPHA])
+    real = real_law(ThinLayer(law, EPS), "strain")
+    assert real.at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"] / EPS)
+    assert real.per_thickness(EPS).at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"])
+    w = np.array([[0.0, 0.02, 0.0]] * 3)
+    n = np.tile(E2, (3, 1))
+    for one, eps in ((law, 1.0), (real, EPS)):
+        points = material(one)
+        points.take_at(x, 3.0)
+        e = jump_strain(w, n) / eps
+        stress, _, q, _, failed = points.update(range(6), e, 0 * e, np.zeros((3, 2)), n, 1.0, 1.0)
+        assert failed == 0
+        for k, C_k in enumerate((0.013, 0.023, 0.033)):
+            t, phase = limits.non_monotone(LMBDA, MU, ALPHA, C_k, CHI2, w[k, :2], np.eye(2)[1])
+            assert traction(stress, n)[k, :2] == pytest.approx(t, rel=1e-11, abs=1e-13)
+            assert q[k, 0] == pytest.approx(phase, abs=1e-11)
+    assert len(set(q[:, 0])) == 3
+    with pytest.raises(ModelError, match="temperature that is a number, not a field"):
+        drive(law, [{"w_T": 0.0, "w_N": 0.1}])
+    arrays = NonMonotone(LMBDA, MU, np.array(ALPHA), np.array(C), CHI2, T=lambda x, t: x[0])
+    assert arrays.at(x, 0.0)["alpha"] == pytest.approx(3 * [ALPHA])
+
+
+def test_functions_of_temperature_per_thickness():
+    """Functions are scaled as numbers are: a law of real values, in a layer of thickness EPS."""
+    for T in (15.0, lambda x, t: 15.0 + 0 * x[0]):
+        real = NonMonotone(LMBDA * EPS, MU * EPS, lambda T: 0.08 * T, lambda T: T / 1000 / EPS, CHI2, T=T)
+        law = real.per_thickness(EPS)
+        values = law.at(np.zeros((2, 1)), 0.0) if law.traits.varies else law.parameters()
+        assert [*np.ravel(values["alpha"]), *np.ravel(values["transformation_energy"])] == pytest.approx(
+            [1.2, 0.015], rel=1e-14
+        )
+        assert abs(law.G / lamination_gain(LMBDA, MU, CHI2) - 1) < 1e-13
+
+
+X = np.array([[0.0, 1.0], [0.0, 0.5]])
+
+
+@pytest.mark.parametrize(
+    ("alpha", "C", "T", "message"),
+    [
+        (lambda T: np.ones(3), C, None, r"alpha\(T\) fails for T of shape \(2,\).*numpy function"),
+        (lambda T: 1 / 0, C, None, r"alpha\(T\) fails .*ZeroDivisionError"),
+        (lambda T: "warm", C, None, r"alpha\(T\) fails"),
+        (lambda: 1.0, C, None, r"alpha\(T\) fails .*TypeError"),
+        (ALPHA, lambda T: np.nan * T, None, r"transformation_energy\(T\) is not finite at T = 5"),
+        (ALPHA, lambda T: None, None, r"transformation_energy\(T\) fails .*it gives object values"),
+        (ALPHA, lambda T: 5 - T, None, r"transformation_energy at x = \(1, 0.5\), t = 0.5 is -5; allowed: > 0"),
+        (lambda T: 0 * T, C, None, r"alpha at x = \(0, 0\), t = 0.5 is 0; allowed: > 0"),
+        (lambda T: 0.3 * T, C, None, r"transformation_energy at x = .* is 0.02; allowed: >= mixing alpha\^2 G/2 = "),
+        (TABLE, C, lambda x, t: 50 * x[0], r"alpha\(T\): T is 50; the table knows 0 to 40"),
+        (ALPHA, C, lambda x, t: np.zeros(3), r"T\(x, t\) fails for x of shape \(2, 2\)"),
+        (ALPHA, C, lambda x: 1.0, r"T\(x, t\) fails .*TypeError"),
+        (ALPHA, C, lambda x, t: np.where(x[0] > 0, np.inf, 1.0), r"T is inf at x = \(1, 0.5\), t = 0.5"),
+        (ALPHA, C, lambda x, t: "cold", r"T\(x, t\) fails .*TypeError"),
+    ],
+)
+def test_functions_that_are_none(alpha, C, T, message):
+    law = NonMonotone(LMBDA, MU, alpha, C, CHI2, T=T or (lambda x, t: 5 + 5 * x[0]))
+    with pytest.raises(LawError, match=f"^NonMonotone: {message}"):
+        law.at(X, 0.5)

@@ -1,0 +1,198 @@
+"""Laws refuse parameters out of range, results of another shape and declarations that fit no parameter, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+
+from forms import (
+    BulkLaw,
+    Incompressible,
+    KelvinVoigt,
+    KernelLaw,
+    LawError,
+    LinearElastic,
+    Maxwell,
+    Norton,
+    Stack,
+    TractionLaw,
+)
+from forms.law import Step
+from forms.traction import JumpStep
+from tests.at_points import E2, respond
+from tests.laws_at_points import ELASTIC, KELVIN, LAWS, LMBDA, MAXWELL, MISES, MU, NORTON_3, SERIES, SOLID
+from thinlayer.discretisation.layer import real_law
+from thinlayer.pointwise.material import Material
+
+# ---------------------------------------------------------------- bad parameters and laws
+POINT = "laws that give a stress for a strain"
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: KelvinVoigt(LMBDA, MU, 0.3, 0.0), "KelvinVoigt: theta_mu is 0.0; allowed: > 0"),
+        (lambda: KelvinVoigt(LMBDA, MU, 0.3, -1.0), "theta_mu is -1.0"),
+        (lambda: KelvinVoigt(LMBDA, MU, -1.0, 0.5), r"theta_lmbda is -1.0; allowed: lmbda theta_lmbda \+ 2 mu theta_mu/3"),
+        (lambda: KelvinVoigt(LMBDA, MU, float("nan"), 0.5), "theta_lmbda is nan"),
+        (lambda: KelvinVoigt(LMBDA, 0.0, 0.3, 0.5), "mu is 0.0; allowed: > 0"),
+        (lambda: KelvinVoigt(-30.0, MU, 0.3, 0.5), "lmbda is -30.0; allowed: > -2 mu/3"),
+        (lambda: KelvinVoigt(lmbda=1.0, mu=1.0, theta=0.1), "no parameter 'theta'; known: lmbda, mu, theta_lmbda"),
+        (lambda: Maxwell(LMBDA, MU, 0.0), "Maxwell: t1 is 0.0; allowed: > 0"),
+        (lambda: Maxwell(LMBDA, MU, float("inf")), "t1 is inf"),
+        (lambda: Maxwell(LMBDA, MU, 1.0, 0.69), r"t2 is 0.69; allowed: > 0 and >= 3 nu t1/\(1 \+ nu\) = 0.692308"),
+        (lambda: Maxwell(-20.0, MU, 1.0, -0.1), "t2 is -0.1; allowed: > 0"),
+        (lambda: Maxwell(LMBDA, -1.0, 1.0), "mu is -1.0"),
+        (lambda: Norton(LMBDA, MU, 5.0, 1.0), "Norton: p is 1.0; allowed: > 1"),
+        (lambda: Norton(LMBDA, MU, 5.0, 0.5), "p is 0.5"),
+        (lambda: Norton(LMBDA, MU, 5.0, float("nan")), "p is nan"),
+        (lambda: Norton(LMBDA, MU, 0.0, 1.5), "eta is 0.0; allowed: > 0"),
+        (lambda: Norton(LMBDA, MU, 5.0, 1.5, -1e-3), "rest is -0.001; allowed: >= 0"),
+        (lambda: Incompressible(0.0), "Incompressible: mu is 0.0; allowed: > 0"),
+        (lambda: Stack((0.5, MAXWELL), (0.4, KELVIN)), "sum of the fractions is 0.9; allowed: 1"),
+        (lambda: Stack((0.0, MAXWELL), (1.0, KELVIN)), "each > 0"),
+        (lambda: Stack((float("nan"), MAXWELL)), "each > 0"),
+        (lambda: Stack(MAXWELL), r"Stack needs pairs \(fraction, law\)"),
+        (lambda: Stack([(1.0, MAXWELL)]), r"Stack needs pairs \(fraction, law\)"),
+        (lambda: Stack((0.5, MAXWELL, KELVIN)), r"Stack needs pairs \(fraction, law\)"),
+        (lambda: Stack(("all", MAXWELL)), r"Stack needs pairs \(fraction, law\)"),
+        (lambda: Stack((1.0, "glue")), f"a sublayer is glue; allowed: {POINT}"),
+        (lambda: Stack((0.5, MAXWELL), (0.5, Incompressible(1.0))), r"a sublayer is Incompressible\(mu=1.0\); allowed"),
+        (lambda: Stack((1.0, Incompressible(1.0))), f"allowed: {POINT}"),
+        (lambda: Stack((0.5, MAXWELL), (0.5, LAWS["traction"])), rf"a sublayer is Slipping\(.*; allowed: {POINT}"),
+        (lambda: KELVIN.plane_stress(), "plane stress is not defined for KelvinVoigt; use plane='strain'"),
+        (lambda: MAXWELL.plane_stress(), "plane stress is not defined for Maxwell"),
+        (lambda: NORTON_3.plane_stress(), "plane stress is not defined for Norton"),
+        (lambda: Incompressible(1.0).plane_stress(), "plane stress is not defined for Incompressible"),
+        (lambda: SERIES.plane_stress(), "plane stress is not defined for Maxwell"),
+        (lambda: SOLID.plane_stress(), "plane stress is not defined for StandardSolid"),
+        (lambda: MISES.plane_stress(), "plane stress is not defined for Mises"),
+    ],
+)  # fmt: skip
+def test_what_a_law_refuses(build, message):
+    with pytest.raises(LawError, match=message):
+        build()
+
+
+def test_jumps_know_no_plane():
+    law = LAWS["traction"]
+    assert real_law(law, "stress").parameters() == law.parameters()
+
+
+def test_a_traction_law_has_no_powers_of_eps():
+    @dataclass(frozen=True)
+    class Scaled(TractionLaw):
+        k: float
+        powers: ClassVar = {"k": 1}
+
+    with pytest.raises(LawError, match="Scaled: a traction law has no powers of eps"):
+        Scaled(1.0)
+
+
+@dataclass(frozen=True)
+class Remembering(BulkLaw):
+    """A law in order, to be spoiled."""
+
+    mu: float
+    internal: ClassVar = {"old": (3, 3)}
+
+    def stress(self, step):
+        return 2 * self.mu * step.e
+
+    def advance(self, step):
+        return {"old": step.e}
+
+
+def spoiled(**changes) -> type[BulkLaw]:
+    return type("Spoiled", (Remembering,), changes)
+
+
+@dataclass(frozen=True)
+class PlaneTraction(TractionLaw):
+    k: float
+
+    def traction(self, step: JumpStep):
+        return self.k * ufl.as_vector([step.w[0], step.w[1]])
+
+
+def in_plane(a):
+    return ufl.as_tensor([[a[i, j] for j in range(2)] for i in range(2)])
+
+
+SPOILED = {
+    "stress (2, 2)": spoiled(stress=lambda self, step: in_plane(step.e)),
+    "stress (4, 4)": spoiled(stress=lambda self, step: ufl.Identity(4)),
+    "stress (3,)": spoiled(stress=lambda self, step: ufl.dot(step.e, step.n)),
+    "stress ()": spoiled(stress=lambda self, step: ufl.tr(step.e)),
+    "stress a number": spoiled(stress=lambda self, step: 0.0),
+    "stress None": spoiled(stress=lambda self, step: None),
+    "other name": spoiled(advance=lambda self, step: {"new": step.e}),
+    "name missing": spoiled(advance=lambda self, step: {}),
+    "advance None": spoiled(advance=lambda self, step: None),
+    "() for (3, 3)": spoiled(advance=lambda self, step: {"old": ufl.tr(step.e)}),
+    "(2, 2) for (3, 3)": spoiled(advance=lambda self, step: {"old": in_plane(step.e)}),
+    "(3, 3) for ()": spoiled(internal={"old": ()}),
+    "(3, 3) for (3,)": spoiled(internal={"old": (3,)}),
+    "declared (2,)": spoiled(internal={"old": (2,)}),
+    "traction (2,)": PlaneTraction,
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_a_law_that_gives_something_else_than_it_must(name):
+    """The message names the law."""
+    kind = SPOILED[name]
+    with pytest.raises(LawError, match=kind.__name__):
+        Material(MPI.COMM_SELF, kind(1.0).of_strains())
+
+
+def test_the_law_in_order_is_accepted():
+    e = np.arange(6.0)[None]
+    assert respond(Remembering(2.0), e, 0 * e, np.zeros((1, 6)), E2[None]).stress == pytest.approx(4 * e)
+
+
+def test_a_rate_that_is_not_declared():
+    """Step.rate outside a march: a law must declare rate = True."""
+    with pytest.raises(LawError, match="rate = True"):
+        KELVIN.stress(Step(ufl.Identity(3), e_old=ufl.Identity(3)))
+
+
+# ---------------------------------------------------------------- declarations and kernels
+def declared(body: str, decorated: bool = True):
+    """A law's class from source."""
+    names = {"BulkLaw": BulkLaw, "KernelLaw": KernelLaw, "dataclass": dataclass, "np": np}
+    decorator = "@dataclass(frozen=True)\n" if decorated else ""
+    exec(f"{decorator}class Mine(BulkLaw):\n    k: float = 30.0\n" + body, names)
+    return names["Mine"]
+
+
+@pytest.mark.parametrize(
+    ("body", "decorated", "message"),
+    [
+        ('    powers = {"K": 1}\n', True, "powers has 'K'; parameters: k"),
+        ('    powers = {"k": float("nan")}\n', True, "power of k is nan"),
+        ('    powers = ["k"]\n', True, r"powers is \{parameter: power\}"),
+        ('    internal = ["a"]\n', True, r"internal is \{name: shape\}"),
+        ('    powers = {"k": 1}\n', False, r"no dataclass: write @dataclass\(frozen=True\)"),
+    ],
+)
+def test_what_a_class_declares_fits_its_parameters(body, decorated, message):
+    with pytest.raises(LawError, match=message):
+        declared(body, decorated)()
+
+
+@pytest.mark.parametrize("value", [None, "1", [1.0, 2.0], np.ones(3)])
+def test_parameters_are_numbers(value):
+    for build in (
+        lambda: Norton(1.0, 1.0, value, 1.5),
+        lambda: LinearElastic(1.0, value),
+        lambda: LinearElastic.young(value, 0.3),
+        lambda: ELASTIC.per_thickness(value),
+    ):
+        with pytest.raises(LawError, match=r"allowed|must be > 0"):
+            build()

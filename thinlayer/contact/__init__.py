@@ -1,1 +1,0 @@
-"""Contact on S: its nodes, its solvers, its report."""

@@ -1,0 +1,1 @@
+"""What finds equilibria under contact laws, beside plain Newton."""
