@@ -49,7 +49,7 @@ class ErrorEstimate:
         """What is compared, of displacements, on this rank."""
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
-        jumps = [part.seen(u, forces) for part in self._equations.parts]
+        jumps = [part.error_measure(u, forces) for part in self._equations.parts]
         of_forces = forces.array_r.copy()
         forces.destroy()
         return [u.x.petsc_vec.array_r.copy(), np.concatenate(jumps), of_forces]
@@ -59,4 +59,4 @@ class ErrorEstimate:
 
     def _of_unit_displacements(self) -> float:
         """The norm that strains or jumps may have, about, where displacements of size 1 differ by 1 across the layer."""
-        return float(np.sqrt(sum(part.seen_of_unit_jump() for part in self._equations.parts)))
+        return float(np.sqrt(sum(part.unit_jump_measure() for part in self._equations.parts)))
