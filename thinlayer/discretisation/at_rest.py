@@ -11,9 +11,9 @@ from forms.law import BulkLaw
 from forms.tangent import (
     Array,
     average_lame,
+    has_stable_rest,
     held_along,
     require_stable_layer,
-    rests_by_itself,
     tangent_at_rest,
     tangent_over,
 )
@@ -36,7 +36,7 @@ class AtRest:
     def __init__(self, law: BulkLaw, n: Array) -> None:
         self.n = n
         self.strata = [
-            (share, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n))
+            (share, one, tangent_at_rest(one, n) if has_stable_rest(one) else one.stiffness(n))
             for share, one in law.sublayers
         ]
 
@@ -55,7 +55,7 @@ class AtRest:
     def require_stable(self) -> None:
         """Raise an error if a stiffness at rest is negative: what is found would be no equilibrium that lasts."""
         for _, law, C in self.strata:
-            if rests_by_itself(law):
+            if has_stable_rest(law):
                 require_stable_layer(law, C, self.n)
 
     def require_no_locking(self) -> None:
