@@ -78,7 +78,7 @@ class Creeping(TractionLaw):
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
         (
             MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0),
-            "MohrCoulomb bounds stresses: loads come to their limit",
+            "MohrCoulomb bounds stresses: on a path loads stay at their limit",
         ),
     ],
 )

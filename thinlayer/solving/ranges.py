@@ -401,7 +401,7 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
     openings = [float(np.abs(faces.opening).max()) for faces in found]
     most = openings.index(max(openings))
     last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
-    worst, worst_stratum = LEAST_ERROR, None
+    worst, stratum = LEAST_ERROR, None
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
         strata = _strata(model, 0.0 if start is None else state.t - start)
@@ -409,11 +409,11 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
             continue
         excess = pressure_excess(faces, strata[0])
         if excess > worst:
-            worst, worst_stratum = excess, strata[0]
-    if worst_stratum:
+            worst, stratum = excess, strata[0]
+    if stratum:
         warn(
-            f"the layer is nearly incompressible{worst_stratum.when} (lmbda/mu = {worst_stratum.lmbda / worst_stratum.mu:.4g}): with the jumps found, "
-            f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
+            f"the layer is nearly incompressible{stratum.when} (lmbda/mu = {stratum.lmbda / stratum.mu:.4g}): with the "
+            f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
             "structure is off by less where the bodies are soft; mesh the layer (structure.full) to see by how much",
             model.comm,
         )

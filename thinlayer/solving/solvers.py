@@ -315,9 +315,7 @@ class Solver:
             except SolveError as error:
                 if not self._finder.forget():
                     raise
-                self._log.debug(
-                    "%s: tried again with a new factor, as it failed with an old one: %s", attempt.name, error.reason
-                )
+                self._log.debug("%s: again with a new factor, as the old one failed: %s", attempt.name, error.reason)
                 found = self._with_options(attempt, start)
         except SolveError as error:
             seconds = time.perf_counter() - began
