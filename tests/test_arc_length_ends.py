@@ -12,8 +12,8 @@ import ufl
 
 from forms.traction import TractionLaw
 from tests.arc_length_run import Trilinear, across_and_along, bar, chosen
+from tests.ranks import CLEAN, CLONE, mpirun
 from tests.snapping_bars import FAR, STEEP, C, openings, sigma
-from tests.test_parallel import CLEAN, CLONE, mpirun
 from thinlayer import ArcLength, ModelError, SolveError, march
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from forms.laws import KelvinVoigt, LinearElastic
 from tests import marching_run
-from tests.test_parallel import CLEAN, CLONE, mpirun
+from tests.ranks import CLEAN, CLONE, mpirun
 from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
 from thinlayer import ModelError, RangeWarning, Structure, ThinLayer, march
 from thinlayer.running.cli import main

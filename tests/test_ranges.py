@@ -12,7 +12,7 @@ from forms import Anisotropic, LinearElastic, MohrCoulombMonodirectional, Stack
 from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
 

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from forms import BulkLaw, LawError, LinearElastic, NonMonotoneUnrelaxed, Stack, Tabulated, limits
 from geometry import GeometryError, sandwich
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 from thinlayer import (
     Adaptive,
     ArcLength,

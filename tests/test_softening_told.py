@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import warnings
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -15,10 +14,11 @@ import ufl
 from forms.law import BulkLaw
 from forms.laws import LinearElastic
 from geometry import block
+from tests import ranges_told
 from tests.arc_length_run import HEIGHT, WIDTH, bar
+from tests.ranks import CLONE
 from tests.snapping_bars import STEEP, C, Cohesive, openings, sigma
-from tests.test_parallel import CLONE
-from thinlayer import ModelError, RangeWarning, Structure, ThinLayer, march, solve
+from thinlayer import ModelError, Structure, ThinLayer, march, solve
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,8 @@ class Softer(BulkLaw):
 
 def told(model, times):
     """RangeWarnings of a march, or of a solve at a time; and its result."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        result = march(model, times) if isinstance(times, list) else solve(model, times)
-    return [str(w.message) for w in caught if issubclass(w.category, RangeWarning)], result
+    result, messages = ranges_told.told(lambda: march(model, times) if isinstance(times, list) else solve(model, times))
+    return messages, result
 
 
 def test_softening_is_told_where_it_is_met():
