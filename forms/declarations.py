@@ -140,7 +140,7 @@ def _require_used(law: Any) -> None:
         if _own(kind, one) and _place(kind, one) < defining:
             raise LawError(
                 f"{name} has a method {one} that is never called: the stress comes from the kernel, source, sublayers or "
-                f" traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
+                f"the traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
             )
     if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
         raise LawError(

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from thinlayer.discretisation.load_history import BETWEEN
+from thinlayer.discretisation.load_history import SAMPLE_FRACTIONS
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import Array
 
@@ -53,7 +53,7 @@ def _change(points: CompiledTerm, times: Sequence[float]) -> list[bool]:
     change = [False] * len(points.term.law.sublayers)
     if not points.material.varies:
         return change
-    sampled = [a + share * (b - a) for a, b in pairwise(times) for share in (*BETWEEN, 1.0)]
+    sampled = [a + share * (b - a) for a, b in pairwise(times) for share in (*SAMPLE_FRACTIONS, 1.0)]
     points.at_time(times[0])
     first = points.material.of_sublayers
     for t in sampled:

@@ -414,7 +414,8 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
         warn(
             f"the layer is nearly incompressible{stratum.when} (lmbda/mu = {stratum.lmbda / stratum.mu:.4g}): with the "
             f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
-            "flow along S; the structure is off by less where the bodies are soft; mesh the layer (structure.full) to see by how much",
+            "flow along S; the structure is off by less where the bodies are soft; mesh the layer (structure.full) to see "
+            "by how much",
             model.comm,
         )
 
