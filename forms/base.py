@@ -1,4 +1,4 @@
-"""What all packages here share and no library has: the base class of errors, what counts as a number, the packages."""
+"""Shared by all packages here: base classes of errors, tests for numbers, names of the packages."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class ThinlayerError(Exception):
 
 
 class InputError(ThinlayerError, ValueError):
-    """Something given that cannot be used: the message says what, where and what is allowed."""
+    """Input that cannot be used. The message says what is wrong, where, and which values are allowed."""
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a real number, NaN and infinity among them; True and False are none."""
+    """Whether a value is a real number, including NaN and infinity, excluding True and False."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Status(IntEnum):
-    """What a node of S does."""
+    """Status of a node of S."""
 
     SEPARATED = 0
     STICK = 1
@@ -25,15 +25,15 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class ContactLaw(Law):
-    """A law between the jump at a node of S and the traction there; no bulk law of a layer stands behind it.
+    """A law between the jump at a node of S and the traction there, without a bulk law behind it.
 
     Jumps w (n, d) and tractions (n, d) have components in the frame of S: d - 1 tangential ones, then the normal one, which
     is positive where S opens and where it pulls. Penetration is u_N = -w_N, pressure p = -t_N >= 0:
 
         p = K_N max(u_N, 0),   t_T = K_T (w_T - slip), shortened to the length threshold(p) where it is longer.
 
-    In three dimensions the threshold is the radius of a disc. A law of one's own gives `threshold` and `threshold_rate`,
-    functions of arrays; it is solved by Newton's method.
+    In three dimensions the threshold is the radius of a disc. Your own contact law defines `threshold` and
+    `threshold_rate`, functions of arrays; Newton's method solves it.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
@@ -48,30 +48,30 @@ class ContactLaw(Law):
     def check(self) -> None:
         positive(self, "K_N", "K_T")
 
-    def _told_by_methods(self) -> dict[str, bool]:
+    def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
 
     def per_thickness(self, eps: float) -> Self:
         raise LawError(
             f"{type(self).__name__} has no thickness: K_N and K_T are per length already; "
-            f"of a layer of thickness eps: {type(self).__name__}.of_layer(lmbda / eps, mu / eps, ...)"
+            f"for a layer of thickness eps: {type(self).__name__}.of_layer(lmbda / eps, mu / eps, ...)"
         )
 
     def threshold(self, p: Array) -> Array:
         """Largest |t_T| at a pressure."""
-        raise LawError(f"{type(self).__name__} gives no threshold; a contact law needs a method threshold(p)")
+        raise LawError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
 
     def threshold_rate(self, p: Array) -> Array:
         """Derivative of the threshold by the pressure."""
-        raise LawError(f"{type(self).__name__} gives no threshold_rate(p)")
+        raise LawError(f"{type(self).__name__} has no method threshold_rate(p)")
 
     def check_threshold(self) -> None:
-        """Raise LawError unless `threshold` (>= 0) and `threshold_rate` give a finite number for each of (n,) pressures."""
+        """Raise LawError unless `threshold` (>= 0) and `threshold_rate` give finite numbers (n,) for pressures (n,)."""
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
         for name in ("threshold", "threshold_rate"):
             where, given = f"{type(self).__name__}.{name}(p)", p.copy()
             try:
-                with np.errstate(all="ignore"):  # pressures of a law may not reach that far
+                with np.errstate(all="ignore"):  # the law may not be meant for pressures this large
                     found = getattr(self, name)(given)
             except LawError:
                 raise
@@ -111,7 +111,7 @@ class ContactLaw(Law):
         Args:
             w: (n, d) jumps.
             slip: (n, d - 1) slip at the beginning of the step; None: zero.
-            threshold: (n,) given thresholds in place of the law's own: the problem inside the paper's fixed point.
+            threshold: (n,) thresholds to use instead of the law's own, as in the paper's fixed point.
         """
         p, bound, elastic, size = self._trial(w, slip, threshold)
         shorter = np.where(size <= bound, 1.0, bound / np.where(size > 0, size, 1.0))
@@ -141,7 +141,7 @@ class ContactLaw(Law):
     def status(self, w: Array, slip: Array | None = None, threshold: Array | None = None) -> npt.NDArray[np.int8]:
         """`Status` of each node, (n,): separated without pressure, else stick up to the threshold, else sliding.
 
-        A node that is separated may carry t_T: up to the cohesion, or to Tresca's bound.
+        A separated node may carry t_T up to the cohesion, or up to Tresca's bound.
         """
         p, bound, _, size = self._trial(w, slip, threshold)
         return np.where(p <= 0, Status.SEPARATED, np.where(size <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
@@ -153,14 +153,14 @@ class ContactLaw(Law):
         return w[:, :-1] - self.traction(w, slip)[:, :-1] / self.K_T
 
     def energies(self, w: Array, slip: Array) -> tuple[Array, Array]:
-        """Energy stored in the springs, and dissipated since slip was `slip`, per area, (n,) each; w at the end."""
+        """Stored energy, and energy dissipated in a step from `slip` to the jumps w at its end; per area, (n,) each."""
         t = self.traction(w, slip)
         stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
     @property
     def numbers(self) -> tuple[float, float, float, float] | None:
-        """K_N, K_T, friction and cohesion, for compiled sweeps; None: no sweeps."""
+        """K_N, K_T, friction and cohesion, for the compiled Gauss-Seidel sweeps; None: no sweeps for this law."""
         return None
 
     @classmethod
@@ -168,7 +168,7 @@ class ContactLaw(Law):
         """The law with the stiffness of an isotropic layer in plane strain or 3D: K_N = lmbda + 2 mu, K_T = mu.
 
         Args:
-            lmbda, mu: moduli per thickness, stress per length: of a layer of thickness eps its Lame moduli over eps.
+            lmbda, mu: Lame moduli of the layer over its thickness, stress per length.
             others: the law's other parameters, by name.
         """
         names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
@@ -208,11 +208,11 @@ class HolonomicCoulomb(_Coulomb):
     """The unilateral law of section 8 of the paper: normal compliance, friction that depends on the jump alone.
 
     |t_T| = min(K_T |w_T|, friction p + cohesion), against w_T: no memory of slip, so unloading goes back along the loading
-    curve. It is not the law of sections 5.3 and 7.3, as section 8 has it: that one is incremental and does not open; they
-    agree where p only grows and slip does not turn. No bulk law of a layer has this one as its limit.
+    curve. Section 8 takes it for the law of sections 5.3 and 7.3, but that law is incremental and does not open; the two
+    agree where p only grows and slip does not reverse. This law is not the limit of a bulk law of a layer.
 
-    The cohesion is a strength in shear that does not know of the opening: a node that is separated carries no pressure, but
-    tangential traction up to the cohesion. Without cohesion it carries nothing.
+    The cohesion is a strength in shear that does not depend on the opening: a separated node carries no pressure, but
+    tangential traction up to the cohesion.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
@@ -229,8 +229,8 @@ class IncrementalCoulomb(_Coulomb):
     """Normal compliance and Coulomb friction with slip memory: t_T = K_T (w_T - slip), |t_T| <= friction p + cohesion.
 
     Slip grows along t_T where the threshold is met (backward Euler, the return of elastoplasticity). Without cohesion it
-    follows w_T where S is open: what touches again starts without tangential traction. This is the law of sections 5.3 and
-    7.3 made unilateral; `march` follows it. Attributes and errors as in `HolonomicCoulomb`.
+    follows w_T where S is open: a node that closes again starts without tangential traction. This is the law of sections
+    5.3 and 7.3 made unilateral, for `march`. Attributes and errors as in `HolonomicCoulomb`.
     """
 
     memory: ClassVar[bool] = True
@@ -238,8 +238,9 @@ class IncrementalCoulomb(_Coulomb):
 
 @dataclass(frozen=True)
 class Tresca(ContactLaw):
-    """Normal compliance and a given friction threshold, which holds at open nodes too: the problem inside the fixed point
-    of section 8, with its convex energy (the function psi of the paper, correct as printed).
+    """Normal compliance and a given friction threshold, which also applies at open nodes.
+
+    It is the problem inside the fixed point of section 8, and has a convex energy (the paper's psi, correct as printed).
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.

@@ -1,4 +1,4 @@
-"""What the class of a law declares, checked."""
+"""Checks of the declarations in the class of a law."""
 
 from __future__ import annotations
 
@@ -12,17 +12,25 @@ from typing import Any
 
 from forms.base import PACKAGES, InputError, is_number
 
-DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))  # of the base classes
-ANSWERS = ("stress", "traction", "kernel", "source")  # of a law to a strain
-CHANGES = ("advance", "evolve")  # of its memory
-OF_ANSWERS = ("stiffness", "gradient", "plane_stress", "otherwise", "energetic")  # what is written for one stress alone
+DEFAULTS = tuple(
+    f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series")
+)  # modules of base classes
+RESPONSES = ("stress", "traction", "kernel", "source")  # attributes that give the stress or traction of a law
+UPDATES = ("advance", "evolve")  # methods that give new internal variables
+OF_ONE_STRESS = (
+    "stiffness",
+    "gradient",
+    "plane_stress",
+    "otherwise",
+    "energetic",
+)  # attributes valid for one stress only
 ENERGIES = ("energy", "dissipation", "dissipated")
-SIZES = {(): 1, (3,): 3, (3, 3): 6}  # numbers in an internal variable of a shape
+SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable -> its number of components
 SWITCHED = ("phase", "drive", "bound")  # internal variables of a law whose phases switch
 
 
 class LawError(InputError):
-    """A parameter out of range, or a law used where it is not defined; says what, where and what is allowed."""
+    """A parameter out of range, or a law used where it is not defined. Says what is wrong, where, and what is allowed."""
 
 
 class RangeWarning(UserWarning):
@@ -30,7 +38,7 @@ class RangeWarning(UserWarning):
 
 
 def warn_of_range(message: str) -> None:
-    """Issue a RangeWarning, at the line that called this package."""
+    """Issue a RangeWarning that points to the line outside these packages that called them."""
     show_warnings()
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
@@ -39,69 +47,69 @@ def warn_of_range(message: str) -> None:
 
 
 def show_warnings() -> None:
-    """FFCx sends all warnings to a log as it is imported: where nobody listens to it, show them again."""
+    """Show warnings again that FFCx, when imported, redirects to a log without handlers."""
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
 
 
 def require_dataclass(kind: type) -> None:
-    """Raise LawError if a class has parameters of its own and no constructor that takes them."""
+    """Raise LawError if a class declares parameters but is not a dataclass, so that its constructor does not take them."""
     own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
     if own and "__dataclass_params__" not in vars(kind):
-        raise LawError(f"{kind.__name__} is no dataclass: write @dataclass(frozen=True) above the class")
+        raise LawError(f"{kind.__name__} is not a dataclass: write @dataclass(frozen=True) above the class")
 
 
-def take_back(kind: Any) -> None:
-    """Give a class the defaults in place of what it inherits and was written for another stress than its own.
+def reset_inherited(kind: Any) -> None:
+    """Reset inherited attributes of a class to the defaults if they were written for another stress than its own.
 
-    What a class writes itself stays, also as `plane_stress = Parent.plane_stress`. So do traits that are checked or only
-    choose among the solvers (`linear`, `symmetric`, ...), and what belongs to parameters alone (`powers`, `at`). An energy
-    stays where it is checked against the stress, or where the class writes one of `ENERGIES` beside it.
+    Attributes that the class writes itself stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
+    that only select solvers (`linear`, `symmetric`, ...) stay, and so does what depends on parameters only (`powers`,
+    `at`). An energy stays if it is checked against the stress, or if the class itself writes one of `ENERGIES`.
     """
-    for name in OF_ANSWERS:
-        if _is_of_another(kind, name, ANSWERS + CHANGES):
+    for name in OF_ONE_STRESS:
+        if _is_for_another_stress(kind, name, RESPONSES + UPDATES):
             _reset(kind, name)
     written = [name for name in ENERGIES if _own(kind, name)]
     unchecked = getattr(kind, "rate", False) or kind.internal or not getattr(kind, "symmetric", True)
-    if unchecked and all(_is_of_another(kind, name, ANSWERS) for name in written):
+    if unchecked and all(_is_for_another_stress(kind, name, RESPONSES) for name in written):
         for name in written:
             _reset(kind, name)
     if _own(kind, "quadratic") and _place(kind, "energy") < _place(kind, "quadratic"):
         kind.quadratic = False
 
 
-def _is_of_another(kind: Any, name: str, answers: tuple[str, ...]) -> bool:
-    """Whether what a class has of this name is inherited from above one of its answers: written for other ones.
+def _is_for_another_stress(kind: Any, name: str, responses: tuple[str, ...]) -> bool:
+    """Whether a class inherits this attribute from a class with another stress or traction.
 
-    In a base class without answers it is written for the first ones below it. A memory that is added changes no answer.
+    An attribute of a base class without a stress belongs to the first stress below it. New memory changes no stress.
     """
     if not _own(kind, name):
         return False
     above = reversed(kind.__mro__[: _place(kind, name) + 1])
-    now = _answers(kind, answers)
-    before = next((found for one in above if (found := _answers(one, answers))), now)
-    return any(before.get(one) is not now.get(one) for one in answers if one in before or one not in CHANGES)
+    now = _responses(kind, responses)
+    before = next((found for one in above if (found := _responses(one, responses))), now)
+    return any(before.get(one) is not now.get(one) for one in responses if one in before or one not in UPDATES)
 
 
-def _answers(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
-    """What a class has of these names that is not the default of all laws."""
+def _responses(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
+    """The attributes of these names that are not the defaults of all laws."""
     return {name: inspect.getattr_static(kind, name) for name in names if _own(kind, name)}
 
 
 def _place(kind: Any, name: str) -> int:
-    """Which class in the order of inheritance has something of this name, counted from the class itself."""
+    """Position, in the order of inheritance, of the class that defines this name; 0 is the class itself."""
     return next((k for k, one in enumerate(kind.__mro__) if name in vars(one)), len(kind.__mro__))
 
 
 def _reset(kind: Any, name: str) -> None:
-    """Give a class the default of all laws."""
+    """Reset an attribute of a class to the default of all laws."""
     defaults = (vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULTS and name in vars(one))
     setattr(kind, name, next(defaults, None))
 
 
 def require_declarations(law: Any) -> None:
-    """Raise LawError unless what the class of a law declares fits its parameters and its methods."""
+    """Raise LawError unless the declarations of a law's class fit its parameters and methods."""
     kind, known = type(law), law.parameters()
     require_dataclass(kind)
     if not isinstance(law.powers, Mapping) or not isinstance(law.internal, Mapping):
@@ -121,42 +129,42 @@ def require_declarations(law: Any) -> None:
             allowed = ", ".join(map(str, SIZES))
             raise LawError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
     _require_phases(law)
-    _require_asked(law)
+    _require_used(law)
 
 
-def _require_asked(law: Any) -> None:
-    """Refuse a method, or a law otherwise, that nobody would ask: what it says would be ignored."""
+def _require_used(law: Any) -> None:
+    """Raise LawError for methods and attributes that would be silently ignored."""
     kind, name = type(law), type(law).__name__
-    answering = min(_place(kind, one) for one in ("kernel", "source", "ignored"))
+    defining = min(_place(kind, one) for one in ("kernel", "source", "ignored"))
     for one in kind.ignored:
-        if _own(kind, one) and _place(kind, one) < answering:
+        if _own(kind, one) and _place(kind, one) < defining:
             raise LawError(
-                f"{name} has a method {one} that is never asked: the answers are the kernel, the source, the sublayers or "
-                f"the traction of {kind.__mro__[answering].__name__}; change those, or write a BulkLaw"
+                f"{name} has a method {one} that is never called: the stress comes from the kernel, source, sublayers or "
+                f"the traction of {kind.__mro__[defining].__name__}; change those, or write a BulkLaw"
             )
     if getattr(kind, "source", None) is not None and _place(kind, "kernel") < _place(kind, "source"):
         raise LawError(
-            f"{name} has a kernel and inherits a source, which would be taken; write source = None in the class"
+            f"{name} has a kernel but inherits a source, which would be used instead; write source = None in the class"
         )
     advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
     if advancing and not law.internal:
         raise LawError(
-            f"{name} has a method {advancing[0]} and no internal variables; write internal = {{name: shape}}"
+            f"{name} has a method {advancing[0]} but no internal variables; write internal = {{name: shape}}"
         )
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
-        raise LawError(f"{name} declares a dissipation and no energy; write a method energy(step) too")
+        raise LawError(f"{name} declares a dissipation but no energy; write a method energy(step) too")
     if _own(kind, "at") and (not _own(kind, "varies") or inspect.getattr_static(kind, "varies") is False):
-        raise LawError(f"{name} has a method at, and says that no parameters vary; write varies = True in the class")
+        raise LawError(f"{name} has a method at, but no parameters vary; write varies = True in the class")
     if _own(kind, "otherwise") and kind.otherwise is not None and not law.traits.compiled:
-        raise LawError(f"{name} has a law otherwise, and holds everywhere; write a method holds(step), a UFL condition")
+        raise LawError(f"{name} has a law otherwise, but holds everywhere; write a method holds(step), a UFL condition")
 
 
 def _own(kind: Any, name: str) -> bool:
-    """Whether a class has something of this name that is not the default of all laws."""
+    """Whether an attribute of a class is not the default of all laws."""
     defining = next((one for one in kind.__mro__ if name in vars(one)), None)
     if defining is None or defining.__module__ in DEFAULTS:
         return False
-    return getattr(vars(defining)[name], "__module__", None) not in DEFAULTS  # a default may be taken back: Law.advance
+    return getattr(vars(defining)[name], "__module__", None) not in DEFAULTS  # as restored by `_reset`
 
 
 def _require_phases(law: Any) -> None:

@@ -33,7 +33,7 @@ def require_moduli(law: BulkLaw, lmbda: float, mu: float) -> None:
 
 
 def isotropic_stiffness(law: BulkLaw, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(6, 6) in Mandel's order, of the parameters lmbda and mu: `BulkLaw.stiffness` of laws that are isotropic at rest."""
+    """`BulkLaw.stiffness` for laws that are isotropic at rest with moduli lmbda and mu: (6, 6) in Mandel's order."""
     named = law.parameters()
     identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     return float(named["lmbda"]) * np.outer(identity, identity) + 2 * float(named["mu"]) * np.eye(6)
@@ -92,10 +92,10 @@ class LinearElastic(LinearLaw):
         return lame(self.lmbda, self.mu, step.mid)
 
     def gradient(self, e: Expr, n: Expr) -> Expr:
-        """The part that grows through the layer leaves its faces' tractions as they are: its stress times n is zero.
+        """The change of strain through the layer does not change the tractions: its stress times n is zero.
 
-        What stretches one face and squeezes the other is met by displacements that are parabolas through the thickness,
-        without which a nearly incompressible layer would lock.
+        The displacements are then parabolas through the thickness; with straight lines a nearly incompressible layer
+        would lock.
         """
         normal = ufl.outer(lift(n), lift(n))
         along = ufl.Identity(3) - normal
@@ -114,8 +114,8 @@ class Anisotropic(LinearLaw):
 
     Attributes:
         C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress (in a
-            layer: stress per thickness). Not negative in any direction; as a layer's law its acoustic tensor must be
-            positive definite unless supports hold what it does not, as a body's law C itself.
+            layer: stress per thickness), positive semidefinite. A layer needs a positive definite acoustic tensor, and a
+            body a positive definite C, unless supports hold the motions that it does not resist.
         frame: "global", or "layer": axis 2 is the director n, axes 1 and 3 lie in the layer (`layer_frame`).
 
     Raises:
@@ -138,9 +138,9 @@ class Anisotropic(LinearLaw):
 
     @classmethod
     def springs(cls, K_N: float, K_T: float) -> Anisotropic:
-        """A layer whose only stiffnesses are its normal one K_N > 0 and its tangential one K_T >= 0 (stress per length).
+        """A layer of springs: normal stiffness K_N > 0, tangential stiffness K_T >= 0 (stress per length), nothing else.
 
-        K_T = 0 is a bearing without friction: supports must hold what may slide.
+        K_T = 0 is a bearing without friction: supports must hold bodies that may slide.
         """
         for name, value, allowed in (("K_N", K_N, "> 0"), ("K_T", K_T, ">= 0")):
             if not (math.isfinite(value) and (value > 0 or (value == 0 and name == "K_T"))):
@@ -177,5 +177,7 @@ class Anisotropic(LinearLaw):
         condensed[np.ix_(IN_PLANE, IN_PLANE)] = (
             C[np.ix_(IN_PLANE, IN_PLANE)] - coupling @ np.linalg.pinv(C[np.ix_(out, out)]) @ coupling.T
         )
-        condensed[3:5, 3:5] = C[3:5, 3:5]  # strains there are zero; sublayers in series need a stiffness
+        condensed[3:5, 3:5] = C[
+            3:5, 3:5
+        ]  # out-of-plane shear strains are zero, but sublayers in series need a stiffness
         return self.with_parameters({"C": condensed})

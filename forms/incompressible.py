@@ -15,10 +15,10 @@ from forms.law import Step, positive
 
 @dataclass(frozen=True)
 class Incompressible(LinearLaw):
-    """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; p is a field of its own.
+    """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
-    As a layer's law: [u_N] = 0, t_N = p free, t_T = mu [u_T]. The paper gives the constraint alone, Eqs. (25)-(29). It is
-    no penalty: in the meshed layer and on S it is held against every pressure of degree 1.
+    As a layer's law: [u_N] = 0, t_N = p free, t_T = mu [u_T]. The paper gives only the constraint, Eqs. (25)-(29). It is
+    not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in the meshed layer and on S.
 
     Attributes:
         mu: shear modulus, stress (in a layer: stress per thickness); > 0.

@@ -10,7 +10,7 @@ from forms.law import BulkLaw, LawError
 
 
 class KernelLaw(BulkLaw):
-    """A law for what UFL cannot express: an implicit update, a return mapping.
+    """A law that UFL cannot express, such as an implicit update or a return mapping.
 
     Subclasses are frozen dataclasses like other laws, with their parameters as fields, and give `kernel`: a function of one
     point that numba can compile,
@@ -20,16 +20,16 @@ class KernelLaw(BulkLaw):
     with strains e (at the end of the step), e_old (6,), stress (6,) at t + theta dt and tangent d stress/d e (6, 6) in
     Mandel's order 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23, internal values q, q_new (memory,), which start from zero,
     director n (3,), and the parameters one after the other. It fills stress, tangent and q_new, and energies (3,): stored
-    at the end of the step, dissipated in the step, and what is left of stress : (e - e_old), all per unit volume. It
+    at the end of the step, dissipated in the step, and the rest of stress : (e - e_old), all per unit volume. It
     returns whether it succeeded; a failed point makes the solver take a smaller step.
 
-    Or they name a `source`, a C file with a function
+    Or they give a `source`, a C file with a function
 
         int kernel(double *out, const void *, const double *in)
 
     where `in` has e, e_old, q, n, dt, theta and the parameters one after the other, `out`, zero before the call, stress,
-    q_new, tangent (36, row by row) and energies. At a point that fails it leaves a NaN in stress[0]; what it returns is not
-    looked at. Other functions of the file are static.
+    q_new, tangent (36, row by row) and energies. At a point that fails it leaves a NaN in stress[0]; its return value is
+    ignored. Other functions of the file are static.
 
     Attributes:
         memory: number of internal values.
@@ -42,8 +42,8 @@ class KernelLaw(BulkLaw):
     kernel: ClassVar[Callable[..., bool]]
     source: ClassVar[Path | None] = None
 
-    def _told_by_methods(self) -> dict[str, bool]:
+    def _traits_of_methods(self) -> dict[str, bool]:
         if not isinstance(self.memory, int) or self.memory < 0:
             raise LawError(f"{type(self).__name__}: memory is {self.memory!r}; allowed: a whole number >= 0")
         told = {"compiled": True, "in_ufl": False, "has_energy": bool(self.energetic), "remembers": self.memory > 0}
-        return super()._told_by_methods() | told
+        return super()._traits_of_methods() | told

@@ -1,4 +1,4 @@
-"""What a constitutive law is: declared parameters, and a stress for a strain. No law knows eps, a mesh or a time loop."""
+"""Constitutive laws: declared parameters and a stress for a strain. No law knows eps, a mesh or a time loop."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ import numpy.typing as npt
 import ufl
 
 from forms.base import is_number
-from forms.declarations import SIZES, require_dataclass, require_declarations, take_back
+from forms.declarations import SIZES, require_dataclass, require_declarations, reset_inherited
 from forms.declarations import LawError as LawError
 from forms.kinematics import Expr
 from forms.traits import Traits
 
 
 class Step(NamedTuple):
-    """What a law is told at one point, over a time step from t to t + dt.
+    """Input of a law at one point, over a time step from t to t + dt.
 
     Attributes:
-        e: strain at the end of the step, (3, 3). Laws without rate and internal variables are told of no step: for their
-            stress and `holds`, in a body, in the layer, on S and in a `Stack`, it is the strain at t + theta dt.
-        n: director of the layer: unit, from the lower to the upper body. None inside a body. (3,) for laws that act at
-            points (`Traits.compiled`), in 2D with a zero; (d,) for those whose stress is a part of a form.
-            `forms.kinematics.lift(n)` is (3,) in both.
-        e_old: strain at the beginning. None where there is no time, and for laws without rate and internal variables.
+        e: strain at the end of the step, (3, 3). Laws without rate and internal variables get no step: for their stress
+            and `holds`, in a body, in the layer, on S and in a `Stack`, e is the strain at t + theta dt.
+        n: director of the layer: unit vector from the lower to the upper body; None inside a body. Compiled laws
+            (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is a part of a form get (d,).
+            `forms.kinematics.lift(n)` is (3,) in both cases.
+        e_old: strain at the beginning; None in problems without time, and for laws without rate and internal variables.
         q: internal variables at the beginning, by name.
-        dt: length of the step; 0 at a sudden load. None where there is no time.
-        theta: where in the step the balance of forces holds: 1 (backward Euler) down to 1/2 (midpoint).
+        dt: length of the step; 0 at a sudden load; None in problems without time.
+        theta: forces balance at t + theta dt; from 1 (backward Euler) down to 1/2 (midpoint).
     """
 
     e: Expr
@@ -49,14 +49,14 @@ class Step(NamedTuple):
 
     @property
     def mid(self) -> Expr:
-        """Strain at t + theta dt, where the stress is asked for."""
+        """Strain at t + theta dt, the time of the stress."""
         return self.e if self.e_old is None else self.theta * self.e + (1 - self.theta) * self.e_old
 
     @property
     def rate(self) -> Expr:
         """Strain rate of the step."""
         if self.dt is None:
-            raise LawError("a law that asks for step.rate must declare rate = True")
+            raise LawError("a law that uses step.rate must declare rate = True")
         return (self.e - self.e_old) / self.dt
 
     def without_rate(self) -> Step:
@@ -64,7 +64,7 @@ class Step(NamedTuple):
         return _NoRate(*self)
 
     def between(self, old: Expr, new: Expr) -> Expr:
-        """Value at t + theta dt of something with these values at the beginning and at the end."""
+        """Value at t + theta dt of a quantity that is `old` at the beginning and `new` at the end of the step."""
         return self.theta * new + (1 - self.theta) * old
 
 
@@ -73,27 +73,26 @@ class _NoRate(Step):
 
     @property
     def rate(self) -> Expr:
-        raise LawError("a law that asks for step.rate must declare rate = True")
+        raise LawError("a law that uses step.rate must declare rate = True")
 
 
 def choice(default: Any) -> Any:
-    """A field of a law that is no number: it chooses among equations, and each of its values is compiled by itself."""
+    """A field of a law that chooses among equations and is not a number. Each of its values is compiled separately."""
     return field(default=default, metadata={"choice": True})
 
 
-@dataclass(frozen=True, eq=False)  # laws without an == of their own are equal to themselves alone
+@dataclass(frozen=True, eq=False)  # compared by identity, unless a law defines ==
 class Law:
     """Base of the three contracts of laws: a frozen dataclass whose fields are its parameters.
 
-    Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class says what its laws
-    are like by the attributes that `Traits` lists, `linear = True`.
+    Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class declares its
+    traits (`Traits`) as attributes, such as `linear = True`.
 
     Attributes:
-        powers: parameter -> power of eps; of a `BulkLaw` alone.
+        powers: parameter -> power of eps; only a `BulkLaw` has powers.
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
-        functions: parameters that may be given as functions; `parameters` gives numbers for them, NaN where they vary, and
-            `at` their values.
-        ignored: methods that are never asked, as others give the answers.
+        functions: names of parameters that may be functions. `parameters` gives NaN for a function, `at` gives its values.
+        ignored: methods that are never called, because other methods replace them.
     """
 
     powers: ClassVar[Mapping[str, float]] = {}
@@ -103,7 +102,7 @@ class Law:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        take_back(cls)
+        reset_inherited(cls)
 
     def __new__(cls, *_: Any, **named: Any) -> Self:
         require_dataclass(cls)
@@ -126,7 +125,7 @@ class Law:
         for f in fields(self):
             self._check_number(f.name, getattr(self, f.name), f.default is None, f.name in scalars(kind))
         self.check()
-        _ = self.traits  # errors in what the class declares
+        _ = self.traits  # raises errors in the declarations of the class
         require_declarations(self)
 
     def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
@@ -147,49 +146,51 @@ class Law:
         """Raise LawError if a parameter is out of its range."""
 
     def check_dimension(self, d: int) -> None:
-        """Raise LawError if the law cannot serve in a model of dimension d."""
+        """Raise LawError if the law cannot be used in a model of dimension d."""
 
     @cached_property
     def traits(self) -> Traits:
-        """What the law is like. It is that of a law with numbers, also when symbols or other numbers replace them."""
-        return Traits.of(self, **self._told_by_methods())
+        """Traits of the law. They are found from its numbers, and stay when other numbers or symbols replace these."""
+        return Traits.of(self, **self._traits_of_methods())
 
-    def _told_by_methods(self) -> dict[str, bool]:
-        """The traits that follow from what a class defines."""
+    def _traits_of_methods(self) -> dict[str, bool]:
+        """The traits that follow from the methods and internal variables of a class."""
         return {"remembers": bool(self.internal)}
 
     def of_strains(self) -> BulkLaw:
-        """The law as one of strains, which terms and compiled code take.
+        """The same law written for strains, as terms and compiled code need it.
 
         Raises:
-            LawError: a law that acts at nodes.
+            LawError: the law acts at nodes.
         """
-        raise LawError(f"{type(self).__name__} is no law of strains or jumps; derive laws from BulkLaw or TractionLaw")
+        raise LawError(
+            f"{type(self).__name__} is not a law of strains or jumps; derive laws from BulkLaw or TractionLaw"
+        )
 
     @property
     def sublayers(self) -> tuple[tuple[float, Law], ...]:
-        """(fraction of the thickness, law) from the lower to the upper face; of a law that is no Stack itself alone."""
+        """(fraction of the thickness, law) from the lower to the upper face; a law that is no Stack is its only one."""
         return ((1.0, self),)
 
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:
         """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
 
-        In a step t is where forces balance, t + theta dt; of the energy that is stored, the step's end.
-        Asked of the law in a layer, whose own parameters are real: multiply those, do not give values per thickness.
+        For the stress of a step t is the time at which forces balance, for the stored energy it is the end of the step.
+        `self` is the law in its layer, with real parameters: multiply these, do not return values per thickness.
         """
         return {}
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which functions that are given as parameters break, see `thinlayer.piecewise`."""
+        """Times at which a parameter given as a function has a kink, see `thinlayer.piecewise`."""
         return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
 
     def parameters(self) -> dict[str, Any]:
-        """Name -> value (number or array) of every parameter; a field that is a `choice` is none."""
+        """Name -> value (number or array) of every parameter; a `choice` is not a parameter."""
         return {f.name: getattr(self, f.name) for f in fields(self) if "choice" not in f.metadata}
 
     def choices(self) -> tuple[tuple[str, Any], ...]:
-        """Name and value of every field that is no parameter."""
+        """Name and value of every field that is not a parameter."""
         known = self.parameters()
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in known)
 
@@ -215,25 +216,25 @@ class Law:
 class BulkLaw(Law):
     """A law of strains, for the material of a layer, and of bodies if it has no rate and no memory.
 
-    A law is written for real moduli. Its parameters in a layer are given *per thickness*: the real value of a parameter
-    in a layer of thickness eps is value * eps**power, with the power declared here (0 if not named).
+    A law is written for real moduli. Users give its parameters in a layer *per thickness*: the real value of a parameter
+    in a layer of thickness eps is value * eps**power, with the power declared here (0 by default).
 
-    A law gives `stress(step)`, and `advance(step)` if it has internal variables; all else is optional. Strains,
-    stresses and tensors are (3, 3), UFL, in a body, in the meshed layer, on S and in a `Stack`.
+    A law must define `stress(step)`, and `advance(step)` if it has internal variables; all other methods are optional.
+    Strains, stresses and tensors are (3, 3), UFL, in a body, in the meshed layer, on S and in a `Stack`.
 
     Attributes:
         powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
-        otherwise: a law with the same parameters and internal values, for all points in three dimensions and for those in
-            plane strain where this one does not hold (`holds`). Without one such points fail, and steps are shortened.
-        methods: names of what gives stress and new internal values, for messages.
+        otherwise: law evaluated in plane strain where `holds` is false, and always in 3D; it has the same parameters and
+            internal values. Without it, points where `holds` is false fail, and the solver takes a smaller step.
+        methods: names of the methods that give the stress and the new internal values, for messages.
     """
 
     otherwise: ClassVar[BulkLaw | None] = None
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
 
-    def _told_by_methods(self) -> dict[str, bool]:
+    def _traits_of_methods(self) -> dict[str, bool]:
         kind, said = type(self), Traits.of(self)
-        return super()._told_by_methods() | {
+        return super()._traits_of_methods() | {
             "has_energy": kind.energy is not BulkLaw.energy,
             "eases": kind.eased is not BulkLaw.eased,
             "relaxes": kind.gradient is not BulkLaw.gradient,
@@ -252,7 +253,7 @@ class BulkLaw(Law):
     # ---------------------------------------------------------------- equations, UFL
     def stress(self, step: Step) -> Expr:
         """Stress at t + theta dt, (3, 3), symmetric, UFL."""
-        raise LawError(f"{type(self).__name__} gives no stress; a law needs a method stress(step)")
+        raise LawError(f"{type(self).__name__} has no stress; a law needs a method stress(step)")
 
     def advance(self, step: Step) -> dict[str, Expr]:
         """Internal variables at the end of the step, by name, UFL."""
@@ -271,29 +272,29 @@ class BulkLaw(Law):
         return step.dt * self.dissipation(step)
 
     def holds(self, step: Step) -> Expr:
-        """Where the law holds, a UFL condition (ufl.lt, ufl.And, ...); `otherwise` answers at the other points."""
+        """UFL condition (ufl.lt, ufl.And, ...) for the points where the law holds; elsewhere `otherwise` is evaluated."""
         return None
 
     def gradient(self, e: Expr, n: Expr) -> Expr:
-        """How the strain grows through a layer under an interface law of order 1, (3, 3): across its whole thickness.
+        """Difference of strain between the upper and the lower face in an interface law of order 1, (3, 3).
 
-        Without this method the layer is held to displacements that are linear through it.
+        Without this method displacements are linear through the layer.
 
         Args:
-            e: what a layer whose displacements are linear through its thickness would have, sym(grad_S [u]), (3, 3).
+            e: this difference for displacements that are linear through the layer, sym(grad_S [u]), (3, 3).
             n: director, (d,).
         """
         return e
 
     def told(self, step: Step) -> Step:
-        """What the stress is asked with: of laws without rate and internal variables the strain at t + theta dt alone."""
+        """The step that `stress` gets: only the strain at t + theta dt for laws without rate and internal variables."""
         return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def remainder(self, step: Step) -> Expr:
-        """What the time scheme adds to the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
+        """Error of the time scheme in the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
 
-        For a quadratic energy E it is (2 theta - 1) E(increments), >= 0 and zero for the midpoint rule; of other
-        energies it is the difference itself. Where parameters vary the model takes the difference, whatever this gives.
+        For a quadratic energy E it is (2 theta - 1) E(increments), >= 0 and zero for the midpoint rule; for other
+        energies it is the difference itself. Where parameters vary, the model computes the difference and ignores this.
         """
         new = self.advance(step)
         if self.traits.quadratic:
@@ -309,19 +310,19 @@ class BulkLaw(Law):
         return sum(SIZES[shape] for shape in self.internal.values())
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-        """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not say.
+        """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not define it.
 
-        Parameters are numbers. A law that does not say is evaluated where it matters, see `forms.tangent`.
+        Parameters are numbers. `forms.tangent` evaluates the stress of laws that give None.
         """
         return None
 
     def trial_strain(self, a: npt.NDArray[np.float64], n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """A strain (3, 3) that the law may be told, made of any matrix a (3, 3) and the director n (3,), to try it."""
+        """A strain (3, 3) to test the law with, made of any matrix a (3, 3) and the director n (3,)."""
         return (a + a.T) / 2
 
     # ---------------------------------------------------------------- other laws of the same kind
     def eased(self, ease: float) -> BulkLaw:
-        """A law between this one (ease = 0) and one whose equilibrium is easily found (1), for continuation."""
+        """A law between this one (ease = 0) and one whose equilibrium is easy to find (ease = 1), for continuation."""
         return self
 
     def plane_stress(self) -> BulkLaw:
@@ -345,9 +346,9 @@ class BulkLaw(Law):
 
 @cache
 def scalars(kind: Any) -> frozenset[str]:
-    """Names of a dataclass's fields that are annotated as one number: float, int, also beside None and functions.
+    """Names of a dataclass's fields annotated as one number: float or int, or a union of these with None or functions.
 
-    An annotation that is a text is read in the class's module; one whose names are not there says nothing.
+    An annotation written as text is evaluated in the class's module, and ignored if it fails there.
     """
     found = set()
     for f in fields(kind):
@@ -370,7 +371,7 @@ def require(condition: bool, law: Law, name: str, value: object, allowed: str) -
 
 @contextmanager
 def explained(law: Law, method: str) -> Iterator[None]:
-    """Turn errors of a law's method into LawErrors that say which law and what laws are written with."""
+    """Turn errors of a law's method into LawErrors that name the law and say how laws are written."""
     try:
         yield
     except LawError:
@@ -380,7 +381,7 @@ def explained(law: Law, method: str) -> Iterator[None]:
         raise LawError(
             f"{type(law).__name__}.{method}: {type(error).__name__}: {text}. Laws are UFL: ufl.exp, "
             "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
-            "or internal variables; step.n has 2 components in 2D where a law does not act at points, "
+            "or internal variables; step.n has 2 components in 2D unless the law is compiled, "
             f"forms.kinematics.lift(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"
         ) from error
 

@@ -1,7 +1,7 @@
 """The paper's interface laws as closed formulas in numpy.
 
-They state the laws a second time, without the route the models take: the models never use them, tests compare with
-them. Barred parameters (per thickness) throughout; w is the jump [u], n the unit normal from the lower to the upper body.
+They are independent of the models; tests compare both. Barred parameters (per thickness) throughout; w is the jump [u], n
+the unit normal from the lower to the upper body.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def mohr_coulomb_holds(
     """Whether s_33 is the intermediate principal stress where the layer yields at a normal jump: |p| (1 - 2 nu) <= R.
 
     In compression with C = 0 this is nu >= (1 - sin(Omega))/2, in tension p <= C cos(Omega)/(1 - 2 nu + sin(Omega)).
-    Beyond, edges or the apex of the yield surface answer, and there is no closed form.
+    Beyond this the stress returns to edges or the apex of the yield surface, and there is no closed form.
     """
     angle, p = np.radians(friction_angle), (lmbda + mu) * np.asarray(w_N, float)
     nu = lmbda / (2 * (lmbda + mu))
@@ -197,13 +197,13 @@ def mohr_coulomb_fixed_opening(
     to R = C cos(Omega) - p sin(Omega), not to the C - t_N tan(Omega) of Eqs. (34)-(37).
 
     Args:
-        lmbda, mu, cohesion, friction_angle: of the law; C and Omega in the formulas, Omega in degrees.
+        lmbda, mu, cohesion, friction_angle: parameters of the law; C and Omega in the formulas, Omega in degrees.
         w_N: the jump held.
-        w_T: shear since the start, all of one sign, monotone.
+        w_T: shear since the start, of one sign and monotone.
         s: (s_T, s_N) at the start; default: (0, mu w_N), elastic compression.
 
     Raises:
-        LawError: a start beyond the yield surface.
+        LawError: the start is beyond the yield surface.
     """
     angle, p, x = np.radians(friction_angle), (lmbda + mu) * w_N, np.asarray(w_T, float)
     R = cohesion * np.cos(angle) - p * np.sin(angle)
@@ -223,14 +223,14 @@ def mohr_coulomb_fixed_opening(
 def first_yield_ratio(nu: float, friction_angle: float) -> float:
     """t_T/|t_N| of the full law at first yield under shear, after elastic compression; C = 0.
 
-    sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)); 0 where compression alone makes the layer yield, which it does for
-    nu <= (1 - sin(Omega))/2.
+    sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)); 0 for nu <= (1 - sin(Omega))/2, where compression alone makes
+    the layer yield.
     """
     return float(np.sqrt(max(np.sin(np.radians(friction_angle)) ** 2 - (1 - 2 * nu) ** 2, 0.0)) / (2 * (1 - nu)))
 
 
 def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
-    """t_T/|t_N| that lasting shear of the full law tends to for C = 0: sin(Omega) cos(psi)/(1 - sin(Omega) sin(psi)).
+    """Limit of t_T/|t_N| of the full law under lasting shear for C = 0: sin(Omega) cos(psi)/(1 - sin(Omega) sin(psi)).
 
     Davis' friction coefficient: sin(Omega) for psi = 0, and tan(Omega), the coefficient of Eq. (37), for psi = Omega alone.
     """
@@ -268,7 +268,7 @@ def stratified_coulomb(
     slip: Array,
     n: Array,
 ) -> tuple[Array, Array]:
-    """Traction and new slip of isotropic sublayers of which one is monodirectional, one step: t = K (w - w^p).
+    """Traction and new slip of isotropic sublayers, one of them monodirectional, in one step: t = K (w - w^p).
 
     Equations (54)-(55), with the sign of t_T in the flow and K = `stratified`; the threshold is on the common traction
     and w^p is the jump of the plastic sublayer, its fraction of the thickness times that of `penalised_coulomb`.

@@ -25,8 +25,8 @@ class Response(NamedTuple):
         phase: signed fraction of the layer in phase 1 or -1.
         sigma: stress.
         U: elongation of the layer.
-        energy: of the whole bar, per section.
-        local: whether the strains everywhere are those of the phases there: a local minimiser.
+        energy: energy of the whole bar, per section.
+        local: whether all strains are admissible for their phases, so that the response is a local minimiser.
     """
 
     phase: Array
@@ -36,7 +36,7 @@ class Response(NamedTuple):
     local: npt.NDArray[np.bool_]
 
     def least(self) -> Response:
-        """The one of least energy along the last axis; of equals the one with less of the layer transformed."""
+        """The response of least energy along the last axis; of several the one with the least transformed part."""
         where = np.argmin(self.energy, axis=-1)[..., None]
         phase, sigma, U, energy = (np.asarray(np.take_along_axis(a, where, -1)[..., 0], float) for a in self[:4])
         return Response(phase, sigma, U, energy, np.asarray(np.take_along_axis(self.local, where, -1)[..., 0], bool))
@@ -102,27 +102,27 @@ class Bar:
 
     @property
     def delta_0(self) -> float:
-        """Where phase 1 begins in the global minimiser, sigma_m l R."""
+        """delta at which phase 1 begins in the global minimiser, sigma_m l R."""
         return self.sigma_m * self.l * self.R
 
     @property
     def delta_1(self) -> float:
-        """Where phase 0 ends, delta_0 + eps l alpha/k; Eq. (47) prints l alpha alpha/k."""
+        """delta at which phase 0 ends, delta_0 + eps l alpha/k; Eq. (47) prints l alpha alpha/k."""
         return self.delta_0 + self.free_elongation
 
     @property
     def up(self) -> float:
-        """Where the layer, all in phase 0, snaps to phase 1: l R k c/alpha. Not in the paper, as all that snaps."""
+        """delta at which a layer all in phase 0 snaps to phase 1: l R k c/alpha. The paper has no snaps."""
         return self.l * self.R * self.sigma_up
 
     @property
     def down(self) -> float:
-        """Where the layer, all in phase 1, snaps back: up - l alpha (1 - eps)/K."""
+        """delta at which a layer all in phase 1 snaps back: up - l alpha (1 - eps)/K."""
         return self.up - self.l * self.alpha * (1 - self.eps) / self.K
 
     @property
     def snap_free(self) -> float:
-        """(1 - eps)/(K R): with this mixing and more the falling stress is not steeper than the body, and nothing snaps."""
+        """(1 - eps)/(K R), the least mixing without a snap: the stress falls no more steeply than the body unloads."""
         return (1 - self.eps) / (self.K * self.R)
 
     @property
@@ -187,9 +187,9 @@ class Bar:
         return self._response(delta, phase)
 
     def layouts(self, delta: Array | float, n: int) -> Response:
-        """The layer as n equal elements of which m = 0, ..., n are in phase 1 (delta < 0: -1), one more axis for m.
+        """The layer as n equal elements, m = 0, ..., n of them in phase 1 (delta < 0: -1); the last axis is m.
 
-        Which elements does not matter, and no layout with both 1 and -1, or with -1 for 1, has less energy.
+        Their places do not matter, and no layout with both 1 and -1, or with -1 instead of 1, has less energy.
         `Response.least` is the global minimiser of n elements; its energy tends to `energy` from above like n^-2.
         """
         if not (isinstance(n, (int, np.integer)) and n >= 1):
@@ -235,8 +235,8 @@ class Bar:
     def path(self, mixing: float, end: float | None = None) -> Array:
         """Equilibrium path of a uniform layer from rest on, as vertices (delta, sigma) joined by straight lines, (4, 2).
 
-        The second is where the layer starts to mix and the third where it has changed; between them delta goes back where
-        mixing < snap_free, and only goes on otherwise. The last is at delta = end (default: twice the largest before).
+        The layer starts to mix at the second vertex and has changed at the third; between them delta decreases if
+        mixing < snap_free, and grows otherwise. The last is at delta = end (default: twice the largest before).
         """
         change = mixed_share(mixing) * self.alpha / 2
         sigma = np.array([0, self.sigma_up - change, self.sigma_up - self.alpha + change])

@@ -16,7 +16,7 @@ from forms.base import is_number
 from forms.declarations import LawError
 
 Array = npt.NDArray[np.float64]
-ROUNDING = 1e-12  # relative, of bounds that parameters may meet exactly
+ROUNDING = 1e-12  # relative tolerance for parameters that equal a bound exactly
 
 
 def lamination(lmbda: float, mu: float, chi: Array) -> float:
@@ -119,7 +119,7 @@ def non_monotone_energy(
 
 
 def non_monotone_drive(alpha: float, transformation_energy: float, chi: Array, w: Array, n: Array) -> Array:
-    """alpha chi_ij w_i n_j (...), energy per area: what phase 1 gains over phase 0, before its cost C."""
+    """Drive alpha chi_ij w_i n_j (...), energy per area that phase 1 gains over phase 0, before its cost C."""
     chi, w, n = _orientation(chi), np.asarray(w, float), np.asarray(n, float)
     if n.shape != chi.shape[:1] or w.shape[-1:] != n.shape or not abs(n @ n - 1) < 1e-9:
         raise LawError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
@@ -174,13 +174,13 @@ def fraction(x: Array, transformation_energy: float, g: float) -> Array:
 
 
 def phase_energy(x: Array, transformation_energy: float, g: float, phase: Array) -> Array:
-    """What a signed phase fraction adds to the elastic energy at a drive x."""
+    """Energy that a signed phase fraction adds to the elastic energy at a drive x."""
     share = np.abs(phase)
     return np.asarray(transformation_energy * share - x * phase - share * (1 - share) * g / 2)
 
 
 def mixed_share(mixing: float) -> float:
-    """The share itself; raises LawError unless it is in [0, 1]."""
+    """`mixing` itself; raises LawError unless it is in [0, 1]."""
     if not (is_number(mixing) and 0 <= mixing <= 1):
         raise LawError(f"mixing = {mixing!r}; allowed: 0 <= mixing <= 1")
     return mixing

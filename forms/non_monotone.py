@@ -24,8 +24,9 @@ Array = npt.NDArray[np.float64]
 def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
     """G = max over unit vectors k of (chi k).A(k)^-1 (chi k), A(k) = mu I + (lmbda + mu) k (x) k; 1/stress.
 
-    alpha^2 G/2 theta (1 - theta) is what laminates of two phases that differ by the stress alpha chi spare, in the best
-    direction k, against a uniform strain. With s = k.chi k and k in the plane of the extreme principal values c of chi,
+    Laminates in the best direction k of two phases whose stresses differ by alpha chi save the energy
+    alpha^2 G/2 theta (1 - theta) against a uniform strain.
+    With s = k.chi k and k in the plane of the extreme principal values c of chi,
     (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu) is largest at s = (1 - nu)(c_min + c_max), or at the nearer of the two.
 
     Args:
@@ -41,7 +42,7 @@ def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Phases(BulkLaw):
-    """Base of the non-monotone laws: phases z = -1, 0, 1 of equal moduli, and what tells one from the other.
+    """Base of the non-monotone laws: phases z = -1, 0, 1 of equal moduli.
 
     A phase has the energy e:C:e/2 - z alpha chi:e + C |z| per volume, stress C:e - z alpha chi; Eq. (39).
 
@@ -52,7 +53,7 @@ class Phases(BulkLaw):
             one is C/eps; section 6.1 prints one power of eps for alpha and C), > 0; or a function of T.
         chi: orientation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D: its second axis is n
             (`forms.kinematics.layer_frame`). chi_22 acts across S, chi_12 along it.
-        T: temperature, where alpha or the transformation energy depend on it: a number, or a numpy function (x, t) of
+        T: temperature, if alpha or the transformation energy depend on it: a number, or a numpy function (x, t) of
             places (d, n), in the joint before inflating, and the time.
 
     Raises:
@@ -100,7 +101,7 @@ class Phases(BulkLaw):
         require(len(self.chi) == d, self, "shape of chi", self.chi.shape, f"({d}, {d}) in a model of dimension {d}")
 
     def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
-        """Raise LawError unless these values, (n,) or numbers, are in range; `where` tells the place of the k-th."""
+        """Raise LawError unless these values, (n,) or numbers, are in range; `where(k)` names the place of the k-th."""
         for name, values in {"alpha": alpha, "transformation_energy": transformation_energy}.items():
             values = np.ravel(values).astype(float)
             bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
@@ -147,7 +148,7 @@ class Phases(BulkLaw):
 
     # ---------------------------------------------------------------- of a step, UFL
     def _drive(self, e: Expr, n: Expr) -> Expr:
-        """alpha chi:e, what drives phase 1, energy per volume."""
+        """Drive of phase 1, alpha chi:e, energy per volume."""
         return ufl.inner(self._transformation_stress(n), e)
 
     def _transformation_stress(self, n: Expr) -> Expr:
@@ -156,7 +157,7 @@ class Phases(BulkLaw):
         return self.alpha * turn * lift(ufl.as_tensor(self.chi)) * turn.T
 
     def remainder(self, step: Step) -> Expr:
-        """What a step adds to its energy balance; with the energy that a change of temperature or phase sets free."""
+        """Error of the time scheme in the energy balance, with the energy set free by a change of temperature or phase."""
         new = self.advance(step)
         return ufl.inner(self.stress(step), step.e - step.e_old) - (new["stored"] - step.q["stored"])
 
@@ -175,10 +176,10 @@ class NonMonotone(Phases):
     lmbda + 2 mu, [u_1] for [u_2], and one branch. The stress is continuous. For mixing = 1 t is monotone in [u], no snap:
     the energy is convex along every sym(a (x) k), which is less than along all strains (chi = I, say).
 
-    Where the phases mix the tangent may vanish along some strains (chi = n (x) n, lmbda = 0): the bodies hold.
+    Where the phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
 
     Attributes:
-        mixing: part of the gain that mixtures have, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls as the
+        mixing: share of the laminates' energy gain, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls as the
             phases change, the more steeply the smaller it is: on S only, see `thinlayer.ArcLength`.
         G: the gain, 1/stress, computed.
 
@@ -249,14 +250,14 @@ class NonMonotoneUnrelaxed(Phases):
     """The non-monotone law with pure phases: stress = lmbda tr(e) I + 2 mu e - z alpha chi, z = -1, 0 or 1.
 
     The phase is an internal variable, one for each facet of S, or for the column of cells that stands on it in the meshed
-    layer: elements through the thickness that switch one by one would unload each other, which is another structure. It is
-    held while the energy of another phase is not lower, Eq. (39): z = 0 for |m| <= C, z = 1 for m >= C, z = -1 for
+    layer: elements through the thickness that switch one by one would unload each other, which is another structure. It
+    stays while no other phase has a lower energy, Eq. (39): z = 0 for |m| <= C, z = 1 for m >= C, z = -1 for
     m <= -C, with the mean m over the column of alpha chi:e. As a layer's law t = K_L [u] - z alpha chi n.
 
-    Equilibria are local minima of the energy. The one that is selected: from the last one on, columns whose phase has an
-    energy that is not the lowest change it, all at once, bodies and layer find their equilibrium with the phases held, and
-    so on until no phase changes (alternate minimisation: the energy falls each time). `march` stops where the first column
-    switches, so that the result does not depend on its steps.
+    Equilibria are local minima of the energy. One is selected by alternate minimisation from the last equilibrium: all
+    columns switch to their phase of lowest energy, bodies and layer find equilibrium with these phases, and so on until no
+    phase changes; the energy falls each time. `march` stops where the first column switches, so that the result does not
+    depend on its steps.
     """
 
     linear: ClassVar = True
@@ -284,7 +285,7 @@ class NonMonotoneUnrelaxed(Phases):
         )
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """By how much the energy of another phase is lower, over C; (n,), <= 0 where none is."""
+        """Energy of the phase less that of the best other phase, over C; (n,). A column switches if it is > 0."""
         return np.where(phase == 0, abs(drive) / bound - 1, 1 - phase * drive / bound)
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:

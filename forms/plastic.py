@@ -17,18 +17,18 @@ from forms.kinematics import Expr, lift
 from forms.law import BulkLaw, LawError, Step, choice, require
 from forms.viscous import isotropic_energy
 
-RADIANS = 1.6  # degrees: smaller friction angles look like radians, which end at pi/2
-LEAST_FRACTION = 1e-6  # that continuation takes before none at all
+LIKELY_RADIANS = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)
+LEAST_FRACTION = 1e-6  # elastic fraction from which continuation starts if the law itself has none
 
 
 @dataclass(frozen=True)
 class Plastic(BulkLaw):
-    """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear meets its bound.
+    """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear reaches its bound.
 
-    A fraction h, `elastic_fraction`, of the layer stays elastic beside the rest, stress = (1 - h) stress_plastic +
+    A fraction h, `elastic_fraction`, of the stiffness stays elastic, stress = (1 - h) stress_plastic +
     h (lmbda tr(e) I + 2 mu e).
-    It makes problems well posed that ideal plasticity leaves without a solution (a layer without cohesion has no strength
-    at its free ends), and belongs to the law: the meshed layer and S have the same.
+    With h > 0 problems have a solution that have none with ideal plasticity (a layer without cohesion has no strength
+    at its free ends). h belongs to the law: the meshed layer and S have the same.
 
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
@@ -62,10 +62,10 @@ class Plastic(BulkLaw):
             self.friction_angle,
             "0 <= friction_angle < 90 degrees",
         )
-        if 0 < self.friction_angle < RADIANS:
+        if 0 < self.friction_angle < LIKELY_RADIANS:
             angle = self.friction_angle
             warn_of_range(
-                f"{type(self).__name__}: friction_angle is {angle:g} degrees, next to no friction; angles are in degrees: "
+                f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction; angles are in degrees: "
                 f"{angle:g} radians would be friction_angle = {math.degrees(angle):.4g}",
             )
         require(
@@ -96,11 +96,11 @@ class Plastic(BulkLaw):
         return e - q["plastic"]
 
     def _trial(self, step: Step) -> Expr:
-        """Stress of the plastic part if nothing flows in the step, at t + theta dt."""
+        """Trial stress of the plastic part at t + theta dt: without plastic flow in the step."""
         return lame(self.lmbda, self.mu, self._elastic_strain(step.mid, step.q))
 
     def _flow(self, step: Step) -> Expr:
-        """Plastic strain that grows until t + theta dt, (3, 3), traceless."""
+        """Increment of plastic strain up to t + theta dt, (3, 3), traceless."""
         raise NotImplementedError
 
     def stress(self, step: Step) -> Expr:
@@ -128,7 +128,7 @@ class MohrCoulomb(Plastic):
 
     In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= C cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if
     the angle were psi. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one
-    plane, which is not coaxial with the stress: two such planes exist, and their mean is the flow taken here. In (31) and
+    plane, which is not coaxial with the stress: there are two such planes, and the flow here is their mean. In (31) and
     (33) the plastic strains lack a factor 2, and the plastic strain has no trace.
 
     As a layer's law it is not Coulomb's law with tan(Omega): in plane strain, with p = (lmbda + mu) w_N and the in-plane
@@ -139,13 +139,13 @@ class MohrCoulomb(Plastic):
     and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega): (34)-(35) hold with w^p only if the plastic strain
     has the form of a jump, which it has not.
 
-    This closed form answers where it holds: psi = 0, plane strain, and s_33 between the in-plane principal stresses
-    wherever they are (at yield |p| (1 - 2 nu) <= R, which fails in compression for small nu and Omega, with C = 0 for
-    nu < (1 - sin(Omega))/2, and in tension near the apex). `MohrCoulombReturn` answers elsewhere, point by point.
+    This closed form is used where it holds: psi = 0, plane strain, and s_33 between the in-plane principal stresses
+    (at yield |p| (1 - 2 nu) <= R, which fails in compression for small nu and Omega, with C = 0 for
+    nu < (1 - sin(Omega))/2, and in tension near the apex). `MohrCoulombReturn` is used elsewhere, point by point.
 
-    For psi = 0 the flow keeps the mean stress, and beyond C cot(Omega) none leads back to the yield surface. There the
-    stress is cut off, C cot(Omega) times the identity, with a volumetric plastic strain: the material has torn, and closes
-    only when the volume gained is pressed out again. For psi > 0 that happens by itself.
+    For psi = 0 the flow keeps the mean stress, and from mean stresses above C cot(Omega) it cannot return to the yield
+    surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain: the material
+    has torn, and closes only when this volume is pressed out again. For psi > 0 the flow itself does this.
 
     Attributes:
         dilatancy_angle: psi in the formulas, in degrees, 0 <= psi <= Omega.
@@ -194,14 +194,14 @@ class MohrCoulomb(Plastic):
 class MohrCoulombReturn(KernelLaw, MohrCoulomb):
     """`MohrCoulomb` by the return to faces, edges and apex of its yield surface in principal stresses, in 3D.
 
-    Parameters (angles in degrees) and plastic strain are the same; this is the general answer, compiled from C.
+    Parameters (angles in degrees) and plastic strain are the same; it holds for all stresses, and is compiled from C.
     """
 
     memory: ClassVar = 6
     energetic: ClassVar = True
     source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
     otherwise: ClassVar = None  # type: ignore[assignment]
-    stiffness = isotropic_stiffness  # as that of the closed form: the C source is not evaluated
+    stiffness = isotropic_stiffness  # that of the closed form: Python cannot evaluate the C source
 
 
 @dataclass(frozen=True)
@@ -212,8 +212,8 @@ class MohrCoulombMonodirectional(Plastic):
     layer's law, t = K_L ([u] - w^p): Coulomb's friction with penalties lmbda + 2 mu and mu. Where t_N > C cot(Omega) the
     shear traction vanishes and the normal one stays elastic: bilateral, as in the paper.
 
-    Unilateral, the layer opens instead of pulling: a strain along n that costs nothing makes up for tension, t_N <= 0, and
-    |t_T| <= C is left. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
+    With `unilateral` the layer opens instead of pulling: a free strain along n removes tension, t_N <= 0, and |t_T| <= C
+    remains. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
 
     Attributes:
         unilateral: whether the layer can only push.
@@ -230,7 +230,7 @@ class MohrCoulombMonodirectional(Plastic):
         require(isinstance(self.unilateral, bool), self, "unilateral", repr(self.unilateral), "True or False")
 
     def _tension(self, e: Expr, n: Expr) -> Expr:
-        """Normal traction of an elastic strain that an opening along n takes away."""
+        """Normal tension of an elastic strain, which an opening along n removes."""
         return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
     def _trial(self, step: Step) -> Expr:
@@ -252,7 +252,7 @@ class MohrCoulombMonodirectional(Plastic):
 
     def _flow(self, step: Step) -> Expr:
         n = lift(step.n)
-        e = self._elastic_strain(step.mid, step.q)  # of the traction alone: compiles 50 times as fast as with _trial
+        e = self._elastic_strain(step.mid, step.q)  # needs only the traction: compiles 50 times faster than with _trial
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N

@@ -26,15 +26,15 @@ def _fraction(a: Any) -> float:
 class Stack(BulkLaw):
     """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.
 
-    The meshed layer has a stratum for each sublayer. On S each point solves for the sublayers' shares g_i of the jump,
-    strains e + sym(g_i (x) n) with equal tractions and sum a_i g_i = 0, with the history of each law; any laws will do.
+    The meshed layer has cells for each sublayer. On S each point solves for strains e + sym(g_i (x) n) of the
+    sublayers with equal tractions and sum a_i g_i = 0, with the history of each law.
 
     Between linear elastic sublayers the compliances add, K = (sum_i a_i K_i^-1)^-1: for isotropic ones the harmonic means
     of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.
 
     Attributes:
-        fractions: of the layer's thickness, > 0, adding up to 1.
-        laws: of the sublayers. A Stack among them is taken apart.
+        fractions: shares of the layer's thickness, > 0; their sum is 1.
+        laws: laws of the sublayers. A Stack among them is replaced by its sublayers.
 
     Raises:
         LawError: fractions out of range, a law that a stack cannot hold.
@@ -61,7 +61,7 @@ class Stack(BulkLaw):
         total = sum(self.fractions)
         require(abs(total - 1) < 1e-12, self, "sum of the fractions", total, "1")
         for law in self.laws:
-            allowed = "laws that give a stress for a strain, at each point by itself"
+            allowed = "laws that give a stress for a strain, point by point"
             require(isinstance(law, BulkLaw) and law.traits.in_series, self, "a sublayer", law, allowed)
 
     @property
@@ -92,7 +92,7 @@ class Stack(BulkLaw):
         return self.with_laws([law.mapped(change) for law in self.laws])
 
     def parameters(self) -> dict[str, Any]:
-        """Those of the sublayers, "0.mu" that of the lowest one."""
+        """Parameters of all sublayers; "0.mu" is the mu of the lowest one."""
         return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 
     def at(self, x: npt.NDArray[np.float64], t: float) -> dict[str, npt.NDArray[np.float64]]:

@@ -1,8 +1,8 @@
-"""Whether laws written in UFL are as symmetric, as linear and as elastic as they say and the solvers take them to be.
+"""Checks that laws written in UFL are as symmetric, linear and elastic as they declare.
 
-An upper triangle is all that is read of a stress, of an internal tensor, and of a matrix that is said to be symmetric: what
-is missing below would be lost without a word. Laws are evaluated with numbers, a few milliseconds for each; once for all
-numbers, where what they say holds with other ones than those given too.
+Solvers read only the upper triangle of a stress, of an internal tensor, and of a matrix declared symmetric; an error in the
+lower one would pass unseen. A check evaluates the law with numbers, in a few milliseconds. If the declaration also holds
+with other numbers than those given, the law is not checked again.
 """
 
 from __future__ import annotations
@@ -23,44 +23,45 @@ from forms.law import BulkLaw, LawError, Step
 from forms.trace import named
 
 Array = npt.NDArray[np.float64]
-STRESS, TANGENT = 1e-10, 1e-5  # relative differences: rounding, and divided differences
-ENERGY = 1e-12  # rounding of an energy, over its size
-SIZES = (0.01, 0.3)  # of the strains
-CHANGE = 1e-3  # of the strains, for divided differences
-THETA = 0.7  # of the step
-APART = 0.1  # of the numbers given: how far from them others are tried
-_FOUND: set[tuple[Any, ...]] = set()  # laws whose stress, or tangent, is what they say, whatever their numbers
+STRESS_TOLERANCE = 1e-10  # relative difference of stresses that counts as rounding
+TANGENT_TOLERANCE = 1e-5  # relative error of divided differences of stress or energy
+ENERGY_TOLERANCE = 1e-12  # rounding of an energy, relative
+STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are checked
+CHANGE = 1e-3  # change of strain in divided differences, over the size of the strain
+THETA = 0.7  # theta of the step in which laws are checked
+VARIATION = 0.1  # relative change of the parameters for the second check
+_FOUND: set[tuple[Any, ...]] = set()  # checked laws whose declarations hold for all numbers
 NOT_SYMMETRIC = (
     "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
     "write symmetric = False in the class, or correct it"
 )
 NOT_LINEAR = (
-    "{} says linear = True, but is not: its stress is not affine in the strain; "
+    "{} declares linear = True, but its stress is not affine in the strain; "
     "write linear = False in the class, or correct the stress"
 )
 
 
 def require_declared_stress(law: BulkLaw, key: int) -> None:
-    """Raise LawError unless what a law in UFL computes is what it declares; silent if it cannot be evaluated.
+    """Raise LawError unless a law in UFL computes what it declares; does nothing if the law cannot be evaluated.
 
-    Stress and internal tensors are symmetric; the stress is affine in the strain if the law says `linear`; of a law that
-    says `symmetric` and has neither rate nor internal variables it is the derivative of the energy, if there is one.
+    Stress and internal tensors must be symmetric. The stress must be affine in the strain if the law declares `linear`, and
+    the derivative of the energy, if any, if it declares `symmetric` and has neither rate nor internal variables.
 
     Args:
-        law: with the numbers of this run.
-        key: of what it computes from any numbers, see `forms.trace`.
+        law: the law, with the numbers of this run.
+        key: key of its equations, see `forms.trace`.
     """
-    _for_all_numbers(law, ("stress", key, law.traits.linear, law.traits.symmetric), _is_declared)
+    _for_all_numbers(law, ("stress", key, law.traits.linear, law.traits.symmetric), _require_declared)
 
 
 def require_symmetric_tangent(law: BulkLaw, key: int) -> None:
-    """Raise LawError if a law in UFL says `symmetric`, and its tangent is not; arguments as above."""
+    """Raise LawError if a law in UFL declares `symmetric` but its tangent is not; arguments as above."""
     if law.traits.symmetric:
         _for_all_numbers(law, ("tangent", key), _tangent_is_symmetric)
 
 
 def _for_all_numbers(law: BulkLaw, key: tuple[Any, ...], require: Callable[[BulkLaw], None]) -> None:
-    """Require something of a law with its numbers, unless it has been seen to hold with other ones too."""
+    """Check a law with its numbers, unless the same check has passed with other numbers too."""
     given = law.mapped(lambda value, _: _number(value))
     arrays = [value for value in given.parameters().values() if isinstance(value, np.ndarray)]
     key = (*key, *map(_symmetric, arrays))
@@ -70,21 +71,21 @@ def _for_all_numbers(law: BulkLaw, key: tuple[Any, ...], require: Callable[[Bulk
     random = np.random.default_rng(5)
     try:
         require(given.mapped(lambda value, _: _tensor_of(_another(value, random))))
-    except LawError:  # it depends on the numbers
+    except LawError:  # the declaration depends on the numbers
         return
     _FOUND.add(key)
 
 
-def _is_declared(law: BulkLaw) -> None:
-    for size in SIZES:
+def _require_declared(law: BulkLaw) -> None:
+    for size in STRAINS:
         sample = Sample(law, size)
         _stress_is_symmetric(sample)
-        if named(law) is None:  # laws of this package are tested to be what they say
-            keeps_its_word(sample)
+        if named(law) is None:  # tests check the laws of this package
+            require_consistent(sample)
 
 
-def keeps_its_word(sample: Sample) -> None:
-    """Raise LawError unless internal tensors are symmetric, and the stress is as linear and elastic as a law says."""
+def require_consistent(sample: Sample) -> None:
+    """Raise LawError unless internal tensors are symmetric, and the stress is as linear and elastic as declared."""
     law = sample.law
     _memory_is_symmetric(sample)
     if law.traits.linear:
@@ -94,9 +95,9 @@ def keeps_its_word(sample: Sample) -> None:
 
 
 def _skew(tensor: Array) -> float:
-    """How far a tensor is from its transpose, over its size; 0 within rounding."""
+    """Relative difference between a tensor and its transpose; 0 if it is rounding."""
     skew, largest = np.abs(tensor - tensor.T).max(), np.abs(tensor).max()
-    return float(skew / largest) if skew > STRESS * largest else 0.0
+    return float(skew / largest) if skew > STRESS_TOLERANCE * largest else 0.0
 
 
 def _stress_is_symmetric(sample: Sample) -> None:
@@ -119,7 +120,7 @@ def _memory_is_symmetric(sample: Sample) -> None:
 
 
 def _stress_is_linear(sample: Sample) -> None:
-    """Second differences vanish, also across no strain."""
+    """Raise LawError unless second differences of the stress vanish, also around zero strain."""
     middle = sample.stress()
     mid = THETA * sample.e + (1 - THETA) * sample.e_old
     across = [2 / THETA * mid, 2 * sample.e] if sample.law.traits.rate or sample.law.internal else [2 / THETA * mid]
@@ -128,7 +129,7 @@ def _stress_is_linear(sample: Sample) -> None:
         if middle is None or up is None or down is None:
             return
         apart, largest = np.abs(up + down - 2 * middle).max(), max(np.abs(a).max() for a in (up, down, middle))
-        if apart > STRESS * largest:
+        if apart > STRESS_TOLERANCE * largest:
             raise LawError(NOT_LINEAR.format(type(sample.law).__name__))
 
 
@@ -146,22 +147,22 @@ def _stress_is_of_energy(sample: Sample) -> None:
 
 
 def _without_energy(sample: Sample, stress: Array, change: Array) -> float:
-    """Part of the stress's work on a small change that is not in the energy; 0 within rounding, or if it is not known."""
+    """Relative part of the stress's work on a small change that the energy lacks; 0 if rounding or unknown."""
     up, down = sample.energy(change), sample.energy(-change)
     if up is None or down is None:
         return 0.0
     work, size = 2 * np.sum(stress * change), 2 * np.linalg.norm(stress) * np.linalg.norm(change)
     rest = up - down - work
-    lost = abs(rest) > TANGENT * size + ENERGY * max(abs(up), abs(down))
+    lost = abs(rest) > TANGENT_TOLERANCE * size + ENERGY_TOLERANCE * max(abs(up), abs(down))
     return float(rest / (size or abs(rest))) if lost else 0.0
 
 
 def _tangent_is_symmetric(law: BulkLaw) -> None:
-    for size in SIZES:
+    for size in STRAINS:
         sample = Sample(law, size)
         one, other = (sample.random_strain() for _ in range(2))
         skew = sample.skew(one, other, CHANGE)
-        if not abs(skew) > TANGENT:
+        if not abs(skew) > TANGENT_TOLERANCE:
             continue
         closer = sample.skew(one, other, CHANGE / 2)
         if abs(skew - closer) < 0.1 * abs(skew):  # else a kink is near
@@ -169,7 +170,7 @@ def _tangent_is_symmetric(law: BulkLaw) -> None:
 
 
 class Sample:
-    """A law at one point, with numbers that no axis or plane prefers."""
+    """A law at one point, with random strain, director and internal variables."""
 
     def __init__(self, law: BulkLaw, size: float) -> None:
         self.law, self.random, self.size = law, np.random.default_rng(3), size
@@ -196,7 +197,7 @@ class Sample:
         return _evaluated(lambda: self.law.stress(self.law.told(self._step(change))))
 
     def tensors(self) -> dict[str, Array]:
-        """New internal variables of shape (3, 3), those that can be evaluated."""
+        """New internal variables of shape (3, 3) that can be evaluated."""
         found = {}
         for name, shape in self.law.internal.items():
             tensor = _evaluated(partial(self._advanced, name)) if shape == (3, 3) else None
@@ -208,7 +209,7 @@ class Sample:
         return self.law.advance(self._step(0.0))[name]
 
     def energy(self, change: Array | float) -> float | None:
-        """Energy where the stress is asked for, with a change of the strain; None if it cannot be evaluated."""
+        """Energy at the time of the stress, with a change of the strain; None if it cannot be evaluated."""
         energy = _evaluated(lambda: self.law.energy(self.law.told(self._step(np.asarray(change / THETA)))))
         return None if energy is None else float(energy)
 
@@ -232,7 +233,7 @@ def _evaluated(expression: Callable[[], Expr]) -> Array | None:
             warnings.simplefilter("ignore")  # UFL warns where it finds no number
             found: Any = expand_derivatives(ufl.as_ufl(expression()))  # once, not for each component
             values = [float(found((0.0,), component=place)) for place in np.ndindex(*found.ufl_shape)]
-    except Exception:  # whatever a law contains that has no number: the compiler will say what is wrong with it
+    except Exception:  # the law has parts without a value; the compiler will report errors
         return None
     return np.reshape(values, found.ufl_shape)
 
@@ -242,7 +243,7 @@ def _tensor(a: Array) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """A parameter, a number or a Constant, as numbers; what is neither stays."""
+    """A parameter as numbers, if it is a number or a Constant; else unchanged."""
     try:
         array = np.asarray(getattr(value, "value", value), float)
     except (TypeError, ValueError):
@@ -259,10 +260,10 @@ def _symmetric(array: Array) -> bool:
 
 
 def _another(value: Any, random: np.random.Generator) -> Any:
-    """Another number near a parameter, also near 0; of a symmetric array a symmetric one."""
+    """A different value near a parameter, also near 0; symmetric for a symmetric array."""
     if not isinstance(value, (float, np.ndarray)):
         return value
-    size = APART * (float(np.abs(value).max(initial=0.0)) or 1.0)
+    size = VARIATION * (float(np.abs(value).max(initial=0.0)) or 1.0)
     change = size * random.uniform(0.5, 1.0, np.shape(value))
     if isinstance(value, np.ndarray):
         return value + ((change + change.T) / 2 if _symmetric(value) else change)

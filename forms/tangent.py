@@ -1,4 +1,4 @@
-"""How stiff a law is, at rest and after a time: it tells soft layers from hard, and nearly incompressible ones."""
+"""Stiffness of a law at rest and after a time, to recognise soft, hard and nearly incompressible layers."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from forms.law import BulkLaw, LawError, Step
 from forms.trace import symbolic
 
 Array = npt.NDArray[np.float64]
-SMALL = 1e-6  # strain of the divided differences: far from yielding, and far from their rounding
-SIZES = (1e-6, 1e-2, 10.0)  # of strains that laws are asked about: elastic ones, and some beyond
-UNCOUPLED = 1e-9  # of a traction, or of a unit normal: less is rounding
-NEGATIVE = 1e-6  # of a tangent's size: that much below zero is no rounding, nor an error of divided differences
-SCALES = np.array([1.0 if i == j else ROOT2 for i, j in MANDEL])  # of a component of a tensor in Mandel's order
-LONG = 1e30  # time step in which what depends on rates has come to rest
+SMALL_STRAIN = 1e-6  # strain of the divided differences: too small for yielding, large enough against rounding
+STRAINS = (1e-6, 1e-2, 10.0)  # sizes of the strains at which `held_along` evaluates laws, elastic and beyond
+UNCOUPLED = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
+NEGATIVE = 1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
+SCALES = np.array([1.0 if i == j else ROOT2 for i, j in MANDEL])  # factor of each tensor component in Mandel's order
+LONG = 1e30  # length of a time step in which rates become zero
 
 
 def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     """d stress/d strain of a law for small strains from rest, (6, 6) in Mandel's order; None if it cannot be evaluated.
 
-    A law with memory answers at once, as to a sudden load; of a law with a rate it is what remains when all is at rest.
-    Of an incompressible layer it is that of the stress without the pressure. Laws that declare no stiffness are evaluated,
+    For a law with memory it is the instantaneous tangent, for a law with a rate the tangent when rates are zero. For an
+    incompressible layer the stress is without the pressure. If the law declares no stiffness, its stress is evaluated,
     which takes some milliseconds.
 
     Args:
-        law: with numbers for parameters.
+        law: the law, with numbers for parameters.
         n: director, (d,).
     """
     declared = law.stiffness(n)
@@ -45,11 +45,11 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     columns = []
     for i, j in MANDEL:
         e = np.zeros((3, 3))
-        e[i, j] = e[j, i] = SMALL if i == j else SMALL / ROOT2
+        e[i, j] = e[j, i] = SMALL_STRAIN if i == j else SMALL_STRAIN / ROOT2
         up, down = (_stress(law, sign * e, n) for sign in (1, -1))
         if up is None or down is None:
             return None
-        columns.append((up - down) / (2 * SMALL))
+        columns.append((up - down) / (2 * SMALL_STRAIN))
     C = np.column_stack(columns)
     return C if np.isfinite(C).all() else None
 
@@ -57,11 +57,11 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
 def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """d stress/d strain, (6, 6), of a linear law over one step of length dt from rest, at its end.
 
-    That is how far a law that creeps or relaxes has given way to loads that last as long. None if the law is not linear, or
-    cannot be evaluated.
+    It is the effective stiffness of a law that creeps or relaxes, under loads that last for dt. None if the law is not
+    linear, or cannot be evaluated.
 
     Args:
-        law: with numbers for parameters, one that acts at points.
+        law: a compiled law, with numbers for parameters.
         n: director, (d,).
         dt: time > 0.
     """
@@ -76,7 +76,7 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         told = np.concatenate([n, [dt, 1.0], law.parameter_values()])
         before = np.zeros(point.numbers.ufl_shape[0] - 6 - len(told))
         found = []
-        for e in np.eye(7, 6):  # the last is no strain
+        for e in np.eye(7, 6):  # the last one is zero strain
             numbers = {point.numbers: np.concatenate([e, before, told])}
             found.append([float(stress.evaluate((0.0,), numbers, ij, StackDict())) for ij in MANDEL])
     except Exception:  # as in _stress
@@ -86,7 +86,7 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 
 def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:
-    """Tangent that a function of a point, not compiled, fills in a step from rest; None if it is written in C or fails."""
+    """Tangent from the uncompiled kernel of a law in a step from rest; None if the kernel is written in C or fails."""
     if law.source is not None:
         return None
     tangent, zero, memory = np.zeros((6, 6)), np.zeros(6), np.zeros(law.memory)
@@ -94,13 +94,13 @@ def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:
     try:
         with np.errstate(all="ignore"):
             type(law).kernel(*given, np.zeros(6), tangent, memory.copy(), np.zeros(3))
-    except Exception:  # the model says what is wrong with it
+    except Exception:  # the model will report the error
         return None
     return tangent if np.isfinite(tangent).all() else None
 
 
 def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
-    """Stress (6,) of a strain after rest; None if the law is not written in UFL, or has no number there."""
+    """Stress (6,) of a strain applied to the law at rest; None if the law is not in UFL, or has no value there."""
     zero = ufl.as_matrix(np.zeros((3, 3)).tolist())
     shapes: dict[tuple[int, ...], Any] = {(): ufl.as_ufl(0.0), (3,): ufl.as_vector([0.0] * 3)}
     q = {name: shapes.get(shape, zero) for name, shape in law.internal.items()}
@@ -110,24 +110,24 @@ def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
         step = Step(ufl.as_matrix(e.tolist()), ufl.as_vector(n.tolist()), zero, q, dt, 1.0)
         stress: Any = expand_derivatives(ufl.as_ufl(named.stress(step)))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # UFL's, of roots of negative numbers
+            warnings.simplefilter("ignore")  # UFL warns of roots of negative numbers
             return np.array([float(stress((0.0,), component=(i, j))) * (1.0 if i == j else ROOT2) for i, j in MANDEL])
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
 
 
 def held_along(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
-    """(d,) along which axes the traction of a layer's law is zero while the jump has no component along them.
+    """(d,) whether the traction of a layer's law along an axis is zero as long as the jump along this axis is zero.
 
-    None if the law has a traction where nothing jumps, parameters that vary, or cannot be evaluated. A law with memory is
-    asked from rest, one with a rate in the end; an incompressible one has its pressure along n.
+    None if the law has a traction without a jump, has parameters that vary, or cannot be evaluated. A law with memory is
+    evaluated from rest, a law with a rate at zero rate. An incompressible layer has its pressure along n.
     """
     if law.traits.varies or not law.traits.in_ufl:
         return None
     director = np.pad(n, (0, 3 - len(n))) if law.traits.compiled else n
     N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
     coupled = law.traits.constrained & (np.abs(n) > UNCOUPLED)
-    for size in (0.0, *SIZES):
+    for size in (0.0, *STRAINS):
         for b, axis in enumerate(np.eye(len(n))):
             e = np.zeros((3, 3))
             e[: len(n), : len(n)] = size * (np.outer(axis, n) + np.outer(n, axis)) / 2
@@ -139,11 +139,11 @@ def held_along(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
     return np.asarray(~coupled)
 
 
-def rests_by_itself(law: BulkLaw) -> bool:
-    """Whether a layer's law must not push its faces apart as they part or slip, for what `tangent_at_rest` says of it.
+def has_stable_rest(law: BulkLaw) -> bool:
+    """Whether the tangent at rest of a layer's law is required to be positive, and `tangent_at_rest` can compute it.
 
-    Not asked of laws that say `softens`, nor where divided differences do not answer: of laws that remember and have a
-    rate, and of laws of jumps that are not linear (what a small jump is they alone know).
+    False for laws that declare `softens`, and where divided differences fail: for laws with both memory and rate, and for
+    non-linear laws of jumps, because the size of a small jump is not known.
     """
     return not (
         law.traits.softens or (law.traits.rate and law.internal) or (law.traits.of_jumps and not law.traits.linear)
@@ -157,20 +157,20 @@ def across(C: Array, n: Array) -> Array:
 
 
 def require_stable_layer(law: BulkLaw, C: Array | None, n: Array) -> None:
-    """Raise LawError if n.C.n of a layer's tangent at rest has a negative eigenvalue; silent if it is not known."""
+    """Raise LawError if n.C.n of a layer's tangent at rest has a negative eigenvalue; does nothing if C is None."""
     if C is not None and np.isfinite(C).all():
-        _require_stable(law, "across the layer (of n.C.n)", across(C, n), C)
+        _require_positive(law, "across the layer (of n.C.n)", across(C, n), C)
 
 
 def require_stable_body(law: BulkLaw, C: Array | None, d: int) -> None:
-    """Raise LawError if a body's tangent at rest has a negative eigenvalue, among strains of dimension d; likewise."""
+    """Raise LawError if a body's tangent at rest has a negative eigenvalue for strains in d dimensions; likewise."""
     slots = [k for k, (_, j) in enumerate(MANDEL) if j < d]
     if C is not None and np.isfinite(C).all():
-        _require_stable(law, "(of C)", C[np.ix_(slots, slots)], C)
+        _require_positive(law, "(of C)", C[np.ix_(slots, slots)], C)
 
 
-def _require_stable(law: BulkLaw, what: str, A: Array, C: Array) -> None:
-    """Eigenvalues: the symmetric part alone of a law without an energy may be negative."""
+def _require_positive(law: BulkLaw, what: str, A: Array, C: Array) -> None:
+    """Test eigenvalues of A itself: without an energy its symmetric part may be indefinite although A is stable."""
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -NEGATIVE * size:
         raise LawError(
@@ -195,14 +195,14 @@ def average_lame(C: Array) -> tuple[float, float]:
 def in_plane_modulus(C: Array, n: Array) -> float:
     """Stiffness of a sheet against strains in its plane where its faces are free; in 3D the mean over directions.
 
-    Of an isotropic law E/(1 - nu^2).
+    For an isotropic law it is E/(1 - nu^2).
 
     Args:
         C: (6, 6) in Mandel's order.
         n: (d,) normal of the sheet.
     """
     normal = np.pad(n, (0, 3 - len(n)))
-    frame = np.linalg.svd(normal[None])[2]  # its first row is along n
+    frame = np.linalg.svd(normal[None])[2]  # first row: n
     along = frame[1:] if len(n) == 3 else np.array([[n[1], -n[0], 0.0]])
     out = np.array([mandel((np.outer(normal, a) + np.outer(a, normal)) / 2) for a in frame])
     condensed = C - (out @ C).T @ np.linalg.pinv(out @ C @ out.T) @ (out @ C)

@@ -23,7 +23,7 @@ class Tabulated:
         values: (T, value) pairs, two or more, with T increasing.
 
     Raises:
-        LawError: pairs out of order or not finite; when called, a temperature outside the table.
+        LawError: pairs out of order or not finite; in a call, a temperature outside the table.
     """
 
     values: tuple[tuple[float, float], ...]
@@ -50,14 +50,14 @@ class Tabulated:
 
 
 def real(values: Any) -> npt.NDArray[np.float64]:
-    """Numbers as they are, or a TypeError: conversion would drop imaginary parts, and take conditions for 0 and 1."""
+    """Numbers as float64; raises TypeError for complex and boolean values, which a conversion would change silently."""
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
     if isinstance(values, (list, tuple)) and any(
         isinstance(v, (bool, np.bool_)) for v in np.array(values, object).flat
     ):
-        raise TypeError("it gives True or False among its values, which are no numbers")
+        raise TypeError("it gives True or False among its values, which are not numbers")
     return array.astype(float)
 
 
@@ -67,10 +67,10 @@ def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
 
 
 def evaluated(law: object, name: str, given: float | OfTemperature, T: npt.NDArray[np.float64]) -> Any:
-    """A law's parameter (a number or a function of the temperature) at temperatures T (n,), (n,).
+    """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,).
 
     Raises:
-        LawError: a function that fails, or gives something else than n finite numbers.
+        LawError: the function fails, or does not return n finite numbers.
     """
     if not callable(given):
         return np.full(len(T), float(given))
@@ -92,7 +92,7 @@ def temperatures(law: object, T: Field, x: npt.NDArray[np.float64], t: float) ->
     """A temperature field at places x (d, n) and a time, (n,).
 
     Raises:
-        LawError: a field that fails, or gives something else than n finite numbers.
+        LawError: the field fails, or does not return n finite numbers.
     """
     try:
         values = np.array(np.broadcast_to(real(T(x.copy(), t)), (x.shape[1],)))

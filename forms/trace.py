@@ -1,7 +1,7 @@
-"""Laws called once with symbols in place of all numbers: what they compute, and a key that tells it from anything else.
+"""Traced laws: called once with symbols in place of all numbers, and identified by a key of the result.
 
-Code that is compiled for a law, and what is found out about it, belong to what it computes: a class says too little, for
-its methods may read globals, attributes and other functions, which change.
+Compiled code and results of checks are stored under this key. The class of a law would not do as a key, because its methods
+may read globals, attributes and other functions, which may change.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from forms.declarations import SIZES
 from forms.kinematics import Expr, from_mandel
 from forms.law import BulkLaw, LawError, Step, explained, shaped
 
-_DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need one
-_KNOWN: dict[tuple[Any, ...], int] = {}  # parts of expressions that were met, numbered
-_STRESSES: dict[tuple[Any, int | None], int] = {}  # keys of this package's laws
+_DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
+_KNOWN: dict[tuple[Any, ...], int] = {}  # known parts of expressions -> their numbers
+_STRESSES: dict[tuple[Any, int | None], int] = {}  # laws of this package -> their keys
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Symbolic:
 
     Attributes:
         law: the law.
-        step: what it is told.
+        step: the step of symbols.
         strain: the strain at the end of the step, (6,), a variable.
         numbers: all inputs: e (6), e_old (6), internal values, n (3), dt, theta, parameters; in Mandel's order.
     """
@@ -76,21 +76,21 @@ def _shape(value: Any) -> tuple[int, ...]:
 
 
 def named(law: BulkLaw) -> tuple[Any, ...] | None:
-    """What tells a law of this package from any other, whatever its numbers; None for laws that may read what changes."""
+    """Identity of a law of this package apart from its numbers; None for users' laws, whose code may read changing data."""
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
     return (type(law), repr(law.choices()), *map(_shape, law.parameters().values()))
 
 
 def stress_key(law: BulkLaw, d: int | None) -> int:
-    """Key of the stress, and the energy if there is one, of a law that is a part of a form.
+    """Key of the stress, and of the energy if there is one, of a law whose stress is a part of a form.
 
     Args:
         law: the law.
-        d: number of components of the director that it is told; None in a body.
+        d: number of components of its director; None in a body.
 
     Raises:
-        LawError: a law that fails, decides by a number, or has no stress at all.
+        LawError: the law fails, compares numbers in Python, or has no stress at all.
     """
     known = named(law)
     if known is None:
@@ -123,18 +123,18 @@ def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:
 
 # ---------------------------------------------------------------- decisions
 def asked_by_ufl() -> bool:
-    """Whether the function that asks this was called by UFL, which compares expressions, from 2025 on with numbers too."""
+    """Whether UFL called the caller of this function. UFL compares expressions, since 2025 also with numbers."""
     return sys._getframe(2).f_globals.get("__name__", "").partition(".")[0] == "ufl"
 
 
 @contextmanager
 def undecided(law: BulkLaw, method: str) -> Iterator[None]:
-    """Make ==, != and truth of symbols a LawError in what a law does; UFL itself goes on comparing expressions.
+    """Raise LawError where a law's code uses ==, != or the truth of symbols. UFL may still compare expressions.
 
-    Python would compare how expressions are written, which is False for every number: a branch is never taken.
+    Python would compare symbols instead of numbers, always with the result False: the branch would never be taken.
     """
     message = (
-        f"{type(law).__name__}.{method}: a parameter, or what is computed from it, is compared or taken for true or false "
+        f"{type(law).__name__}.{method}: a parameter, or a value computed from it, is compared or used as a condition "
         "in Python; laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
     )
 
@@ -158,9 +158,9 @@ def undecided(law: BulkLaw, method: str) -> Iterator[None]:
 
 # ---------------------------------------------------------------- keys
 def key(expressions: Iterable[Expr]) -> int:
-    """A number for what expressions compute: equal if they are built alike, whatever their symbols are called."""
-    names: dict[tuple[type, int], int] = {}  # of symbols and free indices, in the order in which they are met
-    found: dict[int, int] = {}  # of parts, by identity: what is shared is looked at once
+    """A number that identifies expressions: equal for expressions of the same structure, whatever their symbols' names."""
+    names: dict[tuple[type, int], int] = {}  # symbols and free indices -> order of appearance
+    found: dict[int, int] = {}  # parts by id, so that shared parts are visited once
     whole = list(expressions)
     stack = list(whole)
     while stack:
@@ -191,7 +191,7 @@ def _terminal(node: Any, names: dict[tuple[type, int], int]) -> tuple[Any, ...]:
 
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
-    """Raise LawError if expressions contain something else than what the law is told."""
+    """Raise LawError if expressions contain anything but the inputs of the law."""
     seen: set[int] = set()
     stack = list(expressions)
     while stack:
@@ -202,6 +202,6 @@ def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Exp
         stack += node.ufl_operands
         if node._ufl_is_terminal_ and node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
             raise LawError(
-                f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; a law that acts at points knows "
-                "its parameters and its step alone: declare a parameter, or `varies` and `at`"
+                f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; a compiled law knows "
+                "only its parameters and its step: declare a parameter, or `varies` and `at`"
             )

@@ -17,7 +17,7 @@ from forms.traits import Traits
 
 
 class JumpStep(NamedTuple):
-    """What a traction law is told at one point of S; as `Step`, with jumps (3,) for strains, and n (3,) in 2D too."""
+    """Input of a traction law at one point of S: a `Step` with jumps (3,) in place of strains; n is (3,) in 2D too."""
 
     w: Expr
     w_old: Expr | None
@@ -38,7 +38,7 @@ class JumpStep(NamedTuple):
 
     @classmethod
     def of(cls, step: Step) -> JumpStep:
-        """From a step whose strains are sym(w (x) n)."""
+        """The jumps w of a step whose strains are sym(w (x) n)."""
         n = step.n
 
         def jump(e: Expr) -> Expr:
@@ -53,16 +53,15 @@ class _NoRate(JumpStep):
 
     @property
     def rate(self) -> Expr:
-        raise LawError("a law that asks for step.rate must declare rate = True")
+        raise LawError("a law that uses step.rate must declare rate = True")
 
 
 class TractionLaw(Law):
-    """A law t = t([u]) that no bulk law stands behind: printed formulas, measured curves. On S only, of order 0.
+    """A law t = t([u]) without a bulk law behind it: printed formulas, measured curves. On S only, of order 0.
 
-    Subclasses are frozen dataclasses with their parameters as fields (per jump: nothing is multiplied by eps). They give
-    `traction(step)`, UFL, (3,), and with internal variables (shape (), (3,) or (3, 3)) `evolve(step)`, of a `JumpStep`.
-    One that has an energy may give `energy(step)`, and `dissipation(step)` beside it.
-    One whose tangent is not symmetric says `symmetric = False`, as any law.
+    Subclasses are frozen dataclasses with their parameters as fields (per jump: nothing is multiplied by eps). They define
+    `traction(step)`, UFL, (3,), of a `JumpStep`, and `evolve(step)` if they have internal variables ((), (3,) or (3, 3)).
+    Optional: `energy(step)`, and `dissipation(step)` with it. If the tangent is not symmetric, write `symmetric = False`.
     """
 
     ignored: ClassVar = (
@@ -74,10 +73,10 @@ class TractionLaw(Law):
             raise LawError(f"{type(self).__name__}: a traction law has no powers of eps")
         super().__post_init__()
 
-    def _told_by_methods(self) -> dict[str, bool]:
+    def _traits_of_methods(self) -> dict[str, bool]:
         has_energy = type(self).energy is not TractionLaw.energy
         told = {"has_energy": has_energy, "in_ufl": True, "of_jumps": True, "compiled": True}
-        return super()._told_by_methods() | told
+        return super()._traits_of_methods() | told
 
     def of_strains(self) -> BulkLaw:
         kind: Any = type(self)
@@ -85,7 +84,7 @@ class TractionLaw(Law):
 
     def traction(self, step: JumpStep) -> Expr:
         """Traction at t + theta dt, (3,)."""
-        raise LawError(f"{type(self).__name__} gives no traction; a traction law needs a method traction(step)")
+        raise LawError(f"{type(self).__name__} has no traction; a traction law needs a method traction(step)")
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:
         """Internal variables at the end of the step."""
@@ -140,7 +139,7 @@ class OfJumps(BulkLaw):
         return super().trial_strain(np.outer(a[0], n), n)
 
     def plane_stress(self) -> Self:
-        """The law itself: jumps and tractions know no plane."""
+        """The law itself: jumps and tractions are the same in plane stress."""
         return self
 
     def stress(self, step: Step) -> Expr:
@@ -162,5 +161,5 @@ class OfJumps(BulkLaw):
 
 @cache
 def _of_jumps(kind: Any) -> type[OfJumps]:
-    """The laws of strains that stand for those of a class: of its name and module, which messages and keys tell."""
+    """The class `OfJumps` for the laws of a class, with its name and module, which messages and keys show."""
     return type(kind.__name__, (OfJumps,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})

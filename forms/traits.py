@@ -1,4 +1,4 @@
-"""Traits: what a law is like, in one value that models and solvers choose their methods by."""
+"""Traits: the properties of a law by which models and solvers choose their methods."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ def always(_: Iterable[bool]) -> bool:
 
 
 def trait(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> Any:
-    """A field of `Traits`: how those of sublayers make that of their Stack, and what holds of laws that say nothing."""
+    """A field of `Traits`: `fold` makes the trait of a Stack from those of its sublayers; `default` if not declared."""
     return field(default=default, metadata={"fold": fold})
 
 
 @dataclass(frozen=True)
 class Traits:
-    """What a law is like. A class of laws declares a trait as an attribute, `linear = True`, or as a property.
+    """Properties of a law. A class of laws declares a trait as an attribute, `linear = True`, or as a property.
 
-    Each field says by `all` or `any` how the traits of sublayers make that of their Stack.
+    A Stack has a trait if `all` or if `any` of its sublayers have it; each field says which.
 
     Attributes:
         linear: the stress is affine in the strain at the end of a step.
-        symmetric: the tangent is symmetric, as that of a law with an energy.
+        symmetric: the tangent is symmetric, as for every law with an energy.
         quadratic: the stored energy is a quadratic function of strain and internal variables.
-        rate: the stress depends on the strain rate. Such a law has no instantaneous response, and its strains do not jump
-            in time; the others answer a sudden load at once.
-        constrained: the strain has no trace, and a pressure is a field of its own.
-        bounded: stresses are bounded in some direction, so that loads may have a limit.
-        singular: the tangent of a law with an energy may vanish along some strains.
-        softens: stresses fall as strains grow, so that a meshed layer would localise.
-        plateau: strains across the layer may grow at constant stress, so that they need not be uniform through it.
+        rate: the stress depends on the strain rate, so strains cannot jump in time. Without this trait a law responds to a
+            sudden load at once.
+        constrained: the trace of the strain is zero, and the pressure is a separate unknown field.
+        bounded: the stress is bounded in some direction, so there may be a limit load.
+        singular: the tangent may be singular for some strains; Newton's method adds a Levenberg-Marquardt term.
+        softens: the stress falls as strains grow, so strains in a meshed layer would localise.
+        plateau: strains across the layer may grow at constant stress, so they may be non-uniform through the layer.
         varies: parameters vary along the layer or in time; the law's `at` gives their values.
         phases: the internal variable "phase", a scalar in [-1, 1], is the share of the layer in phase 1, or -1.
-        switches: phases are pure, one for each column of the layer, held in a solve and switched after it.
+        switches: each column of the layer is in one phase, which is fixed during a solve and may switch after it.
 
-    Traits that the methods of a law tell:
-        has_energy: the stored energy is declared, and so is the dissipation.
-        eases: `eased` gives laws whose equilibria are found more easily.
-        relaxes: `gradient` gives the strain that grows through the layer, for the interface law of order 1.
+    Traits that follow from the methods of a law:
+        has_energy: stored energy and dissipation are declared.
+        eases: `eased` gives laws whose equilibrium is easier to find, for continuation.
+        relaxes: `gradient` gives the change of strain through the layer, for the interface law of order 1.
         in_series: the law can be a sublayer of a Stack.
-        remembers: the law has internal values.
-        in_ufl: its equations are written in UFL.
-        of_jumps: the law is one of jumps, not of strains: there is no thickness in it.
+        remembers: the law has internal variables.
+        in_ufl: the equations are written in UFL.
+        of_jumps: the law is a function of jumps, not of strains, and has no thickness.
         nodal: the law acts at the nodes of S.
-        compiled: the law is compiled and acts on arrays of points, step by step; otherwise its stress is a part of a form.
+        compiled: the law is compiled and evaluated on arrays of points; otherwise its stress is a part of a UFL form.
     """
 
     linear: bool = trait(all)
@@ -78,7 +78,7 @@ class Traits:
 
     @classmethod
     def of(cls, law: object, **told: bool) -> Traits:
-        """The traits that a law declares, beside those that its methods tell.
+        """The traits that a law declares, and those that follow from its methods (`told`).
 
         Raises:
             LawError: a declaration that is neither True nor False.

@@ -13,7 +13,10 @@ from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Step, positive, require
 
-STIFFEST, REST = 1e6, 1e-12  # of a power-law dashpot in a step: times its spring, or below this strain it is linear
+MOST_STIFFNESS = (
+    1e6  # largest tangent of a power-law dashpot in a step, over its spring's modulus; stiffer ones are linear
+)
+REST_STRAIN = 1e-12  # largest strain of a step below which the dashpot may be linear
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
@@ -135,7 +138,7 @@ class Maxwell(BulkLaw):
 
     @staticmethod
     def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
-        """End value of x with x_new - x_old = elastic - dt rate x(t + theta dt)."""
+        """New value of x from x_new - x_old = elastic - dt rate x(t + theta dt)."""
         x = step.dt * rate
         return ((1 - (1 - step.theta) * x) * old + elastic) / (1 + step.theta * x)
 
@@ -162,16 +165,15 @@ class Norton(SpringBesideDashpot):
     As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
     of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
 
-    For p < 2 the tangent is infinite at rest. Where it would be more than 1e6 times as stiff in a step as the spring, at
-    strains of the step below 1e-12, the dashpot is linear. Below p = 1.2 Newton's method may need more, see `rest`.
+    For p < 2 the tangent is infinite at rest. The dashpot is linear where it would be more than 1e6 times as stiff in a
+    step as the spring, and only at strains of the step below 1e-12. For p < 1.2 Newton's method may need more, see `rest`.
 
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
         eta: viscosity, stress times time^(p - 1) (in a layer: stress (time/length)^(p - 1)); > 0.
         p: exponent > 1. 2: a linear dashpot; near 1: almost rigid below a threshold.
-        rest: rate below which the dashpot is linear, part of the law: |rate|^2 stands for |rate|^2 + rest^2. 1/time (in a
-            layer: length/time); >= 0. Below p = 1.2 Newton's method needs one that is not much smaller than 1e-4 of the
-            rates.
+        rest: rate below which the dashpot is linear, part of the law: |rate|^2 becomes |rate|^2 + rest^2. 1/time (in a
+            layer: length/time); >= 0. For p < 1.2 Newton's method needs about 1e-4 of the actual rates, or more.
 
     Raises:
         LawError: a parameter out of range.
@@ -195,7 +197,8 @@ class Norton(SpringBesideDashpot):
 
     def _viscous(self, step: Step) -> Expr:
         dt: Expr = step.dt
-        stiffest = (self.eta / (STIFFEST * self.mu * dt)) ** (1 / (2 - self.p))  # for p < 2: there it is that stiff
-        least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST / dt), 0)
-        q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # at 0 powers have no slope
+        # for p < 2 the rate at which the dashpot has this stiffness
+        stiffest = (self.eta / (MOST_STIFFNESS * self.mu * dt)) ** (1 / (2 - self.p))
+        least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST_STRAIN / dt), 0)
+        q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # powers have no derivative at 0
         return self.eta * q ** (self.p / 2 - 1) * step.rate

@@ -1,4 +1,4 @@
-"""Where laws act, and the one line that turns a law into a weak form."""
+"""Terms: laws with the measures they are integrated over, and the line that turns them into a weak form."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ufl.classes import Zero
 from forms.kinematics import Expr, jump_strain, lift, strain
 from forms.law import BulkLaw, Step, explained, shaped
 
-GAUSS = (-(12**-0.5), 12**-0.5)  # places through a thickness from -1/2 to 1/2
+GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Term:
     """The integral over a measure of the work of one law.
 
     Attributes:
-        law: the law, its parameters real.
+        law: the law, with real parameters.
         strain: displacement -> strain (3, 3) at the points.
         weight: factor of the measure.
         measure: dx, ds or dS.
@@ -34,7 +34,7 @@ class Term:
     n: Expr | None = None
 
     def step(self, u: Expr) -> Step:
-        """What the law is told when the displacement is u."""
+        """Input of the law for a displacement u."""
         return Step(self.strain(u), self.n)
 
     @property
@@ -54,7 +54,7 @@ class Interface:
     Attributes:
         measure: dS restricted to S between two bodies, ds on a rigid base.
         n: unit normal from the lower to the upper body, (d,).
-        upper, lower: value of a function on either side.
+        upper, lower: restrict a function to this side of S.
     """
 
     measure: ufl.Measure
@@ -69,7 +69,7 @@ class Interface:
 
     @classmethod
     def on_rigid_base(cls, mesh: Any, measure: ufl.Measure) -> Interface:
-        """S on the boundary of the upper body; what is below does not move."""
+        """S on the boundary of the upper body; the base below does not move."""
         return cls(measure, -ufl.FacetNormal(mesh), lambda v: v, lambda v: 0 * v)
 
     def jump(self, v: Expr) -> Expr:
@@ -83,7 +83,7 @@ def body(law: BulkLaw, measure: ufl.Measure) -> Term:
 
 
 def band(law: BulkLaw, measure: ufl.Measure, n: Expr) -> Term:
-    """A layer's law in the meshed layer (or in one of its sublayers)."""
+    """A layer's law in the meshed layer, or in the cells of one sublayer."""
     return Term(law, strain, 1, measure, n)
 
 
@@ -97,7 +97,7 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0) -> list[T
 
     Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
     e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
-    e1 = sym(grad_S [u]), or what `BulkLaw.gradient` makes of it. For an energy quadratic in the strain that is the
+    e1 = `BulkLaw.gradient` of sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the
     thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
     """
 

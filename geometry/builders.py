@@ -104,8 +104,8 @@ def disc(
         hole: radius of a hole along the axis, a length less than the radius (default: none).
         h_S: cell size at S (default: h).
         h_ends: cell size at the circles that bound S (default: h_S).
-        cell: "tetrahedron" or "hexahedron"; hexahedra are a polar grid in layers, without a hole around a square one.
-        degree: of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
+        cell: "tetrahedron" or "hexahedron"; hexahedra form a polar grid, around a square one if there is no hole.
+        degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
@@ -139,13 +139,13 @@ def ring(
         inner, interface, outer: radii, growing lengths > 0; S is the circle or cylinder r = interface.
         h: largest cell size, a length (default: of the smallest of the two widths and the depth a tenth in 2D, a fifth
             in 3D).
-        angle: of the sector that starts at the x axis, in radians, > 0 and at most 2 pi (default: the full circle).
+        angle: angle of the sector that starts at the x axis, in radians, > 0 and at most 2 pi (default: the full circle).
         depth: size along z, a length > 0, which makes the rings three-dimensional (default: 2D).
         h_S: cell size at S (default: h).
         h_ends: cell size at the ends of S, in 3D at the curves that bound it (default: h_S); a full circle has none.
         cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals
             and hexahedra are a polar grid, graded in one direction each.
-        degree: of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
+        degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:

@@ -1,4 +1,4 @@
-"""The cells of a mesh from elsewhere, as arrays, and what makes them unusable."""
+"""Cells of a mesh from a file or from DOLFINx, as arrays, and checks that a joint can be made of them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import scipy.spatial
 from geometry.joint import GeometryError, place
 from geometry.topology import FACET_TYPES, FacetTable, FloatArray, IntArray, corner_count, lagrange, node_jacobians
 
-CLOSE = 1e-9  # of the mesh's size: nodes this close to each other are two nodes at one place
-FLAT_CELL = 1e-12  # Jacobian over size^d of a cell without volume
-FOLDED = 1e-10  # smallest over largest Jacobian in a cell that is folded
+CLOSE = 1e-9  # distance of nodes at the same place, at most, over the size of the mesh
+FLAT_CELL = 1e-12  # Jacobian of a cell without volume, at most, over size^d
+FOLDED = 1e-10  # ratio of the smallest to the largest Jacobian in a folded cell, at most
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Cells:
         points: (n_points, d) coordinates of their nodes.
         nodes: (n_cells, k) in DOLFINx's order.
         type: as in `Joint.cell_type`.
-        used: (n_points,) numbers of these points where they are from.
+        used: (n_points,) numbers of these points in the mesh they come from.
     """
 
     points: FloatArray
@@ -40,10 +40,10 @@ class Cells:
             points: (n, d or 3) coordinates.
             nodes: (n_cells, k) in DOLFINx's order.
             cell_type: as in `Joint.cell_type`.
-            what: the cells in words.
+            what: text for the cells in messages.
 
         Raises:
-            GeometryError: nodes without coordinates, a surface in space.
+            GeometryError: nodes without coordinates, or a surface in 3D.
         """
         used, numbers = np.unique(nodes, return_inverse=True)
         if used[0] < 0 or used[-1] >= len(points) or not np.isfinite(points[used]).all():
@@ -70,7 +70,7 @@ class Cells:
             raise GeometryError(f"{bad.sum()} of {len(bad)} cells {what}; the first is at {place(x)}")
 
     def require_sound(self) -> None:
-        """Raise GeometryError for cells without volume, folded or there twice, and for nodes at the same place."""
+        """Raise GeometryError for cells without volume, folded or duplicate cells, and for nodes at the same place."""
         size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)

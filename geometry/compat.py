@@ -1,4 +1,4 @@
-"""Differences between DOLFINx releases 0.9 to 0.11 met while creating meshes; features are probed, not version strings."""
+"""Differences between DOLFINx releases 0.9 to 0.11 in creating meshes. Features are probed, not version strings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geometry.topology import FloatArray, IntArray, geometry_degree
 
 
 def _partitioner() -> Callable[..., Any]:
-    """Cells of the other side of a facet are kept as ghosts: integrals over interior facets need them."""
+    """Partitioner with ghost cells across facets, which integrals over interior facets need."""
     create, mode = dolfinx.mesh.create_cell_partitioner, dolfinx.mesh.GhostMode.shared_facet
     try:
         return create(mode)
@@ -27,7 +27,7 @@ def _partitioner() -> Callable[..., Any]:
 def create_mesh(comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str) -> dolfinx.mesh.Mesh:
     """Distribute cells given by their nodes on rank 0 (other ranks: any value). Collective.
 
-    One rank has all cells anyway: it needs neither a partitioner, which would take as long as the mesh, nor ghosts.
+    A single rank needs neither ghosts nor a partitioner, which would take as long as the mesh itself.
     """
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     if comm.rank:

@@ -1,7 +1,7 @@
 """Domain: a joint distributed over MPI ranks, with its names.
 
-The joint is whole on every rank, the mesh is not. `Domain` alone relates the two: through `original_cells`,
-`original_points`, `numbers` and `on_cells` others take what the joint knows to the cells, points and facets of a rank.
+Every rank has the whole joint, but only a part of the mesh. Only `Domain` relates the two: `original_cells`,
+`original_points`, `numbers` and `on_cells` transfer data of the joint to the cells, points and facets of a rank.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Domain:
     the layer that continue it, "NAME/LAYER" (nothing while S is a surface). "BONDED" is where the bodies meet outside S.
 
     Attributes:
-        joint: what was distributed.
+        joint: the joint that was distributed.
         mesh: the DOLFINx mesh (ghosts across shared facets).
         cell_tags: region numbers, counted from 1 in the order of `joint.regions`.
         facet_tags: one value per combination of names.
-        facet_values: name -> the values of `facet_tags` it stands for.
+        facet_values: name -> its values in `facet_tags`.
         original_cells: for each local cell (ghosts included) its number in `joint.cells`.
         comm: communicator for everything of ours. Not the mesh's own: when Python's garbage collector frees a mesh
             amid a pickled collective, mpi4py 4.0 waits for itself if the mesh's communicator was ever used for one.
@@ -122,7 +122,7 @@ class Domain:
         return self.facet_tags.indices[found]
 
     def vertices(self, original: int) -> npt.NDArray[np.int32]:
-        """Local vertices that stand for a vertex of the joint before it was inflated: one, or every copy of it on S."""
+        """Local vertices made from a vertex of the joint before inflating: one, or all copies of a vertex on S."""
         joint, topology = self.joint, self.mesh.topology
         copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
         topology.create_connectivity(0, joint.dim)

@@ -21,11 +21,11 @@ def facets_of_cells(mesh: dolfinx.mesh.Mesh, cell_type: str) -> Numbers:
 
 
 def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Numbers, corners: IntArray) -> IntArray:
-    """(n, k) vertices of local facets, in any numbers that the vertices of local cells are given in.
+    """(n, k) vertices of local facets, numbered as in `corners`.
 
     Args:
         mesh: the mesh.
-        cell_type: of its cells.
+        cell_type: type of its cells.
         facets: (n,) local facets.
         corners: (n_cells, m) vertices of the local cells.
     """

@@ -21,7 +21,7 @@ from geometry.naming import Groups, Named, Sides
 from geometry.parallel import on_root
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
 
-WHOLE = "BODY"  # the region of all cells where there are no cell tags
+WHOLE = "BODY"  # region of all cells if there are no cell tags
 
 
 def from_dolfinx(
@@ -46,8 +46,8 @@ def from_dolfinx(
         cell_tags: number of the region of each cell (default: one region, "BODY").
         facet_tags: numbers of the sets of facets.
         regions: number in `cell_tags` -> name of the region (default: the numbers, as text). Several numbers may have one
-            name; every cell must be in a region. What rank 0 gives counts.
-        facets: number in `facet_tags` -> name of the set of facets, likewise; facets with other numbers have no name.
+            name; every cell must be in a region. The value on rank 0 is used.
+        facets: number in `facet_tags` -> name of the set of facets; facets with other numbers are left out.
         S, upper, lower, direction: as in `read`.
         comm: the ranks that the mesh is distributed on (default: the world).
 
@@ -69,14 +69,14 @@ def from_dolfinx(
 
 @dataclass(frozen=True)
 class _Part:
-    """What one rank has of a mesh; nodes have the mesh's own numbers, in which the ranks follow each other.
+    """The part of a mesh on one rank. Nodes have the mesh's global numbers.
 
     Attributes:
-        type: of the cells.
+        type: type of the cells.
         points: (n, 2 or 3) coordinates of the nodes that the rank owns.
-        nodes: (n_cells, k) of the cells that it owns.
+        nodes: (n_cells, k) nodes of the cells that the rank owns.
         region: (n_cells,) tags of these cells.
-        tagged: (n_cells,) whether they have one; without cell tags all have 0.
+        tagged: (n_cells,) whether these cells have a tag; without cell tags all have the tag 0.
         facets: (n_facets, k) vertices of its tagged facets.
         tags: (n_facets,) their tags.
     """
@@ -91,7 +91,7 @@ class _Part:
 
     @classmethod
     def of(cls, mesh: Any, cell_tags: Any, facet_tags: Any, comm: MPI.Intracomm) -> _Part:
-        """The part of this rank; raises GeometryError for what a joint cannot be made of."""
+        """The part of this rank; raises GeometryError if a joint cannot be made of it."""
         if not isinstance(mesh, dolfinx.mesh.Mesh):
             raise GeometryError(f"mesh is {mesh!r}; give a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
@@ -127,7 +127,7 @@ class _Part:
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[npt.NDArray[np.int32], IntArray]:
-    """Local entities with a tag, and their tags; none where there are no tags."""
+    """Local entities with a tag, and their tags; both empty without tags."""
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
     if not isinstance(tags, dolfinx.mesh.MeshTags):

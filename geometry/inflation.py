@@ -60,14 +60,14 @@ class _Levels:
         return np.where(level == self.top, nodes, new)
 
     def drop(self, rows: IntArray) -> IntArray:
-        """The same cells or facets, standing on the lower face of the band instead of S."""
+        """The same cells or facets with the lower face of the band in place of S."""
         on_s = np.isin(rows, self.nodes)
         out = rows.copy()
         out[on_s] = self.number(rows[on_s], 0)
         return out
 
     def footprint(self, rows: IntArray) -> IntArray:
-        """For nodes of the band, the nodes of S they stand on."""
+        """The nodes of S below or above given nodes of the band."""
         return np.where(rows < self.first_new, rows, self.nodes[(rows - self.first_new) % len(self.nodes)])
 
 
@@ -87,12 +87,12 @@ def inflate(
         eps: thickness of the layer, a length > 0.
         profile: function of coordinates (d, n) that returns n numbers > 0: the thickness at the vertices of S is eps times
             these, and linear in between. None: uniform.
-        cells_through: number of cells through the thickness, at least 1 (each sublayer gets at least one).
-        fractions: shares of the thickness of sublayers, from the lower to the upper face, adding up to 1; () for one layer.
-        bodies: "kept": the bodies keep their shape and are moved apart by eps (on a rigid base the layer grows below
-            the body); S planar, thickness uniform. "extended": the total shape is kept; the bodies give up half of the
-            thickness each (on a rigid base the body gives up all of it), their nodes follow by a harmonic motion that
-            slides along the outer faces.
+        cells_through: number of cells through the thickness, at least 1; each sublayer gets at least one.
+        fractions: thickness shares of the sublayers, from the lower to the upper face, with sum 1; () for a single layer.
+        bodies: "kept": the bodies keep their shape and move apart by eps (on a rigid base the layer grows below
+            the body); S planar, thickness uniform. "extended": the outer shape is kept; each body gives up half of the
+            thickness (on a rigid base the body gives up all of it), its nodes move by a harmonic motion that slides
+            along the outer faces.
 
     Returns:
         A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
@@ -133,12 +133,7 @@ def inflate(
 
 
 def check_layering(cells_through: int, bodies: str) -> None:
-    """Raise GeometryError if the number of cells through the thickness or the way to make room is out of range.
-
-    Args:
-        cells_through: the number of cells.
-        bodies: the way.
-    """
+    """Raise GeometryError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
     if bodies not in WAYS:
         raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
     if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
@@ -209,7 +204,7 @@ def _band_cells(joint: Joint, levels: _Levels, fractions: Sequence[float]) -> tu
     return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
 
 
-Pattern = tuple[IntArray, IntArray]  # (n_S, k) which node of each facet of S, (k,) how many levels above the first
+Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) levels above the first
 
 
 def _extruded(cell_type: str, degree: int, n: int) -> list[Pattern]:
@@ -244,7 +239,7 @@ def _split_prisms(cell_type: str, degree: int, order: IntArray) -> list[Pattern]
 
 
 def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: FloatArray, bodies: str) -> FloatArray:
-    """(n_nodes, d) how far each node moves."""
+    """(n_nodes, d) motion of each node."""
     motion: FloatArray = np.zeros((len(joint.points) + levels.top * len(levels.nodes), joint.dim))
     h = thickness[levels.nodes][:, None]
     if bodies == "kept":

@@ -32,11 +32,11 @@ S = "S"
 LAYER = "LAYER"
 LOWER_FACE, UPPER_FACE, BASE, BONDED = "LOWER_FACE", "UPPER_FACE", "BASE", "BONDED"
 RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, BONDED)
-FLAT = 1e-5  # S counts as planar when its unit normals differ by less: files may have seven digits
+FLAT = 1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
 
 
 class GeometryError(InputError):
-    """A mesh, a name or a size that cannot be used; the message says what, where and what is allowed."""
+    """A mesh, a name or a size that cannot be used. Says what is wrong, where, and what is allowed."""
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> str:
@@ -50,7 +50,7 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> str:
 
 
 def _digest(*arrays: IntArray) -> str:
-    """Twelve digits that stand for arrays of integers."""
+    """Hash of arrays of integers, twelve digits."""
     content = b"".join(np.ascontiguousarray(array, np.int64).tobytes() for array in arrays)
     return hashlib.sha256(content).hexdigest()[:12]
 
@@ -62,14 +62,14 @@ def place(x: FloatArray) -> str:
 
 @dataclass(frozen=True)
 class Band:
-    """What inflating did: the layer's thickness, its sublayers and the way the bodies made room for it.
+    """Result of inflating: the layer's thickness, its sublayers, and how the bodies made room for it.
 
     Attributes:
         eps: thickness of the layer, a length; where it varies, times the profile.
         bodies: "kept" or "extended".
         regions: names of the sublayers' cell regions, from the lower to the upper face.
         base: the joint before inflating.
-        reference: (n_points, d) where each point was before inflating (points of the layer: their place on S).
+        reference: (n_points, d) place of each point before inflating (points of the layer: their place on S).
         director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layer's cells, from the
             lower to the upper body.
     """
@@ -96,8 +96,8 @@ class Joint:
         cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
         region: (n_cells,) for each cell the position of its region in `regions`.
         regions: names of the cell regions.
-        facets: named sets of facets, each (n, k) vertices in any order; S is one of them, and what is in S is taken out
-            of the other sets.
+        facets: named sets of facets, each (n, k) vertices in any order. S is one of them; facets of S are removed from
+            the other sets.
         upper: names of the regions above S.
         lower: names of the regions below S; empty for a rigid base; the same as `upper` for S inside one body.
         direction: (d,) vector that points to the upper side, for S inside one body only.
@@ -214,7 +214,7 @@ class Joint:
 
     @property
     def reference(self) -> FloatArray:
-        """(n_points, d) where each point was before inflating."""
+        """(n_points, d) place of each point before inflating."""
         return self.band.reference if self.band else self.points
 
     @property
@@ -356,7 +356,7 @@ class Joint:
         return replace(self, points=self.points @ turn.T, direction=self._direction(turn))
 
     def swapped(self) -> Joint:
-        """The joint with the roles of the lower and the upper body exchanged (n turns round, nothing moves)."""
+        """The joint with lower and upper body exchanged: n changes its sign, nothing moves."""
         if self.rigid_base:
             raise GeometryError("a joint on a rigid base has no lower body to swap with")
         return replace(self, lower=self.upper, upper=self.lower, direction=self._direction(-np.eye(self.dim)))
@@ -366,7 +366,7 @@ class Joint:
         return None if self.direction is None else tuple(float(c) for c in turn @ np.array(self.direction))
 
     def identity(self) -> dict[str, Any]:
-        """What tells the joint from others, as JSON: numbers and digests of its cells, places, regions and named facets."""
+        """Identity of the joint, as JSON: counts and hashes of its cells, places, regions and named facets."""
         weights = np.cos(np.arange(self.points.size)).reshape(self.points.shape)
         return {
             "cells": len(self.cells),
@@ -386,7 +386,7 @@ class Joint:
         """Number of the mesh vertex at x; raises GeometryError, naming the nearest vertex, if there is none."""
         vertices = np.unique(self.corners)
         if np.ndim(x) != 1 or not all(map(is_finite, x)):
-            raise GeometryError(f"point {x!r} is no place; give {self.dim} coordinates")
+            raise GeometryError(f"point {x!r} is not a place; give {self.dim} coordinates")
         if len(x) != self.dim:
             raise GeometryError(f"point {tuple(x)} has {len(x)} coordinates, the mesh has {self.dim}")
         distance = np.linalg.norm(self.reference[vertices] - np.asarray(x, float), axis=1)

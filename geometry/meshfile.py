@@ -36,10 +36,10 @@ REMEDIES = {
 
 
 def load(path: Path, scale: float) -> meshio.Mesh:
-    """The file as meshio reads it, without what meshio prints; coordinates times a factor.
+    """The file as meshio reads it, coordinates times a factor; messages that meshio prints are suppressed.
 
     Raises:
-        GeometryError: no such file, not readable, or a physical name is there twice.
+        GeometryError: no such file, not readable, or two groups with one physical name.
     """
     if not path.is_file():
         raise GeometryError("this is a folder, not a file" if path.is_dir() else "there is no such file")
@@ -54,7 +54,7 @@ def load(path: Path, scale: float) -> meshio.Mesh:
             mesh = meshio.read(path)
     except ImportError as error:
         raise GeometryError(f"{path.suffix} files need the Python package {error.name}") from None
-    except (Exception, SystemExit) as error:  # meshio leaves Python when no reader succeeds
+    except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
         why = " ".join(said.getvalue().split()) if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         hint = "; in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0" if path.suffix.lower() == ".msh" else ""
         raise GeometryError(f"meshio cannot read this {path.suffix} file ({why}){hint}") from None
@@ -63,7 +63,7 @@ def load(path: Path, scale: float) -> meshio.Mesh:
 
 
 def _require_single_names(path: Path) -> None:
-    """Raise GeometryError for a physical name that stands for two groups, of which meshio would drop one."""
+    """Raise GeometryError if two groups have the same physical name: meshio would drop one of them."""
     end = ("$EndPhysicalNames", "$Nodes", "$Elements")
     with path.open("rb") as file:
         lines = (line.decode(errors="replace") for line in file)

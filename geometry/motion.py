@@ -1,4 +1,4 @@
-"""How nodes move when a layer opens: directions at the faces, harmonic motion of the bodies, room for the layer."""
+"""Motion of nodes when a layer opens: directions at the faces, harmonic motion of the bodies, room for the layer."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from geometry.joint import GeometryError, Joint, place
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
-EXACT = 1e-10  # likewise for the bodies' other vertices, which must not leave their outer faces
-STEEPEST = 0.1  # cosine of the angle between S's normal and the way its vertices can go, at least
-TOLERANCE = 1e-12  # of the harmonic motion, relative
-ASKEW = np.array([1.0, 1.3, 1.7, 2.3])  # weights of a point amid a facet that is above no edge of an aligned grid
+EXACT = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
+LEAST_COSINE = 0.1  # smallest cosine of the angle between S's normal and the direction in which its vertices can move
+TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
+ASKEW = np.array(
+    [1.0, 1.3, 1.7, 2.3]
+)  # weights of a facet's vertices: their mean lies above no edge of an aligned grid
 
 
 def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
     """Directions d (n, d) in which the nodes of S leave it, scaled to d . n = 1, from the lower to the upper body.
 
-    At edges and corners of S for each facet around a node (least squares where they are many); at the end of S along the
-    outer faces of the body on that side.
+    At edges and corners of S this holds for each facet around a node (least squares where there are many); at the end of S
+    d is along the outer faces of the body on that side.
 
     Raises:
         GeometryError: S branches or is folded; an outer face touches S nearly parallel to it.
@@ -43,12 +45,12 @@ def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
     values, vectors = np.linalg.eigh(outer[nodes] / np.maximum(faces[nodes], 1)[:, None, None])
     slip = (vectors * (values < SMOOTH)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
-    inverse = np.where(values > STEEPEST**2, 1 / np.maximum(values, STEEPEST**2), 0.0)
+    inverse = np.where(values > LEAST_COSINE**2, 1 / np.maximum(values, LEAST_COSINE**2), 0.0)
     along = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", slip, total))
     along /= count[:, None]
     lowest = np.full(len(nodes), np.inf)
     np.minimum.at(lowest, index, np.einsum("fkd,fkd->fk", along[index], normals))
-    steep = np.flatnonzero(lowest < STEEPEST)
+    steep = np.flatnonzero(lowest < LEAST_COSINE)
     if len(steep):
         raise GeometryError(
             f"bodies='extended' cannot keep the shape: an outer face touches S at {place(joint.points[nodes[steep[0]]])} "
@@ -67,7 +69,7 @@ def require_no_branches(joint: Joint) -> None:
 
 
 def _outer_moments(joint: Joint, side: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """For every node the sum of m m^T over the unit normals m of outer faces (S left out) there, and their number."""
+    """For every node the sum of m m^T over the unit normals m of outer faces there, except S, and their number."""
     table = joint.table
     outer = np.setdiff1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
     if side is not None:
@@ -161,7 +163,7 @@ def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
 
 
 def require_room(joint: Joint, n: FloatArray, eps: float) -> None:
-    """Raise GeometryError if what is below S (a body, or a layer on a rigid base), moved by -eps n, hits the upper body."""
+    """Raise GeometryError if the body below S, or the layer on a rigid base, moved by -eps n, hits the upper body."""
     table = joint.table
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
     on_s = np.isin(outer, joint.surface_rows)
@@ -193,7 +195,7 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps
     for facet, height in zip(facets[near] @ plane.T, heights[near], strict=True):
         edges = (facet[1:] - facet[0]).T
         if abs(np.linalg.det(edges)) < tolerance ** (joint.dim - 1):
-            continue  # seen edge-on
+            continue  # the facet is parallel to the way
         weights = np.linalg.solve(edges, (x @ plane.T - facet[0]).T).T
         gap = height[0] + weights @ (height[1:] - height[0]) - start
         inside = (weights > 1e-9).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-9)

@@ -1,4 +1,4 @@
-"""Which named groups of cells and facets of a mesh are a joint's regions, its S and the two sides of it."""
+"""Choice of a joint's regions, its S and the two sides of S among the named groups of a mesh."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Sides:
-    """What a caller says of S.
+    """The caller's choice of S and its sides.
 
     Attributes:
         S: name of its set of facets; None for all facets between the regions `lower` and `upper`.
         upper: names of the regions above S; None if not given.
         lower: names of the regions below S; None if not given.
-        direction: (d,) to the upper side, for S inside one body.
+        direction: (d,) vector to the upper side, for S inside one body.
     """
 
     S: str | None
@@ -41,7 +41,7 @@ class Sides:
         lower: str | Sequence[str] | None,
         direction: Sequence[float] | None,
     ) -> Sides:
-        """What was given, if it can be understood; raises GeometryError if not."""
+        """The choice from arguments as in `read`; raises GeometryError for wrong types."""
         if not (surface is None or isinstance(surface, str)):
             raise GeometryError(
                 f"S is {surface!r}; give the name of one set of facets (a group can have several parts), or None for "
@@ -63,13 +63,13 @@ def _names_of(regions: str | Sequence[str] | None, what: str) -> Names | None:
 
 @dataclass(frozen=True)
 class Named:
-    """What has a name in a mesh.
+    """The named groups of a mesh.
 
     Attributes:
         cells: its cells.
-        regions: name -> which of them are in the region.
+        regions: name -> which of these cells are in the region.
         facets: name -> (n, k) vertices of the facets.
-        source: where the names are from, for messages.
+        source: origin of the names, for messages.
     """
 
     cells: Cells
@@ -79,7 +79,7 @@ class Named:
 
     @classmethod
     def of(cls, cells: Cells, regions: Groups, facets: dict[str, IntArray], source: str, sides: Sides) -> Named:
-        """The named groups of a mesh; where groups of cells overlap, those that `sides` names are the regions."""
+        """The named groups of a mesh. Where groups of cells overlap, the groups named in `sides` are the regions."""
         chosen = (sides.upper or ()) + (sides.lower or ())
         both = [name for name in regions if name in facets and not name.isdigit()]
         if both:

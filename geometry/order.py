@@ -7,7 +7,7 @@ import numpy as np
 from geometry.joint import Joint
 from geometry.topology import FloatArray, IntArray
 
-CLOSE = 1e-9  # of the size of the whole: places that differ by less, by rounding, are the same
+CLOSE = 1e-9  # distance, over the size of the whole, below which two places are the same
 
 
 def by_place(x: FloatArray, size: float) -> IntArray:

@@ -12,9 +12,9 @@ T = TypeVar("T")
 
 
 def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
-    """Result of a function run on rank 0 only, on every rank; its exception too. Collective.
+    """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
-    What is raised has an attribute `on_all_ranks`: whoever catches it knows that no rank is left waiting.
+    The exception has an attribute `on_all_ranks`: it shows that no rank is left waiting.
     """
     comm = comm or MPI.COMM_WORLD
     result: T | Exception | None = None
@@ -33,7 +33,7 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
 
 
 def _sendable(error: Exception) -> Exception:
-    """An error as the other ranks can have it: some exceptions cannot be made anew from what pickle keeps of them."""
+    """An error that pickle can send to the other ranks: some exceptions cannot be restored from a pickle."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

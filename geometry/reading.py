@@ -18,7 +18,7 @@ from geometry.naming import Groups, Named, Sides
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
 
-FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # how meshio's names of them start
+FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
 PHYSICAL = "gmsh:physical"
 
 
@@ -34,9 +34,9 @@ def read(
 ) -> Joint:
     """A joint from a mesh file. Collective.
 
-    Names are gmsh's physical names, or the file's cell sets. Where there are none they are the numbers, as text, in the
-    cell data "gmsh:physical" or in the file's only array of integers (negative: no name). Named groups of cells are the
-    regions; every cell is in one of them. Groups of cells of one dimension less are sets of facets. Where groups of
+    Names are gmsh's physical names, or the file's cell sets. Without these, names are the numbers, as text, in the cell
+    data "gmsh:physical" or in the file's only array of integers (negative: no name). Named groups of cells are the
+    regions; every cell must be in one of them. Groups of cells of one dimension less are sets of facets. Where groups of
     cells overlap, those named in `upper` and `lower` are the regions.
 
     Args:
@@ -51,8 +51,8 @@ def read(
 
     Raises:
         GeometryError: the file cannot be read or lacks names; a name is unknown or ambiguous; cells of several types or
-            of one that is not allowed; a surface in space; nodes or cells that are there twice, cells that are flat or
-            folded; S is not what `Joint` needs.
+            of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; S does not fit
+            `Joint`.
     """
     if not isinstance(path, (str, Path)):
         raise GeometryError(f"path is {path!r}; it must be the name of a file")
@@ -79,7 +79,7 @@ def _read(path: Path, sides: Sides, scale: float) -> Joint:
 
 
 def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
-    """Where names are from, for messages, and the cell data whose numbers stand for groups."""
+    """Origin of the names, for messages, and the cell data that number the groups."""
     if PHYSICAL in mesh.cell_data:
         return "physical names" if mesh.field_data else f"numbers in the cell data {PHYSICAL!r}", PHYSICAL
     if getattr(mesh, "cell_tags", None):
@@ -97,7 +97,7 @@ def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
 
 
 def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
-    """The named groups of cells of a dimension that are not empty; members are counted block after block of the file."""
+    """The non-empty named groups of cells of a dimension; cells are numbered block after block of the file."""
     blocks = [k for k, block in enumerate(mesh.cells) if block.dim == dim]
     groups: Groups = {}
     for name, members in mesh.cell_sets.items():

@@ -1,4 +1,4 @@
-"""S as a sheet: its area, its ends, gradients along it, and how high the bodies on it are."""
+"""S as a sheet: its area, its ends, gradients along it, and the heights of the bodies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geometry.topology import FloatArray, IntArray, node_jacobians
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
 VOLUMES = {"triangle": 1 / 2, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}  # of reference cells
-CLOSED = 0.1  # length of the mean of unit normals below which there is no normal to speak of
+CLOSED = 0.1  # length of the mean unit normal below which S counts as closed
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Rim:
 
     Attributes:
         vertices: (n, d - 1) of the joint.
-        simplex: (n,) which simplex of the sheet ends there.
+        simplex: (n,) simplex of the sheet at each ridge.
         outward: (n, d) unit vectors along S, normal to the ridge.
-        depth: (n,) extent of the simplex along them.
-        length: (n,) of the ridges, in 2D 1.
+        depth: (n,) extent of the simplex along `outward`.
+        length: (n,) lengths of the ridges; 1 in 2D.
     """
 
     vertices: IntArray
@@ -64,7 +64,7 @@ class Sheet:
 
     @cached_property
     def parts(self) -> tuple[IntArray, IntArray]:
-        """Facet of S, and which of its corners, of each simplex: (n,), (n, d)."""
+        """For each simplex its facet of S, (n,), and the corners of this facet, (n, d)."""
         count = len(self.joint.surface)
         corners = TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
         return np.tile(np.arange(count), len(corners)), np.repeat(np.array(corners), count, axis=0)
@@ -83,7 +83,7 @@ class Sheet:
 
     @cached_property
     def mean_normal(self) -> FloatArray:
-        """(d,) of length 1; of an S that is closed, that of its first facet."""
+        """(d,) unit vector; if S is closed, the normal of its first facet."""
         mean = self.joint.interface_normals.mean(axis=0)
         length = np.linalg.norm(mean)
         return np.asarray(mean / length if length > CLOSED else self.joint.interface_normals[0])
@@ -101,7 +101,7 @@ class Sheet:
 
     @cached_property
     def areas(self) -> FloatArray:
-        """(n,) of the simplices."""
+        """(n,) areas of the simplices."""
         gram = np.linalg.det(self._edges @ np.swapaxes(self._edges, 1, 2))
         return np.asarray(np.sqrt(gram) / math.factorial(self.joint.dim - 1))
 
@@ -123,9 +123,9 @@ class Sheet:
 
     @cached_property
     def heights(self) -> tuple[float, ...]:
-        """Volume over the area of S, of what is below (nothing on a rigid base) and of what is above it.
+        """Volume over the area of S, of the lower side (none on a rigid base) and of the upper side.
 
-        Where S lies inside one body, of this body.
+        If S lies inside one body, the only value is for this body.
         """
         joint = self.joint
         volumes = np.abs(node_jacobians(joint.points, joint.corners, joint.cell_type)).mean(axis=1)

@@ -1,4 +1,4 @@
-"""Which cells lie above S when the same body is on both sides of it."""
+"""Cells above S if the same body is on both sides of S."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import scipy.sparse.csgraph
 from forms.base import InputError
 from geometry.topology import FACET_TYPES, FacetTable, FloatArray, IntArray
 
-LEAST_COSINE = 0.02  # between the direction of the upper side and the normals of S
+LEAST_COSINE = 0.02  # smallest cosine allowed between the direction of the upper side and the normals of S
 
 
 def sides_by_direction(
@@ -19,17 +19,17 @@ def sides_by_direction(
     """(n_cells,) +1 above S, -1 elsewhere, for S inside one body.
 
     Where S cuts the body in two, each part is a side. Where S ends inside, only cells that touch S are sorted: around
-    each vertex and edge of S they fall into the groups that S separates. At the tip there is one group, nothing to sort.
+    each vertex and edge of S they fall into the groups that S separates. At the tip there is one group only.
 
     Args:
         corners: (n_cells, k) vertices of cells.
-        cell_type: their type.
-        table: their facets.
+        cell_type: type of these cells.
+        table: facets of these cells.
         rows: facets of S.
-        upper: for each of them the cell above it.
+        upper: the cell above each of these facets.
 
     Raises:
-        InputError: S turns its lower side to where its upper one was, or a cell lies above one part of S and below another.
+        InputError: the sides of S change along S, or a cell lies above one part of S and below another.
     """
     inner = np.flatnonzero(table.cells[:, 1] >= 0)
     inner = inner[~np.isin(inner, rows)]
@@ -107,7 +107,7 @@ def upper_cells(centres: FloatArray, cells: IntArray, x: FloatArray, n: FloatArr
         centres: (n_cells, d) of all cells.
         cells: (n_S, 2) the cells at each facet.
         x, n: (n_S, d) centres and normals (either direction, any length) of the facets.
-        direction: (d,).
+        direction: (d,) vector to the upper side.
 
     Raises:
         InputError: the direction lies in a facet.

@@ -14,7 +14,7 @@ from forms.base import InputError
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 
-BITS = 31  # of a vertex number in a key
+BITS = 31  # bits for a vertex number in a key
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 FACET_TYPES = {
     "triangle": "interval",
@@ -62,8 +62,8 @@ class FacetTable:
         cells: (n_facets, 2) the cells that meet there; -1 in the second column on the outer boundary.
         local: (n_facets, 2) which facet of each of these cells it is; -1 where there is no cell.
 
-    Rows are found vertex by vertex: `_keys[k]` are the different beginnings of k + 2 vertices in ascending order, each as
-    one integer, made of the beginning of k + 1 vertices (its number) and of the last vertex.
+    Rows are found vertex by vertex: `_keys[k]` holds the different tuples of the first k + 2 vertices in ascending order,
+    each as one integer: the number of the tuple of the first k + 1 vertices, then the last vertex.
     """
 
     vertices: IntArray
@@ -116,7 +116,7 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
 
     Args:
         facets: (n_facets, m) nodes in the order of the facet's own element.
-        cell_type: of the cells.
+        cell_type: type of the cells.
     """
     element = lagrange(FACET_TYPES[cell_type], 1)
     rows = np.concatenate([facets[:, ridge] for ridge in element.entity_closure_dofs[-2]])

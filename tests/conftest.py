@@ -9,6 +9,8 @@ from mpi4py import MPI
 
 # -O1: forms compile in half the time, the largest in a third, and small meshes assemble as fast
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parent / "config")
+# what fails in an assertion of these is shown as it is in a test
+pytest.register_assert_rewrite("tests.at_points", "tests.columns_in_time")
 
 
 def pytest_xdist_auto_num_workers(config):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from tests.test_marching import interface
+from tests.viscous_joints import interface
 from thinlayer import Table, fields, march, plotting, sweep
 from thinlayer.running.record import Record
 

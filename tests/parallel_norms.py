@@ -1,4 +1,4 @@
-"""Prints norms of several structures; run by test_parallel on 1, 2 and 3 ranks."""
+"""Prints norms of several structures; run by test_parallel.py on 1, 2 and 3 ranks."""
 
 from __future__ import annotations
 

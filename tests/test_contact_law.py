@@ -179,7 +179,7 @@ def test_stiffness_of_a_layer():
         (lambda: HolonomicCoulomb.of_layer(15.0, -5.0, friction=0.3), ["mu is -5.0"]),
         (lambda: HolonomicCoulomb.of_layer(15.0, 5.0, f=0.3), ["no parameter 'f'", "friction"]),
         (lambda: HolonomicCoulomb.of_layer("a", 5.0, friction=0.3), ["lmbda", "'a'"]),
-        (lambda: ContactLaw(1.0, 1.0).threshold(np.ones(1)), ["gives no threshold"]),
+        (lambda: ContactLaw(1.0, 1.0).threshold(np.ones(1)), ["has no threshold"]),
     ],
 )
 def test_errors(make, words):
@@ -229,7 +229,7 @@ class Other(HolonomicCoulomb):
         (Own(K_N, K_T, 4), "array of 11 floats"),
         (Own(K_N, K_T, 5), "array of 11 floats"),
         (Own(K_N, K_T, 6), "array of 11 floats"),
-        (ContactLaw(K_N, K_T), "gives no threshold"),
+        (ContactLaw(K_N, K_T), "has no threshold"),
         (Other(K_N, K_T, F), "numbers = None"),
     ],
     ids=lambda x: getattr(x, "kind", None),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.contact_run import content, reports, to_and_fro
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 from thinlayer.output.contact_report import ContactReport
 
 

@@ -22,7 +22,7 @@ import ufl
 
 from forms import KelvinVoigt
 from tests.test_identity import Spring
-from tests.test_marching import JOINT, SETUP, SLOW
+from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, compare, march, solve, sweep
 from thinlayer.identity import known
 from thinlayer.identity.described import described

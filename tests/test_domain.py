@@ -6,7 +6,7 @@ import pytest
 
 from studies import setup_time
 from tests.domain_run import compare_tags
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 
 
 def test_tags():

@@ -7,7 +7,7 @@ import pytest
 import ufl
 
 from forms.laws import Norton
-from tests.test_marching import JOINT, SETUP, SLOW, SUDDEN, interface
+from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Adaptive, ArcLength, ModelError, SolveError, Structure, ThinLayer, march, piecewise
 
 LOADS = {

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 import thinlayer.files.table
 import thinlayer.running.record
 from studies import sweep_elastic
-from tests.test_marching import SUDDEN, interface
-from tests.test_parallel import CLONE, mpirun
+from tests.ranks import CLONE, mpirun
+from tests.viscous_joints import SUDDEN, interface
 from thinlayer import ModelError, Table, march, plotting, sweep
 from thinlayer.files.folder import owned
 from thinlayer.running import cli

@@ -21,7 +21,7 @@ from geometry import sandwich
 from studies import sweep_friction, sweep_monodirectional
 from studies.problems import pressed
 from tests.own_laws import layer_of
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.running.cli import main
 

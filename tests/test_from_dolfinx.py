@@ -14,7 +14,7 @@ from mpi4py import MPI
 from geometry import GeometryError, from_dolfinx, read
 from tests.from_dolfinx_run import FACETS, REGIONS, built, made_by_dolfinx, norm, strip, tagged, taken_back
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
-from tests.test_parallel import CLONE, mpirun
+from tests.ranks import CLONE, mpirun
 
 NAMES = {"regions": REGIONS, "facets": FACETS, "upper": "UPPER"}
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from forms.laws import LinearElastic
-from tests.test_marching import JOINT, SETUP, SLOW
+from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import ModelError, Structure, ThinLayer, march, piecewise
 from thinlayer.identity.codes import code_of
 from thinlayer.identity.described import described, referred

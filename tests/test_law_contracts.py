@@ -13,7 +13,7 @@ import ufl
 import forms
 from forms import Anisotropic, BulkLaw, KelvinVoigt, LawError, LinearElastic, Maxwell, Stack, TractionLaw
 from forms.elastic import lame
-from forms.symmetry import SIZES, Sample, keeps_its_word
+from forms.symmetry import STRAINS, Sample, require_consistent
 from forms.tangent import tangent_at_rest
 from forms.viscous import isotropic_energy
 from geometry import sandwich
@@ -164,7 +164,7 @@ def test_a_law_that_says_linear_is(name):
         lambda: solve(column(LinearElastic(L, M), body=law)),
         lambda: drive(law, [{"w_T": 0.1, "w_N": 0.2}]),
     ):
-        with pytest.raises(LawError, match="Own says linear = True, but is not"):
+        with pytest.raises(LawError, match="Own declares linear = True, but its stress is not affine"):
             ask()
 
 
@@ -173,7 +173,7 @@ def test_a_law_that_ufl_does_not_take_for_linear():
     law = own(
         stress=lambda law, step: ufl.ln(ufl.exp(law.m * ufl.tr(step.e))) * ufl.Identity(3) + law.m * step.e, linear=True
     )
-    with pytest.raises(LawError, match="Own says linear = True, but is not, or not in a way that UFL sees"):
+    with pytest.raises(LawError, match="Own says linear = True, but is not linear, or UFL does not see that it is"):
         solve(column(law))
 
 
@@ -229,10 +229,10 @@ OURS = [
 def test_laws_of_this_package_are_what_they_say(law):
     """They are not asked where they are solved."""
     array = lambda value, _: ufl.as_tensor(value.tolist()) if isinstance(value, np.ndarray) else value
-    for size in SIZES:
+    for size in STRAINS:
         sample = Sample(law.mapped(array), size)
         assert sample.stress() is not None
-        keeps_its_word(sample)
+        require_consistent(sample)
 
 
 # ---------------------------------------------------------------- what belongs to a stress that was replaced
@@ -382,11 +382,11 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
     def never(law, step):
         return step.e
 
-    with pytest.raises(LawError, match=f"Own has a method {method} that is never asked: .* MohrCoulombReturn"):
+    with pytest.raises(LawError, match=f"Own has a method {method} that is never called: .* MohrCoulombReturn"):
         type("Own", (forms.MohrCoulombReturn,), {method: never})(L, M, 0.4, 30)
-    with pytest.raises(LawError, match=f"Own has a method {method} that is never asked: .* Stack"):
+    with pytest.raises(LawError, match=f"Own has a method {method} that is never called: .* Stack"):
         type("Own", (Stack,), {method: never})((1.0, LinearElastic(L, M)))
-    with pytest.raises(LawError, match="Own has a kernel and inherits a source, which would be taken"):
+    with pytest.raises(LawError, match="Own has a kernel but inherits a source, which would be used instead"):
         type("Own", (forms.MohrCoulombReturn,), {"kernel": staticmethod(never)})(L, M, 0.4, 30)
     type("Own", (Mises,), {"kernel": Mises.kernel, "stress": never})(L, M, 1.0)  # beside the kernel: a note
 
@@ -394,20 +394,20 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
 @pytest.mark.parametrize(
     ("parent", "names", "message"),
     [
-        (BulkLaw, {"advance": lambda law, step: {"q": step.e}}, "a method advance and no internal variables"),
-        (BulkLaw, {"evolve": lambda law, step: {"q": step.e}}, "a method evolve and no internal variables"),
-        (TractionLaw, {"evolve": lambda law, step: {"q": step.w}}, "a method evolve and no internal variables"),
-        (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}}, "a method at, and says that no parameters vary"),
+        (BulkLaw, {"advance": lambda law, step: {"q": step.e}}, "a method advance but no internal variables"),
+        (BulkLaw, {"evolve": lambda law, step: {"q": step.e}}, "a method evolve but no internal variables"),
+        (TractionLaw, {"evolve": lambda law, step: {"q": step.w}}, "a method evolve but no internal variables"),
+        (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}}, "a method at, but no parameters vary"),
         (
             BulkLaw,
             {"at": lambda law, x, t: {"l": x[0]}, "varies": False},
-            "a method at, and says that no parameters vary",
+            "a method at, but no parameters vary",
         ),
-        (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation and no energy"),
+        (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation but no energy"),
         (
             BulkLaw,
             {"otherwise": property(lambda law: LinearElastic(law.l, law.m))},
-            "a law otherwise, and holds everywhere",
+            "a law otherwise, but holds everywhere",
         ),
         (
             BulkLaw,

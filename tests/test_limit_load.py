@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from forms import KelvinVoigt, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn, Stack
 from forms.traction import TractionLaw
 from tests.limit_load_run import FULL, SLIDING, dragged, numbers, sheared
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 from thinlayer import Adaptive, SolveError, Surface, march, solve
 from thinlayer.errors import LimitLoad
 from thinlayer.parts.compiled import CompiledPart

@@ -12,10 +12,10 @@ from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack,
 from geometry import block, sandwich
 from studies.fig3_mohr_coulomb import glue
 from studies.sweep_mohr_coulomb import bar_r1
+from tests.columns_in_time import both, check_balance, check_same
+from tests.columns_in_time import column as tall_column
 from tests.mohr_coulomb_run import numbers
-from tests.test_columns_in_time import both, check_balance, check_same
-from tests.test_columns_in_time import column as tall_column
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.pointwise.drive import PointHistory, drive
 

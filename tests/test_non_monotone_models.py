@@ -14,15 +14,15 @@ from scipy.optimize import brentq
 from forms import LawError, LinearElastic, NonMonotone, NonMonotoneUnrelaxed, Stack, Tabulated, limits
 from geometry import block, sandwich
 from studies.sweep_non_monotone import CASES, Formula, blocks
+from tests.columns_in_time import BODY, both, check_balance, check_same, joint, jump_of
+from tests.columns_in_time import C as COMPLIANCE
+from tests.columns_in_time import K as STIFFNESS
+from tests.columns_in_time import column as tall_column
 from tests.non_monotone_run import CHI, END, HALF, HEATED, models, numbers
 from tests.non_monotone_run import C as OF_T
-from tests.test_bar import BAR
-from tests.test_columns_in_time import BODY, both, check_balance, check_same, joint, jump_of
-from tests.test_columns_in_time import C as COMPLIANCE
-from tests.test_columns_in_time import K as STIFFNESS
-from tests.test_columns_in_time import column as tall_column
+from tests.phases_of_bars import BAR
+from tests.ranks import mpirun
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
-from tests.test_parallel import mpirun
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.parts.places import quadratures
 

@@ -26,7 +26,7 @@ from forms import (
 from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
-from tests.test_parallel import CLONE, mpirun
+from tests.ranks import CLONE, mpirun
 from tests.test_readme import OWN, README
 from thinlayer import BrokenMesh, ModelError, SolveError, StepProblem, Structure, ThinLayer, march
 

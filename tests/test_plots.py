@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.test_contact import bar, coulomb
+from tests.contact_bars import bar, coulomb
 from thinlayer import Table, plotting
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -26,9 +25,9 @@ from forms.elastic import lame
 from forms.tangent import tangent_at_rest, tangent_over
 from geometry import block, sandwich
 from studies.problems import FOURIER_LAYER, fourier
+from tests import ranges_told
 from tests.own_laws import Mises, StandardSolid, layer_of
 from thinlayer import Model, Structure, ThinLayer, march, solve
-from thinlayer.errors import RangeWarning
 
 STIFF = LinearElastic.young(1e5, 0.3)
 
@@ -75,10 +74,7 @@ class Compiled(KernelLaw):
 
 def told(action):
     """The messages of its RangeWarnings."""
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        action()
-    return [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
+    return ranges_told.told(action)[1]
 
 
 # ---------------------------------------------------------------- tangents at rest

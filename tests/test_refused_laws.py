@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from forms import BulkLaw, HolonomicCoulomb, KernelLaw, LawError, LinearElastic, Stack
 from geometry import sandwich
-from tests.test_parallel import mpirun
+from tests.ranks import mpirun
 from thinlayer import Structure, ThinLayer, drive, march
 from thinlayer.compiling.compiled import _FILES, _LOADED
 from thinlayer.identity.described import described

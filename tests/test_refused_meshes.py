@@ -258,5 +258,5 @@ def test_arguments_of_inflate():
         Structure(joint, body=law, supports=supports).full(ThinLayer(law, 0.1), cells_through=0)
     with pytest.raises(GeometryError, match="angle is nan"):
         joint.rotated(float("nan"))
-    with pytest.raises(GeometryError, match=r"point 3\.0 is no place; give 2 coordinates"):
+    with pytest.raises(GeometryError, match=r"point 3\.0 is not a place; give 2 coordinates"):
         joint.nearest_point(3.0)

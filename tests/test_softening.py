@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -14,8 +13,8 @@ from forms import BulkLaw, LinearElastic
 from forms.elastic import lame
 from forms.kinematics import lift
 from geometry import disc, sandwich
+from tests import ranges_told
 from thinlayer import Structure, ThinLayer, march, solve
-from thinlayer.errors import RangeWarning
 
 EPS = 0.05
 STIFF = LinearElastic.young(1e6, 0.3)
@@ -77,10 +76,7 @@ def told(joint, law, kind, times):
     supports = {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: EPS * t}}
     sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} if joint.dim == 2 else {}
     model = kind(Structure(joint, body=STIFF, supports=supports | sides), ThinLayer(law.per_thickness(EPS), EPS))
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        march(model, times) if isinstance(times, list) else solve(model, times)
-    return [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
+    return ranges_told.told(lambda: march(model, times) if isinstance(times, list) else solve(model, times))[1]
 
 
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])

@@ -12,9 +12,9 @@ from forms.contact import HolonomicCoulomb
 from forms.laws import Anisotropic, Incompressible, LinearElastic
 from geometry import GeometryError, block, sandwich
 from tests.arc_length_run import Trilinear
+from tests.ranks import mpirun
 from tests.springs_run import BED, BODY, CREEP, EPS, GLUE, HEIGHT, PULL, E, P, mean, numbers, relaxing, turned
 from tests.taylor import observed_orders
-from tests.test_parallel import mpirun
 from thinlayer import (
     Adaptive,
     ArcLength,

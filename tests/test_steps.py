@@ -10,7 +10,7 @@ from geometry import sandwich
 from tests.limit_load_run import FULL, SLIDING, sheared
 from tests.own_laws import Mises, StandardSolid
 from tests.test_limit_load import LIMITS
-from tests.test_marching import JOINT, SETUP, SLOW, SUDDEN, interface
+from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Adaptive, Structure, Surface, ThinLayer, march, piecewise
 from thinlayer.errors import LimitLoad
 from thinlayer.solving.solvers import Solver

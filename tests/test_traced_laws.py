@@ -208,7 +208,7 @@ def test_a_law_at_points_knows_its_numbers_alone():
         def traction(self, step):
             return self.k * x[0] * step.mid
 
-    with pytest.raises(LawError, match=r"Placed contains x, a SpatialCoordinate; a law that acts at points knows"):
+    with pytest.raises(LawError, match=r"Placed contains x, a SpatialCoordinate; a compiled law knows"):
         drive(Placed(1.0), STEP)
 
 

@@ -1,4 +1,4 @@
-"""Thin soft layers, meshed or replaced by their interface law, solved, compared and swept.
+"""Structures with thin soft layers: the layer is meshed, or replaced by its interface law.
 
 Names are imported when they are first used, so that `python3 -m thinlayer list` does not load DOLFINx.
 """
@@ -61,16 +61,16 @@ _NAMES = {
     "time.history": ["History"],
     "time.marching": ["march"],
     "time.plan": ["Adaptive"],
-}  # by the module that has them
+}  # module -> its public names
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = {"plotting": "output.plotting", "fields": "output.fields"}
 __all__ = sorted(_HOME)
 
 
 def _refuse_shadows() -> None:
-    """The packages that come with this one are found, not files of the same name beside a script.
+    """Check that Python finds our packages, not files of the same name beside a script.
 
-    `python3 -m thinlayer` looks for nothing in the working folder at all, where Python would look first.
+    `python3 -m thinlayer` ignores the working folder, which Python would search first.
 
     Raises:
         ImportError: another file or package of that name comes first.
@@ -83,14 +83,14 @@ def _refuse_shadows() -> None:
         spec = find_spec(name)
         if spec and spec.origin and Path(spec.origin).resolve().parent != home / name:
             message = f"{spec.origin} hides the package {name} of thinlayer, in {home / name}; rename it"
-            if program:  # Python itself would end with the status of a check that failed
+            if program:  # Python would exit with 1, the status of a failed check
                 print(f"thinlayer: {message}", file=sys.stderr)
                 raise SystemExit(2)
             raise ImportError(message)
 
 
 _refuse_shadows()
-logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet unless the user shows it
+logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default
 
 
 def __dir__() -> list[str]:

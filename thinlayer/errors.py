@@ -15,8 +15,8 @@ from forms.declarations import show_warnings, warn_of_range
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:
-    """Issue a RangeWarning, to be called on all ranks: rank 0 shows it, and where it is made an error all have it."""
-    show_warnings()  # before it is looked at who shows them
+    """Issue a RangeWarning. Call on all ranks: rank 0 shows it; if a filter makes it an error, all ranks raise it."""
+    show_warnings()  # before the filters are read
     shown = warnings.showwarning
     try:
         if comm.rank:
@@ -27,16 +27,16 @@ def warn(message: str, comm: MPI.Intracomm) -> None:
 
 
 class ModelError(InputError):
-    """A model that cannot be built: says what, where and what is allowed."""
+    """A model that cannot be built. Says what is wrong, where, and what is allowed."""
 
 
 class SolveError(ThinlayerError, RuntimeError):
-    """A solve that did not converge: the reason, the last residual, and what to try.
+    """A solve that did not converge. Says the reason, the last residual, and what to try.
 
     Attributes:
-        reason: the message without what to try.
-        history: of a march, its accepted steps.
-        residuals: of a contact solve, or of Newton's method, the residual at every step over the forces.
+        reason: the message without the advice.
+        history: accepted steps of a march.
+        residuals: residual over the forces at every step of Newton's method or of a contact solve.
     """
 
     def __init__(
@@ -47,10 +47,10 @@ class SolveError(ThinlayerError, RuntimeError):
 
 
 class NoEquilibrium(SolveError):
-    """A step whose displacements run away, see `thinlayer.solving.restraint`.
+    """A step whose displacements grow without bound, see `thinlayer.solving.restraint`.
 
     Attributes:
-        growth: how far they have come, over those of an elastic layer under the same change of loads.
+        growth: these displacements over those of an elastic layer under the same change of loads.
     """
 
     def __init__(self, growth: float) -> None:
@@ -61,17 +61,17 @@ class NoEquilibrium(SolveError):
 
 
 class LimitLoad(SolveError):
-    """A march whose loads grow beyond what a layer that yields can carry: no step leads on, however short.
+    """A march whose loads exceed the strength of a yielding layer: even the shortest step fails.
 
-    The sign of it is independent of why the step failed: with weak springs at all nodes in place of what fails,
-    displacements run away as the springs are softened. A step that fails without this sign is a SolveError.
+    The test does not depend on why the step failed: with weak springs at all nodes an equilibrium exists, and its
+    displacements grow without bound as the springs are softened. Other steps that fail raise a plain SolveError.
 
     Attributes:
         t: time of the last equilibrium.
-        failed_at: earliest time at which none was found.
-        resultant: tractions and body forces on the bodies at t, their sum, one number for each component.
-        growth: displacements that weak springs allow from t to `failed_at`, over those of an elastic layer: how far away
-            an equilibrium is at least, if the layer's flow is associated.
+        failed_at: earliest time at which no equilibrium was found.
+        resultant: (d,) sum of the tractions and body forces on the bodies at t.
+        growth: displacements with weak springs from t to `failed_at`, over those of an elastic layer; if the layer's flow
+            is associated, an equilibrium is at least this far away.
         history: the accepted steps.
     """
 

@@ -17,20 +17,20 @@ from geometry.joint import GeometryError, Joint, S
 from geometry.shapes.sizing import CELLS, RANGE, Cells, Grading, require_wide
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
 
-FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's words, where they differ
-GROWTH = 0.3  # cell size gained per unit of distance from a refined place
-UNITS = 3  # decimal digits between units of length such as mm and m
+FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
+GROWTH = 0.3  # growth of the cell size per unit of distance from a refined place
+UNITS = 3  # powers of ten between units of length such as mm and m
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """gmsh's entities by name, and the grid they can have.
+    """gmsh's entities by name, and the data of a grid on them.
 
     Attributes:
         bodies: tags of the entities of the shape's dimension, the lower body first.
         facets: tags of the entities of one dimension less.
-        floor: tags of the surfaces that a grid fills, in 3D those that were swept; four-sided.
-        gradings: of the curves around them, by tag.
+        floor: tags of the four-sided surfaces for a grid; in 3D the surfaces that were swept.
+        gradings: tag of each curve around them -> its grading.
     """
 
     bodies: dict[str, list[int]]
@@ -56,7 +56,7 @@ class Shape(ABC):
     @property
     @abstractmethod
     def lengths(self) -> dict[str, float]:
-        """The lengths that must be > 0, by what messages call them; cells are not larger than the largest."""
+        """Name in messages -> length; each must be > 0, and no cell size may exceed the largest."""
 
     @property
     @abstractmethod
@@ -87,7 +87,7 @@ class Shape(ABC):
         """Draw with gmsh's built-in kernel."""
 
     def settle(self, points: FloatArray, cells: IntArray) -> FloatArray:
-        """The final places (n_points, d) of a mesh's points, the vertices as they are."""
+        """The final places (n_points, d) of a mesh's points; vertices do not move."""
         return points
 
     @property
@@ -113,8 +113,8 @@ class Shape(ABC):
     def build(self) -> Joint:
         """Mesh with gmsh and take the arrays over.
 
-        gmsh's tolerances are absolute lengths: it is given the shape in the unit, among those a thousand apart, in which
-        the largest length is 1 to 1000. So the mesh is the same in nm, mm, m and km.
+        gmsh's tolerances are absolute lengths. Lengths are therefore scaled by a power of 1000 so that the largest is
+        between 1 and 1000, and the mesh is the same in nm, mm, m and km.
         """
         largest = max(self.lengths.values())
         require_wide("the thinnest part", self.thinnest, largest)
@@ -187,7 +187,7 @@ class Shape(ABC):
             gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
 
     def _read(self, drawing: Drawing, unit: float) -> Callable[[], Joint]:
-        """What makes the joint of the arrays, without gmsh."""
+        """Read gmsh's arrays; returns a function that makes the joint of them without gmsh."""
         nodes, x, _ = gmsh.model.mesh.getNodes()
         bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
         facet_type = FACET_TYPES[self.kind]

@@ -15,7 +15,7 @@ from geometry.topology import FloatArray, IntArray, corner_count, lagrange
 
 @dataclass(frozen=True)
 class Web:
-    """Arcs about the origin and the spokes between them, the innermost and the first ones first.
+    """Arcs about the origin and the spokes between them, from the innermost arc and the first spoke on.
 
     Attributes:
         arcs: for each radius the curves from one spoke to the next.
@@ -32,8 +32,8 @@ class Web:
         """Draw a web with gmsh.
 
         Args:
-            radii: of the arcs, growing lengths > 0.
-            angle: that the web spans from the x axis, in radians, > 0 and at most 2 pi.
+            radii: radii of the arcs, growing lengths > 0.
+            angle: angle of the web from the x axis, in radians, > 0 and at most 2 pi.
             plane: "xy" or "xz".
             chords: whether the innermost arcs are straight lines instead.
         """
@@ -75,7 +75,7 @@ def surface(sides: Sequence[int]) -> int:
 def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float = 0.0) -> FloatArray:
     """Points of a polar grid of degree 2 whose circles are all curved, less and less towards a straight core.
 
-    gmsh curves cells where they touch a circle of the drawing only; thin cells there would fold.
+    gmsh itself curves only cells that touch a circle of the drawing, and would fold thin ones.
 
     Args:
         points: (n_points, d) coordinates, lengths.

@@ -1,4 +1,4 @@
-"""Plane shapes, and what they become when they are swept along z."""
+"""Plane shapes, which may be swept along z."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Prism(Shape):
     @property
     @abstractmethod
     def plane_lengths(self) -> dict[str, float]:
-        """The lengths in the plane that must be > 0, by what messages call them."""
+        """Name in messages -> length in the plane; each must be > 0."""
 
     @property
     def lengths(self) -> dict[str, float]:

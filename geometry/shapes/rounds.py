@@ -16,8 +16,8 @@ from geometry.shapes.prism import Prism
 from geometry.shapes.sizing import Grading, require_wide, times
 from geometry.topology import FloatArray, IntArray
 
-TURN = 0.3  # largest angle, in radians, at which a cell is seen from the axis
-CORE = 0.65  # half the diagonal of the square grid amid a disc's, in units of the radius
+TURN = 0.3  # largest angle of a cell about the axis, in radians
+CORE = 0.65  # half the diagonal of the square grid in the middle of a disc, over the radius
 
 
 @dataclass(frozen=True)

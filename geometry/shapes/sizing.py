@@ -1,4 +1,4 @@
-"""The cells that a shape is asked for, and how their sizes change along a line."""
+"""Requested cells of a shape, and the change of their sizes along a line."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from geometry.joint import GeometryError, unknown
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
 ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
-DIGITS = 9  # decimals of a number of cells: half cells are half cells in all units of length
-THIN = 1e-6  # least length of a shape, in units of its largest: gmsh takes points closer than 1e-8 to be one
-RANGE = 1e-5  # smallest cell size allowed, in units of the shape's own size
+DIGITS = 9  # decimals to which numbers of cells are rounded, so that they do not depend on the unit of length
+THIN = 1e-6  # least length of a shape over its largest: gmsh merges points closer than 1e-8
+RANGE = 1e-5  # smallest cell size allowed, over the size of the shape
 
 
 def times(length: float, factor: float) -> float:
-    """A length times a power of ten, without what rounding adds to its digits."""
+    """A length times a power of ten, rounded to 15 digits."""
     return length if factor == 1 else float(f"{length * factor:.15g}")
 
 
 def require_wide(what: str, length: float, largest: float) -> None:
-    """Raise GeometryError for a part of a shape that gmsh could not tell from nothing."""
+    """Raise GeometryError for a part of a shape that is too thin for gmsh."""
     if length < THIN * largest:
         least = f"{THIN * largest:g} ({THIN:g} of the largest length)"
         raise GeometryError(f"{what} is {length:g}; allowed: at least {least}")
@@ -33,12 +33,12 @@ def require_wide(what: str, length: float, largest: float) -> None:
 
 @dataclass(frozen=True)
 class Cells:
-    """What cells a shape is asked for.
+    """Requested cells of a shape.
 
     Attributes:
         h, h_S, h_ends: largest size, size at S and at the ends of S, lengths; None for the default.
         kind: "triangle", "quadrilateral", "tetrahedron" or "hexahedron"; None for the dimension's simplex.
-        degree: of the cells' geometry, 1 (straight) or 2 (curved).
+        degree: degree of the cells' geometry, 1 (straight) or 2 (curved).
         structured: whether simplices split a grid.
         arrangement: which diagonals halve a grid's rectangles.
     """
@@ -96,7 +96,7 @@ class Grading:
         n: number of cells.
         first, last: sizes of the first and of the last cell, lengths; if symmetric, at both ends and in the middle.
         symmetric: whether the sizes grow from both ends to the middle.
-        backwards: whether the first cell is at the line's end.
+        backwards: whether the first cell is at the end of the line.
     """
 
     n: int

@@ -1,4 +1,4 @@
-"""Differences between DOLFINx releases 0.9 to 0.11 met in spaces and forms; features are probed, not version strings."""
+"""Differences between DOLFINx releases 0.9 to 0.11 in spaces and forms. Features are probed, not version strings."""
 
 from __future__ import annotations
 

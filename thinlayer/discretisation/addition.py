@@ -1,4 +1,4 @@
-"""What is added to a model beside bodies, layer, supports and loads: springs, a form of one's own."""
+"""Additions to a model beside bodies, layer, supports and loads: springs, or your own UFL form."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TAKEN = ("forms", "layer", "pressure", "contact", "bodies", "loads")  # keys of 
 
 
 class Host(Protocol):
-    """What an addition may ask of its model, see `Model`."""
+    """The attributes of a `Model` that an addition may use."""
 
     comm: MPI.Intracomm
     domain: Domain
@@ -39,7 +39,7 @@ class Addition(ABC):
     Its fields and code are a part of the model's identity.
 
     Attributes:
-        key: names the part's memory and energy in states and in files; another one for each addition of a model.
+        key: name of the part's memory and energy in states and in files; each addition of a model needs its own.
     """
 
     key: str
@@ -61,7 +61,7 @@ class Addition(ABC):
         """Virtual work of the part's forces at displacements u, a UFL form linear in v."""
 
     def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:
-        """Work (m, m), on rigid motions of the structure, of the forces that they bring about from rest. Collective."""
+        """Work (m, m) on m rigid motions of the structure of the part's forces in response to each of them. Collective."""
         rest = fem.Function(model.V)
         form = self.work(model, rest, ufl.TestFunction(model.V))
         A = dolfinx.fem.petsc.assemble_matrix(fem.form(ufl.derivative(form, rest, ufl.TrialFunction(model.V))))

@@ -11,37 +11,37 @@ from forms.law import BulkLaw
 from forms.tangent import (
     Array,
     average_lame,
+    has_stable_rest,
     held_along,
     require_stable_layer,
-    rests_by_itself,
     tangent_at_rest,
     tangent_over,
 )
 from thinlayer.errors import ModelError
 
-LOCKING = 12.0  # lmbda/mu where displacements linear through the layer add a third to the error of order 1 in the jump
+LOCKING = 12.0  # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
 
 
 class AtRest:
     """The law of a layer, or those of its sublayers, under small strains from rest.
 
     Args:
-        law: with real parameters.
+        law: law of the layer, with real parameters.
         n: mean normal of S, (d,).
 
     Attributes:
-        strata: share of the thickness, law and tangent at rest (6, 6) of each sublayer; None: not known.
+        strata: share of the thickness, law and tangent at rest (6, 6; None: not known) of each sublayer.
     """
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
         self.n = n
         self.strata = [
-            (share, one, tangent_at_rest(one, n) if rests_by_itself(one) else one.stiffness(n))
+            (share, one, tangent_at_rest(one, n) if has_stable_rest(one) else one.stiffness(n))
             for share, one in law.sublayers
         ]
 
     def over(self, dt: float) -> list[Array | None]:
-        """Tangents of the same under loads that have lasted dt > 0; None: not known, or as at rest."""
+        """Tangents of the sublayers under loads that have lasted dt > 0; None: not known, or as at rest."""
         if dt not in self._over:
             self._over[dt] = [
                 tangent_over(law, self.n, dt) if law.traits.compiled else None for _, law, _ in self.strata
@@ -53,13 +53,13 @@ class AtRest:
         return {}
 
     def require_stable(self) -> None:
-        """Raise an error if a stiffness at rest is negative: what is found would be no equilibrium that lasts."""
+        """Raise LawError if a stiffness at rest is negative: equilibria would be unstable."""
         for _, law, C in self.strata:
-            if rests_by_itself(law):
+            if has_stable_rest(law):
                 require_stable_layer(law, C, self.n)
 
     def require_no_locking(self) -> None:
-        """Raise ModelError for laws of order 1 that would lock: their displacements stay linear through the layer."""
+        """Raise ModelError for laws of order 1 that would lock because displacements are linear through the layer."""
         _, law, C = self.strata[0]
         if law.traits.relaxes or C is None:
             return
@@ -72,17 +72,17 @@ class AtRest:
             )
 
     def silent(self, planar: bool, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
-        """Axes along which there is no traction where supports hold that component of both bodies together.
+        """Axes along which the traction is zero where supports hold that component of both bodies together.
 
-        Laws with a stress of their own have one, an incompressible one has its pressure, and laws with memory or rate
-        remember that the bodies have been apart.
+        It is not zero for laws with a stress at zero strain, for the pressure of incompressible layers, and for laws with
+        memory or rate if supports move.
 
         Args:
             planar: whether S is planar.
             moving: whether supports move in time.
 
         Returns:
-            (d,), and whether there is none where supports hold all components.
+            (d,) for these axes, and whether the traction is zero where supports hold all components.
         """
         none, laws = np.zeros(len(self.n), bool), [law for _, law, _ in self.strata]
         if moving and any(law.traits.rate or law.internal for law in laws):

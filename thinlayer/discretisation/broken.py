@@ -1,4 +1,4 @@
-"""The broken space: one mesh, one function, one matrix, and a jump wherever cells of two colours meet.
+"""The broken space: one mesh, one function, one matrix, and jumps wherever cells of two colours meet.
 
 An ordinary space numbers its degrees of freedom by their place. Here a degree of freedom is a place *and* a colour: cells
 of one colour share it, cells of different colours do not, so functions are continuous inside each colour and jump
@@ -34,7 +34,7 @@ def broken_space(
         mesh: the mesh, with ghost cells across shared facets.
         element: a basix.ufl element.
         colours: colour >= 0 of each local cell, ghosts included.
-        bonded: local facets between two colours where functions do not jump; the edge of what remains is a tip.
+        bonded: local facets between two colours where functions do not jump; functions are continuous at their edges too.
     """
     rank = comm.rank
     whole = fem.functionspace(mesh, element)
@@ -76,7 +76,7 @@ def broken_space(
 
 
 def _elect(questions: npt.NDArray[np.int64], source: npt.NDArray[np.int64], rank: int) -> npt.NDArray[np.int64]:
-    """Owner of each key: this rank (which owns its place) if one of its own cells uses it, else the lowest that does."""
+    """Owner of each key: this rank (which owns its place) if one of its own cells uses it, else the lowest such rank."""
     key, used = questions[:, 0], questions[:, 1] == 1
     candidate, votes = key[used], np.where(source[used] == rank, -1, source[used])
     order = np.lexsort((votes, candidate))

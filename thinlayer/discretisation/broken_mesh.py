@@ -1,4 +1,4 @@
-"""BrokenMesh: anybody's DOLFINx mesh, with tags, whose bodies may part on tagged facets."""
+"""BrokenMesh: your own DOLFINx mesh with tags, whose bodies may part on tagged facets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from thinlayer.parallel.communicator import communicator
 Array = npt.NDArray[np.float64]
 Facets = npt.NDArray[np.int32]
 Upper = int | set[int] | frozenset[int] | Sequence[float] | None
-ALONG = 0.02  # cosine between a normal and a direction below which the direction does not tell the sides apart
+ALONG = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
 
 
 class BrokenMesh:

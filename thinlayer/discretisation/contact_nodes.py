@@ -1,4 +1,4 @@
-"""The nodes of S under a contact law: which displacements jump there, over which area, in which frame."""
+"""The nodes of S under a contact law: their displacements on both sides, areas and frames."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ CONTACT = "contact"  # key of the slip at nodes (n, d - 1) in states and in file
 class ContactNodes:
     """The nodes of S in an interface model with elements P1 or Q1. Collective.
 
-    A rank has the nodes whose displacement on the upper side it owns. Quadrature is at the vertices of S: a node has the
-    area of S around it, and the mean normal there.
+    A rank has the nodes whose upper displacement it owns. Quadrature is at the vertices of S: the weight of a node is the
+    area of S around it, and its normal is the mean normal there.
 
     Attributes:
         upper: (n,) local number of the node of V on the upper side.
         numbers: (n,) number of its vertex in the joint.
         x: (n, d) places.
         weights: (n,) areas (lengths in 2D).
-        frames: (n, d, d), rows are the axes of the node's frame: tangential ones as in `Surface.frame`, then the normal.
+        frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
         held: (n, d) components of the jump (global axes) that supports prescribe.
         held_upper: (n, d) components of the upper side's displacement that supports prescribe.
     """
 
     def __init__(self, model: Model, held: npt.NDArray[np.int32], *, turned: bool = False) -> None:
-        """turned: the lower side takes the place of the upper one, and frames are mirrored: components stay the same."""
+        """`turned` swaps the two sides and reverses the frames, so that components of jumps stay the same."""
         self._turned = turned
         self.model, self.comm, self.dim = model, model.comm, model.joint.dim
         V, d = model.V, self.dim
@@ -74,14 +74,14 @@ class ContactNodes:
         self._note_held(held)
 
     def _global(self, local: npt.NDArray[Any]) -> Array:
-        """Global numbers of local nodes, as floats: they travel with areas."""
+        """Global numbers of local nodes, as floats, because they are sent together with areas."""
         return self.model.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
 
     def _corners(self) -> Array:
-        """A row for each facet of S that this rank owns and each of its vertices.
+        """A row for each vertex of each facet of S that this rank owns.
 
-        Node on the upper side (local), on the lower one (global; -1 on a rigid base), area, area times normal (d), number
-        of the vertex in the joint.
+        Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
+        normal (d), number of the vertex in the joint.
         """
         model, d = self.model, self.dim
         mesh, base = model.domain.mesh, model.joint.rigid_base
@@ -93,14 +93,14 @@ class ContactNodes:
         upper, lower = self._cells(facets)
         vertices = np.array([topology.connectivity(d - 1, 0).links(f) for f in facets], np.int32)
         vertices = vertices.reshape(len(facets), model.joint.table.vertices.shape[1])
-        places = vertices  # DOLFINx does not take an empty list
+        places = vertices  # DOLFINx does not accept an empty list
         if vertices.size:
             places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
         corners = mesh.geometry.x[places][..., :d]
         areas, normals = _vertex_areas(corners)
         nodes = model.V.tabulate_dof_coordinates()[np.asarray(model.V.dofmap.list)[upper]]
         inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
-        normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # from the lower side to the upper one
+        normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side
         if self._turned:
             upper, lower = lower, upper
         above = self._nodes(upper, vertices).ravel()
@@ -108,7 +108,7 @@ class ContactNodes:
         numbers = model.domain.original_points[places.ravel()]
         vectors = (areas[:, :, None] * normals[:, None]).reshape(-1, d)
         rows = np.column_stack([above, below, areas.ravel(), vectors, numbers])
-        return np.asarray(rows[below != self._global(above)])  # at a tip nothing jumps
+        return np.asarray(rows[below != self._global(above)])  # at a tip of S there is no jump
 
     def _cells(self, facets: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """Upper and lower cell of each facet of S; on a rigid base twice the upper one."""
@@ -122,7 +122,7 @@ class ContactNodes:
         return pairs[:, 0], pairs[:, 1]
 
     def _nodes(self, cells: npt.NDArray[np.int32], vertices: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-        """Local nodes of V in cells (n,) at vertices (n, k) of theirs."""
+        """Local nodes of V at vertices (n, k) of cells (n,)."""
         V, dim = self.model.V, self.dim
         to_vertices = self.model.domain.mesh.topology.connectivity(dim, 0)
         corners = to_vertices.array.reshape(-1, corner_count(self.model.joint.cell_type))[cells]
@@ -133,7 +133,7 @@ class ContactNodes:
 
     # ---------------------------------------------------------------- supports
     def _note_held(self, held: npt.NDArray[np.int32]) -> None:
-        """Which components supports prescribe, from the held displacements of this rank (local, unrolled)."""
+        """Set `held`, `held_upper` and `held_lower` from the held displacements of this rank (local, unrolled)."""
         mark = self.zero()
         mark.array[held] = 1.0
         d = self.dim
@@ -144,17 +144,17 @@ class ContactNodes:
 
     # ---------------------------------------------------------------- displacements, jumps and forces
     def zero(self) -> PETSc.Vec:
-        """A vector of displacements, zero."""
+        """A zero vector of displacements."""
         return PETSc.Vec().createMPI((self._size * self.dim, None), bsize=self.dim, comm=self.comm)
 
     @cached_property
     def dofs(self) -> npt.NDArray[np.int32]:
-        """Local displacements of the upper side, (n, d)."""
+        """Local numbers of the displacements of the upper side, (n, d)."""
         return self.upper[:, None] * np.int32(self.dim) + np.arange(self.dim, dtype=np.int32)
 
     @cached_property
     def lower(self) -> PETSc.Mat | None:
-        """Matrix that picks the displacements of the lower side, (n d, all); None on a rigid base."""
+        """Matrix (n d, all) that selects the displacements of the lower side; None on a rigid base."""
         if self.model.joint.rigid_base:
             return None
         n, d = len(self.upper), self.dim
@@ -191,11 +191,11 @@ class ContactNodes:
             there.destroy()
 
     def blocks(self, tangent: Array) -> Array:
-        """Nodal stiffness of tangents (n, d, d), in global axes."""
+        """Nodal stiffness (n, d, d) in global axes for tangents (n, d, d) of the law."""
         return np.einsum("nki,nkl,nlj->nij", self.frames, tangent, self.frames) * self.weights[:, None, None]
 
     def stiffness(self, tangent: Array) -> PETSc.Mat:
-        """Stiffness of tangents (n, d, d) in all displacements."""
+        """Stiffness matrix over all displacements for tangents (n, d, d) of the law."""
         d, size = self.dim, self._size * self.dim
         blocks = self.blocks(tangent)
         sides = [(self._first + self.upper, 1.0)]
@@ -225,7 +225,7 @@ class ContactNodes:
 
 
 def _vertex_areas(corners: Array) -> tuple[Array, Array]:
-    """Area of a facet (n, k, d) that belongs to each of its vertices (n, k), and its unit normal (n, d), either way."""
+    """Each vertex's share (n, k) of the area of facets (n, k, d), and their unit normals (n, d) of either sign."""
     if corners.shape[2] == 2:
         along = corners[:, 1] - corners[:, 0]
         length = np.linalg.norm(along, axis=1)
@@ -239,7 +239,7 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
 
 
 def _frames(n: Array) -> Array:
-    """Axes of S at normals (n, d): the numbers that `forms.kinematics.layer_frame` gives in UFL, tangents first."""
+    """Axes of S at normals (n, d), tangents first, equal to those of `forms.kinematics.layer_frame`."""
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
     out = np.zeros((len(n), 3, 3))

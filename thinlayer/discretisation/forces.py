@@ -29,7 +29,7 @@ class Forces:
         at: coordinates for loads that are functions.
 
     Attributes:
-        given: what and where -> the load as it was given.
+        given: description of kind and place -> the load as given.
 
     Raises:
         GeometryError, ModelError: unknown names, a traction on S or inside, loads that are no vectors.
@@ -65,7 +65,7 @@ class Forces:
             self._loads.append((what, checked, measure))
 
     def _outer(self, name: str) -> tuple[int, ...]:
-        """Facet values of a traction's place; none for the side of a layer that is not there."""
+        """Facet values of a traction's place; () for the side of a layer that is not meshed."""
         if not isinstance(name, str):
             raise ModelError(
                 f"traction on {name!r}: tractions act on facet sets, given by their name; known: "
@@ -81,9 +81,9 @@ class Forces:
         return values
 
     def _share(self, name: str) -> float:
-        """How much of a traction on bodies the layer's side takes over: that of its room which these bodies gave up.
+        """Share of a traction on bodies that also acts on the layer's side: the room that these bodies gave up.
 
-        With kept bodies nothing. Else the loads of the full and of the interface model add up to the same.
+        It is 0 for kept bodies. With it the full and the interface model have the same total load.
         """
         band = self.domain.joint.band
         whole, _, region = name.partition("/")
@@ -104,7 +104,7 @@ class Forces:
         covered = [ends.on(facets[loaded & side]) for side in sides]
         if any(some.any() and not some.all() for some in covered):
             warn(
-                f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, which carries nothing of "
+                f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, which carries no part of "
                 f"it; the load is smaller than the interface model's. Load {whole!r}, or {whole + '/' + LAYER!r} as well",
                 self.domain.comm,
             )

@@ -23,7 +23,7 @@ def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.fl
 
 
 def relative_thickness(domain: Domain, profile: Profile) -> fem.Function:
-    """The thickness profile on S, of degree 1 between vertices; what it is elsewhere has no meaning."""
+    """The thickness profile on S, of degree 1 between vertices; its values elsewhere have no meaning."""
     joint = domain.joint
     return cellwise(domain, ("Lagrange", 1), joint.relative_thickness(profile)[joint.corners][..., None])
 
@@ -39,6 +39,6 @@ def director(domain: Domain) -> Expr:
 
 
 def shift(domain: Domain) -> fem.Function:
-    """How far inflating moved each place, (d,): bodies in one piece, the layer away from S."""
+    """Displacement (d,) of each place by inflating: rigid for the bodies, away from S for the layer."""
     joint = domain.joint
     return cellwise(domain, ("Lagrange", joint.degree, (joint.dim,)), (joint.points - joint.reference)[joint.cells])

@@ -26,7 +26,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 
-LARGEST_EPS = 1e6  # thickness over the bodies' size: beyond, their coordinates have fewer than ten digits left
+LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
 class FullModel(Model):
@@ -111,7 +111,7 @@ class InterfaceModel(Model):
         if not self.joint.rigid_base:
             require_no_branches(self.joint)
         if self.thin_layer:
-            self.joint.relative_thickness(self.thin_layer.profile)  # a function: errors it may have on one rank alone
+            self.joint.relative_thickness(self.thin_layer.profile)  # a user's function, may fail on one rank alone
         return self.joint
 
     @property
@@ -149,7 +149,7 @@ class InterfaceModel(Model):
     def silent(self) -> tuple[npt.NDArray[np.bool_], bool]:
         """Axes along which the interface law has no traction where supports hold that component of both bodies together.
 
-        (d,); and whether it has none where they hold all components, see `AtRest.silent`. Order 1 has one.
+        (d,), and whether it has none where they hold all components; see `AtRest.silent`. All False for order 1.
         """
         if self.contact or (self.thin_layer and self.thin_layer.order):
             return np.zeros(self.joint.dim, bool), False

@@ -1,6 +1,6 @@
-"""What a layer is: a law of strains and a thickness, or a law on S alone, of jumps or of nodes.
+"""Layers: a law of strains with a thickness, or a law on S alone, of jumps or of nodes.
 
-The only place that turns parameters per thickness into real ones.
+Only this module turns parameters per thickness into real ones.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from forms.law import BulkLaw, LawError
 from forms.traction import TractionLaw
 from geometry.joint import Profile
 
-LawOnS = TractionLaw | ContactLaw  # of jumps, or of nodes: there is no thickness in it
+LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class ThinLayer:
     Attributes:
         law: the layer's law, its parameters per thickness (`law.per_thickness(eps)` converts real ones). Sublayers in
             series: `Stack((fraction, law), ...)` from the lower to the upper face.
-        eps: thickness, a length > 0; where it varies along S, times the profile.
+        eps: thickness, a length > 0; multiplied by the profile if it varies along S.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
             observed order stays below 1); needs bodies="kept" and elements of degree 2, not for a Stack; laws other than

@@ -1,4 +1,4 @@
-"""The time that loads depend on, and load curves, tables of values that follow it."""
+"""The time that loads depend on, and load curves: tables of values over time."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from forms.kinematics import Expr
 from forms.trace import asked_by_ufl
 
 Array = npt.NDArray[np.float64]
-ROUNDING = 1e-12  # of times, relative: a sum of steps that ends where the curve does; of slopes that are the same
+ROUNDING = 1e-12  # relative tolerance for equal times (a sum of steps against the end of a curve) and equal slopes
 RATIONAL = (Sum, Product, Division)
-SAMPLES = (-2.5, 0.0, 1.0, 7.0)  # where it is seen whether a rational argument is linear in t
+SAMPLES = (-2.5, 0.0, 1.0, 7.0)  # times at which a rational argument is tested for being linear in t
 
 
 def _refuse(done: str) -> NoReturn:
@@ -33,9 +33,9 @@ def _refuse(done: str) -> NoReturn:
 
 
 class Time(ufl.Constant):
-    """The time: a UFL symbol, to Python no number, for functions are called once, when the model is built.
+    """The time, a UFL symbol without a value: functions of it are called once, when the model is built.
 
-    It has no value: expressions of it are compiled at a `Moment`.
+    Expressions get their values at a `Moment`. Python code cannot use the time as a number.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -45,7 +45,7 @@ class Time(ufl.Constant):
 
     @property
     def value(self) -> Any:
-        """Not to be read; raises TypeError."""
+        """The time has no value; raises TypeError."""
         _refuse("t.value")
 
     def follow(self, argument: Expr, curve: LoadCurve) -> ufl.Constant:
@@ -56,7 +56,7 @@ class Time(ufl.Constant):
 
     @property
     def breaks(self) -> set[float]:
-        """Times at which curves break whose argument is linear in the time."""
+        """Times of the kinks of all curves whose argument is linear in the time."""
         found: set[float] = set()
         for argument, curve, _ in self.followers:
             rate, start = _linear(argument, self)
@@ -89,9 +89,9 @@ class Time(ufl.Constant):
 
 
 class Moment:
-    """A time at which expressions of a `Time` have values: constants that their compiled forms read.
+    """A time at which expressions of a `Time` have values, as constants that compiled forms read.
 
-    Forms at several moments are compiled once; one moment that is set to several times serves a form that is kept.
+    Forms at several moments are compiled once. To use one compiled form at several times, `set` its moment.
     """
 
     def __init__(self, clock: Time, t: float) -> None:
@@ -117,9 +117,9 @@ class Moment:
 
 @contextmanager
 def symbols() -> Iterator[None]:
-    """Within it expressions of x and t raise TypeError where Python would compare them with numbers, or take them for true.
+    """Context in which x and t raise TypeError if Python code compares them with numbers or uses them as a condition.
 
-    UFL compares the expressions themselves: x[0] == 0 is False, everywhere.
+    UFL would compare the expressions themselves: x[0] == 0 is False, everywhere.
     """
     kind = ufl.core.expr.Expr
     same, other_than, true = kind.__eq__, kind.__ne__, kind.__bool__
@@ -150,7 +150,7 @@ class LoadCurve:
     Attributes:
         times: (n,) increasing.
         columns: (n, columns) values.
-        scalar: whether a value is a number, not components.
+        scalar: whether each value is a number instead of components.
         breaks: the first and the last time, and those between at which the slope changes.
     """
 
@@ -195,7 +195,7 @@ class LoadCurve:
 
 
 def _clock(expression: Expr) -> Time | None:
-    """The time, if an expression depends on it alone."""
+    """The time in an expression that depends on nothing else; else None."""
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
     clocks = [node for node in terminals if isinstance(node, Time)]
     others = [node for node in terminals if not isinstance(node, (Time, ConstantValue, MultiIndex))]

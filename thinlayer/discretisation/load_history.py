@@ -17,7 +17,7 @@ from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
-BETWEEN = (0.21, 0.5, 0.83)  # shares of an interval of time at which it is looked at
+SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested
 
 
 class LoadHistory:
@@ -35,7 +35,7 @@ class LoadHistory:
         return self._prescribed.held
 
     def loads_at(self, t: float) -> PETSc.Vec:
-        """Nodal forces of the loads at a time; whoever asks destroys them.
+        """Nodal forces of the loads at a time; the caller destroys the vector.
 
         Raises:
             ModelError: loads that are not finite.
@@ -68,9 +68,9 @@ class LoadHistory:
 
 
 def linear_in_time(given_at: Callable[[float], list[Array]], start: float, end: float, comm: MPI.Intracomm) -> bool:
-    """Whether values of all ranks are linear in time between two times, as far as a few times tell. Collective."""
+    """Whether values of all ranks are linear in time between two times, tested at a few times between. Collective."""
     first, last = given_at(start), given_at(end)
-    for share in BETWEEN:
+    for share in SAMPLE_FRACTIONS:
         now = given_at(start + share * (end - start))
         for a, b, c in zip(first, last, now, strict=True):
             apart = np.abs((1 - share) * a + share * b - c).max(initial=0.0)

@@ -1,4 +1,4 @@
-"""Supports, tractions and body forces: what a user writes, checked, as DOLFINx conditions and UFL."""
+"""Supports, tractions and body forces: checks of the users' data, and their translation to DOLFINx and UFL."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 
 @dataclass(frozen=True)
 class Coordinates:
-    """What loads may depend on: the place in the joint before inflating (kept) and the time.
+    """Arguments of loads: the place in the joint before inflating (kept bodies) and the time.
 
     Attributes:
         mesh: the mesh.
@@ -50,7 +50,7 @@ class Coordinates:
 
     @classmethod
     def of(cls, domain: Domain) -> Coordinates:
-        """Coordinates on a domain. In kept geometry the bodies' rigid shifts are taken back."""
+        """Coordinates on a domain; for kept bodies without the rigid shifts by inflating."""
         mesh, band = domain.mesh, domain.joint.band
         x, t = ufl.SpatialCoordinate(mesh), Time(mesh)
         if band is None or band.bodies == "extended":
@@ -58,7 +58,7 @@ class Coordinates:
         return cls(mesh, x - shift(domain), t)
 
     def moment(self, t: float) -> Moment:
-        """What gives expressions of the time their values at a time."""
+        """The moment at which expressions of the time get their values."""
         return Moment(self.t, t)
 
 
@@ -88,12 +88,12 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
 
 
 def _is_finite(value: Any) -> bool:
-    """Whether all numbers in a UFL scalar are finite and real; booleans are no numbers."""
+    """Whether all numbers in a UFL scalar are finite and real; booleans are not numbers."""
     return not isinstance(value, (bool, np.bool_)) and has_finite_numbers(ufl.as_ufl(value))
 
 
 def has_finite_numbers(expression: Expr) -> bool:
-    """Whether all numbers that are written in a UFL expression are finite and real: others cannot be compiled."""
+    """Whether all numbers in a UFL expression are finite and real, so that it can be compiled."""
     for node in unique_pre_traversal(expression):
         if isinstance(node, ComplexValue) or (isinstance(node, RealValue) and not math.isfinite(float(node))):
             return False
@@ -101,17 +101,17 @@ def has_finite_numbers(expression: Expr) -> bool:
 
 
 def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
-    """A load or a prescribed displacement that is linear in time between given ones, not defined before and after.
+    """A load or prescribed displacement that is linear in time between given values, and undefined before and after.
 
-    The values are looked up as time goes on: a table may have thousands, `piecewise(dict(zip(times, forces)))`. It may be
-    a part of a function, `lambda x, t: (0, x[0] * table(x, t))`, be asked for another time than t, `table(x, t / 3600)`,
-    and serve as a law's temperature. Steps of a layer with memory end where it breaks.
+    Tables of thousands of values are fine, `piecewise(dict(zip(times, forces)))`. The table may be used in a function,
+    `lambda x, t: (0, x[0] * table(x, t))`, at another time than t, `table(x, t / 3600)`, and as a law's temperature. Steps
+    of a layer with memory end at its kinks.
 
     Args:
         values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.
 
     Returns:
-        A function (x, t) for the data of a model; of a t that is a number it gives numbers.
+        A function (x, t) for the data of a model; it returns numbers if t is a number.
 
     Raises:
         ModelError: less than two times, values that are no numbers or of different lengths.
@@ -172,7 +172,7 @@ class Supports:
 
     Attributes:
         given: (place, components) as given; `entries` has the clamped ones too.
-        vectors: of each entry its values, (d,) numbers, or a UFL vector; components that are free count 0.
+        vectors: values of each entry, (d,) numbers or a UFL vector; 0 for free components.
 
     Raises:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
@@ -253,7 +253,7 @@ class Supports:
         return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
 
     def on(self, V: fem.FunctionSpace) -> Prescribed:
-        """What they prescribe in a space. Collective."""
+        """The prescribed displacements in a space. Collective."""
         return Prescribed(self, V)
 
 
@@ -261,7 +261,7 @@ class Prescribed:
     """Degrees of freedom of a space that supports prescribe.
 
     Attributes:
-        held: (n,) their numbers among those of this rank, increasing.
+        held: (n,) their local numbers on this rank, increasing.
     """
 
     def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
@@ -284,7 +284,7 @@ class Prescribed:
         return value
 
     def at(self, t: float) -> npt.NDArray[np.float64]:
-        """Their values (n,) at a time, not finite where a function is not. Collective."""
+        """Prescribed values (n,) at a time, possibly not finite. Collective."""
         self._moment.set(t)
         for value, expression in self._varying:
             value.interpolate(expression)

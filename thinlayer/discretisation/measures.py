@@ -1,4 +1,4 @@
-"""Forms whose integrals have measures with tags of the mesh and without."""
+"""Forms with measures with and without tags of the mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHORT = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
 def compiled(form: Expr) -> fem.Form:
-    """Compile a form. Beside measures with tags there may be plain ones, which DOLFINx alone does not take together.
+    """Compile a form, which may have measures with tags and plain ones (DOLFINx itself refuses this).
 
     Raises:
         ModelError: measures of one kind with two sets of tags.

@@ -1,4 +1,4 @@
-"""Model: a structure, discretised; what the models of a meshed layer, of an interface law and of bonded bodies share."""
+"""Model: a discretised structure; base of the models with a meshed layer, an interface law, or bonded bodies."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ from thinlayer.parallel.agreement import on_all, require_same
 
 
 class Model(ABC):
-    """A structure with a thin soft layer, discretised: what `Structure.full`, `interface` and `bonded` return.
+    """A discretised structure with a thin soft layer, made by `Structure.full`, `interface` or `bonded`.
 
     Attributes:
-        structure: what it shares with other models.
+        structure: the structure, shared with other models.
         joint: the joint before inflating.
         plane, element, body_laws: the structure's.
         layer_law: law of the layer, as given; None where the bodies are bonded.
-        thin_layer: the layer, if its law is one of strains; else None.
+        thin_layer: the layer, if it has a law of strains; else None.
         contact: the contact law on S, if there is one.
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
-        dx, ds: measures of the mesh with its tags, for terms of one's own beside the model's: the residual at u is
-            `work(model.terms, u, v) - model.external_work(v, t) + term * model.dx`, unless laws act at points or nodes.
+        dx, ds: measures of the mesh with its tags, for your own terms beside the model's: the residual at u is
+            `work(model.terms, u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal laws.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
-        bodies, layer_terms: where the laws act.
+        bodies, layer_terms: terms of the laws of the bodies and of the layer.
         supports: prescribed displacements.
         forces: tractions and body forces.
-        parts: what is added to the balance of forces beside bodies, layer and loads.
-        origin: numbers, places and columns in the joint, for laws that act at points.
-        coordinates: the place and the time that loads depend on.
-        mark: stands for the data on several ranks, which all have the same.
-        made_from: the data that it was built with, described as JSON; what changes later does not count.
+        parts: additions to the balance of forces beside bodies, layer and loads.
+        origin: numbers, places and columns in the joint, for compiled laws.
+        coordinates: place and time as arguments of loads.
+        mark: hash of the data, equal on all ranks.
+        made_from: description, as JSON, of the data at the time the model was built.
     """
 
     name: ClassVar[str]
@@ -98,20 +98,20 @@ class Model(ABC):
         self.made_from = self._data()
         self._laws_read = self._laws()
 
-    # ---------------------------------------------------------------- what kinds of models differ in
+    # ---------------------------------------------------------------- differences between kinds of models
     _clamped: ClassVar[tuple[str, ...]] = ()  # facets that a rigid base holds
 
     @abstractmethod
     def _checked(self) -> Joint:
-        """The joint that is meshed, once the layer is found to suit the structure. On each rank by itself."""
+        """Check that the layer suits the structure, and return the joint to distribute. Not collective."""
 
     @abstractmethod
     def _layer_terms(self) -> list[forms.Term]:
-        """Where the layer's law acts."""
+        """The terms of the layer's law."""
 
     @property
     def _colours(self) -> Colours:
-        """Colours of cells, between which displacements jump."""
+        """Colours of cells; displacements jump between cells of different colours."""
         return np.zeros_like(self.sides_of_cells)
 
     # ---------------------------------------------------------------- spaces
@@ -136,9 +136,9 @@ class Model(ABC):
     # ---------------------------------------------------------------- where laws act
     @property
     def _rule(self) -> dict[str, Any]:
-        """Quadrature of laws on quadrilaterals and hexahedra: exact on straight cells, a point more each way on others.
+        """Quadrature of laws on quadrilaterals and hexahedra: exact on straight cells, one more point per axis on others.
 
-        UFL would sum the degrees of all directions and of the geometry: many times the points, to no avail.
+        UFL would sum the degrees of all directions and of the geometry, which needs many times the points for no gain.
         """
         if not is_tensor(self.joint.cell_type):
             return {}
@@ -146,28 +146,28 @@ class Model(ABC):
 
     @property
     def terms(self) -> list[forms.Term]:
-        """All points where a law acts."""
+        """All terms of the model."""
         return self.bodies + self.layer_terms
 
     @cached_property
     def linear(self) -> bool:
-        """Whether every law is linear, and all that is added."""
+        """Whether all laws and all additions are linear."""
         of_laws = self.contact is None and all(p.law.traits.linear for p in self.terms)
         return of_laws and all(part.is_linear(self) for part in self.parts)
 
     @cached_property
     def symmetric(self) -> bool:
-        """Whether every law has a symmetric tangent, and all that is added."""
+        """Whether all laws and all additions have symmetric tangents."""
         laws = [p.law for p in self.terms] + ([self.contact] if self.contact else [])
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which piecewise loads, supports and temperatures break."""
+        """Times of the kinks of piecewise loads, supports and temperatures."""
         return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
-        """Virtual work of the loads at a time, a UFL form linear in v, which stays that of this time."""
+        """Virtual work of the loads at a fixed time, a UFL form linear in v."""
         return self.forces.work(v, self.coordinates.moment(t))
 
     @staticmethod
@@ -180,12 +180,12 @@ class Model(ABC):
         return compiled(form)
 
     def added_work(self, u: Expr, v: Expr) -> Expr:
-        """Virtual work at displacements u of what is added to the model, a UFL form linear in v."""
+        """Virtual work of the additions to the model at displacements u, a UFL form linear in v."""
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
 
-    # ---------------------------------------------------------------- what it is made from
+    # ---------------------------------------------------------------- identity
     def identity(self) -> dict[str, Any]:
-        """What the model is made of, as JSON: the same for the same model in another process, on any number of ranks."""
+        """Identity of the model, as JSON: equal for the same model in another process, on any number of ranks."""
         return {"model": repr(self), **self.domain.joint.identity(), **self.made_from}
 
     def _data(self) -> dict[str, Any]:
@@ -208,7 +208,7 @@ class Model(ABC):
         }
 
     def require_same_laws(self) -> None:
-        """Raise ModelError if what the laws' code refers to has changed since it was last read."""
+        """Raise ModelError if data that the laws' code refers to have changed since they were last read."""
         for name, now in self._laws().items():
             before = self._laws_read[name]
             if now != before:
@@ -218,7 +218,7 @@ class Model(ABC):
                 )
 
     def laws_were_read(self) -> None:
-        """Take note of what the laws' own code has changed as it was read: counters, logs and the like."""
+        """Accept changes of data that the laws' own code made itself: counters, logs and the like."""
         self._laws_read = self._laws()
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Where a mesh comes from: the joint's numbers, places and columns, for laws that act at points."""
+"""Origin of a mesh: numbers, places and columns in the joint, for compiled laws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rigid motions: what supports must prevent, and what multigrid must know."""
+"""Rigid motions, which supports must prevent and multigrid needs as near-null space."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geometry.joint import Joint
 from thinlayer.discretisation.loads import AXES
 from thinlayer.errors import ModelError
 
-SMALLEST = 1e-10  # of the supports' Gram matrix of rigid motions, relative to its largest eigenvalue
+SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
 
 
 def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]:
@@ -39,7 +39,7 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]
 
 
 def _places(V: fem.FunctionSpace) -> npt.NDArray[np.float64] | None:
-    """Places (3, n) that unknowns are displacements of; None where they are other moments."""
+    """Places (3, n) of nodal unknowns; None if the unknowns are not nodal displacements."""
     try:
         return np.asarray(V.tabulate_dof_coordinates().T)
     except RuntimeError:
@@ -64,7 +64,7 @@ def require_support(
     """Raise ModelError if a rigid motion moves no held degree of freedom and nothing else resists it. Collective.
 
     Args:
-        comm, V, joint: of the model.
+        comm, V, joint: attributes of the model.
         held: local degrees of freedom that supports prescribe.
         resistances: functions of the m rigid motions that give the work (m, m) of forces that resist them.
     """

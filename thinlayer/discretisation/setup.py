@@ -1,4 +1,4 @@
-"""Setup: what all models of a structure share, checked once, on all ranks."""
+"""Setup: the data that all models of a structure share, checked once, on all ranks."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Setup:
     Attributes:
         joint: the joint before inflating.
         plane: "strain" or "stress".
-        element: the elements of displacements.
+        element: the finite element of displacements.
         body_laws: law of each body.
         supports, tractions, body_force, parts: as given.
         comm: MPI communicator; None stands for the world.
-        mark: stands for the data on several ranks, which all have the same.
+        mark: hash of the data, equal on all ranks.
     """
 
     def __init__(
@@ -119,5 +119,5 @@ class Setup:
 
 
 def _ordered(given: Any) -> Any:
-    """Data with the order of its entries: later supports decide where two overlap."""
+    """Data as pairs in their order, because later supports override earlier ones."""
     return [list(entry) for entry in given.items()] if isinstance(given, Mapping) else given

@@ -19,20 +19,20 @@ from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import carry
 
-PRESSURE = "pressure"  # key of the field of an incompressible layer
+PRESSURE = "pressure"  # key of the pressure field of an incompressible layer
 
 
 @dataclass(frozen=True)
 class Report:
-    """How a solve went.
+    """Method, iterations and residual of a solve.
 
     Attributes:
-        method: "linear" or "newton"; of contact "condensed", "multigrid" or "relaxation" too.
+        method: "linear" or "newton"; with contact also "condensed", "multigrid" or "relaxation".
         iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; of all attempts.
         residual: norm of the residual over the size of the forces.
         seconds: wall time of assembling and solving.
-        eased: number of solves, with laws that are easier than the layer's and then with its own, that continuation took
-            where Newton's method had failed; 0 if it had not.
+        eased: number of solves by continuation, from easier laws to the layer's own, after Newton's method had failed; 0
+            if it had not.
     """
 
     method: str
@@ -46,17 +46,16 @@ class Report:
 class Audit:
     """Energy balance of a step: supplied = stored + dissipated + remainder, to the solver's tolerance.
 
-    Energies (per unit thickness in 2D), all of them increments but `total`.
+    Energies per unit thickness in 2D; all but `total` are increments. All but `supplied` are NaN for laws without energy.
 
     Attributes:
         supplied: work of the loads and of moving supports.
-        stored: in bodies and layer, and in what is added to them.
-        dissipated: in the layer, and in what is added.
-        remainder: what the time scheme adds (backward Euler: the energy of the increments; midpoint: zero, for laws with
-            a quadratic energy); where parameters vary in time, also what their change does at held strains.
+        stored: in bodies, layer and additions.
+        dissipated: in the layer and in additions.
+        remainder: error of the time scheme (backward Euler: the energy of the increments; midpoint: zero for laws with a
+            quadratic energy), and the effect of parameters that vary in time, at fixed strains.
         total: energy stored in all parts at the end of the step.
 
-    Of laws that declare no energy all but the first are NaN.
     """
 
     supplied: float = 0.0
@@ -67,7 +66,7 @@ class Audit:
 
     @property
     def imbalance(self) -> float:
-        """What the balance misses, over the largest of its terms and of the energy that is stored."""
+        """Residual of the balance, over the largest of its terms and of the stored energy."""
         terms = (self.supplied, self.stored, self.dissipated, self.remainder)
         largest = max(abs(self.total), *map(abs, terms)) if all(map(math.isfinite, terms)) else math.nan
         return (terms[0] - sum(terms[1:])) / largest if largest else 0.0
@@ -81,7 +80,7 @@ class State:
         model: the model.
         u: displacement, in model.V.
         t: time.
-        report: how it was found.
+        report: method, iterations and residual of the solve.
         memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
             (of several "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
             (nodes, d - 1).

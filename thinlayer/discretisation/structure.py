@@ -20,12 +20,12 @@ class Structure(Setup):
         body_force: (d,) force per volume in the bodies, likewise, or region name -> force.
         plane: "strain" or "stress" (linear elastic laws only).
         element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
-        parts: what is added to the balance of forces: `Springs`, `UflPart`, or an `Addition` of one's own.
+        parts: additions to the balance of forces: `Springs`, `UflPart`, or your own `Addition`.
         comm: MPI communicator (default: the world).
 
     Raises:
-        ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed; what only a mesh tells
-            (names of facets, loads) when a model is made.
+        ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed. Names of facets and
+            loads are checked when a model is made.
     """
 
     def full(self, layer: ThinLayer, *, bodies: str = "kept", cells_through: int = 4) -> FullModel:
@@ -37,7 +37,7 @@ class Structure(Setup):
             cells_through: number of cells through the layer's thickness.
 
         Raises:
-            ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
+            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
         """
         return FullModel(self, layer, bodies=bodies, cells_through=cells_through)
 
@@ -48,7 +48,7 @@ class Structure(Setup):
             layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law.
 
         Raises:
-            ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
+            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
         """
         return InterfaceModel(self, layer)
 
@@ -56,6 +56,6 @@ class Structure(Setup):
         """The model without a layer: bodies perfectly bonded on S (on a rigid base S does not move). Collective.
 
         Raises:
-            ModelError, GeometryError, LawError: what cannot be built, where, and what is allowed.
+            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
         """
         return BondedModel(self)

@@ -1,4 +1,4 @@
-"""Folders that one run at a time writes into, and what is there already."""
+"""Folders that one run at a time writes into, and files of earlier runs in them."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from thinlayer.errors import ModelError
 
 LOCK = ".lock"
 PREVIOUS = "previous-"
-PROBE = 1 << 16  # bytes that a disk must have room for before anything is computed
-WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # of file systems that know no locks
+PROBE = 1 << 16  # bytes that must be free on the disk before a run starts
+WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # errors of file systems without locks
 
 
 @contextmanager
 def owned(folder: Path, comm: MPI.Intracomm | None = None, name: str = LOCK) -> Iterator[None]:
-    """Be the one run that writes into a folder, for the time of a block. Collective.
+    """Own a folder in a block: no other run may write into it. Collective.
 
-    The folder is made if need be, and removed again if nothing is in it at the end. The lock is the operating system's:
+    The folder is made if necessary, and removed again if it is empty at the end. The lock is the operating system's:
     it ends with the process that holds it, however that ends.
 
     Args:
         folder: the folder.
         comm: communicator whose rank 0 writes (default: the world).
-        name: of the lock file; runs that write other files of the folder take other names.
+        name: name of the lock file; runs that write different files of the folder use different names.
 
     Raises:
         ModelError: another run is at work there, or no files can be written.
@@ -60,7 +60,7 @@ class Lock:
             while self._file is None:
                 self._open()
             self._try_disk()
-        except ModelError:  # which is a ValueError, and says all
+        except ModelError:  # a ValueError with a complete message
             self.free()
             raise
         except (OSError, ValueError) as error:  # a name with a null character is no OSError
@@ -125,7 +125,7 @@ class Lock:
 
 @contextmanager
 def _maybe_without_locks() -> Iterator[None]:
-    """Where a file system knows no locks there is no protection, but no reason to stop either."""
+    """Ignore errors of file systems without locks: runs go on without protection."""
     try:
         yield
     except OSError as error:

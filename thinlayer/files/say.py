@@ -7,7 +7,7 @@ import sys
 
 
 def say(text: object) -> None:
-    """Print, or do nothing from when nobody reads: files are written all the same."""
+    """Print, or do nothing once the reader of standard output has gone."""
     try:
         print(text, flush=True)
     except BrokenPipeError:

@@ -27,7 +27,7 @@ Row = dict[str, float | str | None]
 
 @contextmanager
 def replaced(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes the place of another one when it is whole and on the disk; where it cannot be, nothing is left."""
+    """A file that replaces another one once it is complete on the disk; after an error nothing of it is left."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.part")
     try:
@@ -50,7 +50,7 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
 
 
 def hash_of(path: Path) -> str | None:
-    """What stands for the content of a file; None if there is none."""
+    """Hash of the content of a file; None if there is no file."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
@@ -61,11 +61,11 @@ class ColumnError(InputError, KeyError):
 class Table:
     """Rows with the same columns. On several ranks all have the same table, and rank 0 alone touches files.
 
-    A csv file knows no types: what `float` takes is a number when it is read back ("007" is 7), and "" is None.
+    A csv file has no types: entries that `float` accepts are read back as numbers ("007" is 7), and "" as None.
 
     Attributes:
         rows: the rows so far; None stands for an empty entry.
-        path: csv file that each row is written to as it comes, or None.
+        path: csv file to which each row is written at once, or None.
     """
 
     def __init__(self, rows: Iterable[Mapping[str, Any]] = (), path: str | Path | None = None) -> None:
@@ -79,7 +79,7 @@ class Table:
 
         Raises:
             ModelError: other columns than the first row's, or a name of a column that is no text.
-            OSError: it could not be written; on all ranks.
+            OSError: the file could not be written; on all ranks.
         """
         if self.rows and list(row) != self.columns:
             raise ModelError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
@@ -108,7 +108,7 @@ class Table:
             comm: communicator whose rank 0 writes (default: the world).
 
         Raises:
-            OSError: it could not be written; on all ranks.
+            OSError: the file could not be written; on all ranks.
         """
         on_root(comm, lambda: self.put(Path(path)))
 
@@ -185,7 +185,7 @@ class Table:
 
 
 def _whole_rows(text: str) -> Iterator[list[str]]:
-    """The rows of a csv file that end, but for a last one within quotes that do not."""
+    """The complete rows of a csv file; a last row with an open quote is left out."""
     reader = csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline=""), strict=True)
     try:
         yield from reader
@@ -195,7 +195,7 @@ def _whole_rows(text: str) -> Iterator[list[str]]:
 
 
 def read_back(value: float | str | None) -> float | str | None:
-    """What a value is after it has been written and read."""
+    """A value after writing and reading."""
     return _value(value) if isinstance(value, str) else value
 
 

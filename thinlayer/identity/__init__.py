@@ -1,1 +1,1 @@
-"""Descriptions of what a run is made from, the same in every process."""
+"""Descriptions of the data and code of a run, equal in every process."""

@@ -1,4 +1,4 @@
-"""Classes as they are written: their methods and values, and those of the classes that they build on."""
+"""Descriptions of classes: their methods and values, and those of their base classes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,22 @@ from thinlayer.identity.sources import content
 from thinlayer.identity.values import digest, name_of
 
 Of = Callable[[Any, str], Any]  # value, module that it is met in -> description
-GENERATED = {"init", "repr", "eq", "lt", "le", "gt", "ge", "hash", "setattr", "delattr"}  # by dataclass itself
+GENERATED = {
+    "init",
+    "repr",
+    "eq",
+    "lt",
+    "le",
+    "gt",
+    "ge",
+    "hash",
+    "setattr",
+    "delattr",
+}  # methods that dataclass generates
 
 
 def written(kind: type, of: Of) -> Any:
-    """What a class is written like, and those that it builds on in the same file or among the user's own."""
+    """Description of a class and of its base classes in the same file or in the user's own code."""
     shown: dict[str, Any] = {}
     for one in (*kind.__mro__, type(kind)):
         if not is_readable(one, kind.__module__):

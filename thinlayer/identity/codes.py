@@ -1,4 +1,4 @@
-"""What stands for the code of functions alone."""
+"""Hashes of the code of functions, without data."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from thinlayer.identity.values import attributes, digest, name_of, plain, text_o
 
 
 def code_of(function: Any) -> str:
-    """What stands for the code of a function and of all that it calls, without the values they refer to."""
+    """Hash of the code of a function and of all functions that it calls, without the values they refer to."""
     found: set[str] = set()
     seen: dict[int, Any] = {}
     waiting = [(function, "")]

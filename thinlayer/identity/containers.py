@@ -14,7 +14,7 @@ from thinlayer.identity.known import only_here
 from thinlayer.identity.values import digest, name_of, plain, text_of
 
 VIEWS = (collections.abc.KeysView, collections.abc.ValuesView, collections.abc.ItemsView)
-FEW = 24  # numbers that are shown themselves; of more a digest is
+FEW = 24  # largest number of entries that are shown themselves; longer arrays are hashed
 
 
 class Brief(str):
@@ -24,18 +24,18 @@ class Brief(str):
 
 
 class Containers(ABC):
-    """What a description says of containers and of things with parts; `whole`: it keeps the parts beside their digest."""
+    """Descriptions of containers and of objects with parts; `whole`: keep the parts beside their hash."""
 
     def __init__(self, whole: bool) -> None:
         self._whole = whole
-        self._alone: list[str] = []  # names of what no other process knows
+        self._alone: list[str] = []  # names of objects that only this process knows
 
     @abstractmethod
     def of(self, value: Any, home: str = "") -> Any:
         """A value that stands in, or is referred to from, the module `home`."""
 
     def content(self, value: Any, home: str) -> Any:
-        """What is in a container, or in a number or text of a class of its own; None for anything else."""
+        """Content of a container, or of a number or text of a subclass; None for anything else."""
         if isinstance(value, np.ma.MaskedArray):
             return [self.array(value.data), self.array(np.ma.getmaskarray(value))]
         if isinstance(value, np.ndarray):
@@ -58,7 +58,7 @@ class Containers(ABC):
         return plain(value)
 
     def named(self, values: Mapping[Any, Any], home: str) -> dict[str, Any]:
-        """Key -> value, in an order that is the same in all processes: of what is met twice the first time counts."""
+        """Key -> value, in the same order in all processes: an object that appears twice is described the first time."""
         entries = sorted(((self._key(key, home), one) for key, one in values.items()), key=lambda entry: entry[0])
         return {key: self.of(one, home) for key, one in entries}
 
@@ -66,7 +66,7 @@ class Containers(ABC):
         return key if type(key) is str else f"<{text_of(self.of(key, home))}>"
 
     def brief(self, what: str, compute: Callable[[], Any]) -> str:
-        """What something is called, a digest of its parts, and what in them no other process knows."""
+        """Name of an object, hash of its parts, and names of parts that only this process knows."""
         before = len(self._alone)
         parts = compute()
         alone = ", ".join(dict.fromkeys(self._alone[before:]))
@@ -75,22 +75,22 @@ class Containers(ABC):
         )
 
     def with_parts(self, parts: Any, text: str) -> str:
-        """A short text, with its parts in a description in full."""
+        """A short text; in a description in full also its parts."""
         found = Brief(text)
         found.parts = parts if self._whole else None
         return found
 
     def as_one(self, kind: type, compute: Callable[[], Any]) -> str:
-        """What a library has made, whose parts are not told apart: it may change them all as it is used."""
+        """An object of a library, described as one: its parts may all change in use."""
         return str(self.brief(name_of(kind), compute))
 
     def only_here(self, value: Any) -> str:
-        """What no other process knows; noted."""
+        """An object that only this process knows; its name is recorded."""
         self._alone.append(name_of(type(value)))
         return only_here(value)
 
     def array(self, array: np.ndarray) -> Any:
-        """Few numbers themselves, of many a digest, of other entries what each of them is."""
+        """Short arrays as numbers, long ones as a hash, other entries one by one."""
         if array.dtype.kind not in "biuf":
             return [list(array.dtype.names or ()), list(array.shape), [self.of(one) for one in array.ravel().tolist()]]
         if array.size <= FEW and np.isfinite(array).all():

@@ -1,4 +1,4 @@
-"""A description under way: data, laws, functions, and what they refer to."""
+"""Describer: describes data, laws and functions, and the objects they refer to."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from thinlayer.identity.owners import is_ours, is_own, is_readable
 from thinlayer.identity.values import attributes, digest, name_of, place_of, plain, text_of
 
 NAMESPACES = (types.SimpleNamespace, argparse.Namespace)
-AGAIN = "(see above)"  # of what refers to itself
-CODE, SAME = "(code)", "(the same as)"  # of parts that stay as they are while a function runs
+AGAIN = "(see above)"  # description of an object inside itself
+CODE, SAME = "(code)", "(the same as)"  # parts that do not change while a function runs
 
 
 class Describer(Containers):
-    """One description under way; it may remember the code of the package's classes from others."""
+    """One description; it may reuse the code of the package's classes from earlier ones."""
 
     def __init__(self, remembers: bool = True, whole: bool = False) -> None:
         super().__init__(whole)
@@ -78,7 +78,7 @@ class Describer(Containers):
         )
 
     def module(self, module: types.ModuleType, names: frozenset[str] | None = None) -> Any:
-        """A module; of the user's own those of its names, or all public ones."""
+        """A module; for the user's own modules with the given names, or all public ones."""
         if not is_own(module):
             return f"module {module.__name__}"
         return self._of_names(module, module.__name__, names, lambda name: not name.startswith("_"))
@@ -86,7 +86,7 @@ class Describer(Containers):
     def _of_names(
         self, value: Any, home: str, names: frozenset[str] | None = None, public: Callable[[str], bool] = lambda _: True
     ) -> Any:
-        """What has names and nothing else, by those of them that are read."""
+        """A namespace, by the names that are read."""
         key = (id(value), names)
         if key not in self._known:
             self._known[key] = value, AGAIN
@@ -134,7 +134,7 @@ class Describer(Containers):
         return self.brief(kind.__qualname__, consists_of)
 
     def _copied(self, value: Any, home: str) -> Any:
-        """An object by what a copy of it is made from."""
+        """An object, by the data that a copy of it is made from."""
         kind, top = type(value), type(value).__module__.partition(".")[0]
         known = known_as(value)
         if known is not None:
@@ -152,7 +152,7 @@ class Describer(Containers):
                 return f"{name_of(kind)} {parts}"
             shown = [list(one) if isinstance(one, Iterator) else one for one in parts]
             return self.as_one(kind, lambda: [self.of(one, home) for one in shown])
-        except Exception:  # of whatever cannot be copied, or goes too deep
+        except Exception:  # the object cannot be copied, or is nested too deeply
             return self.only_here(value)
 
     def _parameters(self, value: Any) -> str:
@@ -165,7 +165,7 @@ class Describer(Containers):
 
     # ---------------------------------------------------------------- code
     def parts(self, function: types.FunctionType) -> dict[str, Any]:
-        """What a function does, and name -> what its code refers to."""
+        """Code of a function, and name -> object that it refers to."""
         home = function.__module__
         given = {
             "(defaults)": [function.__defaults__ or (), function.__kwdefaults__ or {}],
@@ -192,13 +192,13 @@ class Describer(Containers):
 
 @functools.cache
 def _code_of_ours(kind: type) -> str:
-    """The code of a class of the package, which stays as it is."""
+    """The code of a class of the package, cached because it does not change."""
     return digest(written(kind, Describer(remembers=False).of))
 
 
 @contextmanager
 def followed(name: str) -> Iterator[None]:
-    """Says what refers to too long a chain of things."""
+    """Raise ModelError with this name if a chain of references is too long."""
     try:
         yield
     except RecursionError:

@@ -10,7 +10,7 @@ MISSING = object()
 
 
 def differences(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    """Where two descriptions in full differ: names on the way there, and what either has, or `MISSING`."""
+    """Differences of two descriptions in full: path of names, and both values there, or `MISSING`."""
     if isinstance(one, dict) and isinstance(other, dict):
         for key in sorted(one.keys() | other.keys()):
             yield from differences(one.get(key, MISSING), other.get(key, MISSING), (*path, key))

@@ -20,7 +20,7 @@ CACHED = type(functools.cache(len))
 
 
 def bytecode(function: types.FunctionType) -> Any:
-    """What a function's code does; comments, texts on what it does, names of files and lines do not count."""
+    """Bytecode of a function without docstrings, file names and line numbers."""
     return _of_code(function.__code__, function.__doc__)
 
 
@@ -31,18 +31,18 @@ def _of_code(code: types.CodeType, doc: str | None = None) -> Any:
 
 
 def referred_to(function: types.FunctionType) -> dict[str, Any]:
-    """Name -> what a function's code refers to: values it closes over, and global ones."""
+    """Name -> object that a function's code refers to: values it closes over, and globals."""
     found = dict(closed_over(function))
     for name in sorted(set(_names(function.__code__)) - found.keys()):
         if name in function.__globals__:
             found[name] = function.__globals__[name]
-    if is_ours(function.__module__):  # what the package itself collects as it goes is no data
+    if is_ours(function.__module__):  # caches of the package are not data
         return {name: value for name, value in found.items() if not isinstance(value, (dict, list, set))}
     return found
 
 
 def function_of(value: Any) -> types.FunctionType | None:
-    """The Python function that something is or wraps: static methods and the like, and compiled ones."""
+    """The Python function behind a function, static method, wrapper or compiled function; else None."""
     while not isinstance(value, types.FunctionType):
         if isinstance(value, (staticmethod, classmethod)):
             value = value.__func__
@@ -95,7 +95,7 @@ def _steps(code: types.CodeType) -> list[dis.Instruction]:
 
 
 def passed_on(code: types.CodeType, name: str) -> bool:
-    """Whether a code does anything else with what a name stands for than to read what is behind a dot."""
+    """Whether a code uses a named object in any other way than by reading its attributes."""
     steps = _steps(code)
     return any(
         step.argval == name
@@ -124,7 +124,7 @@ def imported(function: types.FunctionType) -> list[types.ModuleType]:
                 for one in names:
                     if one != "*" and not hasattr(module, one):
                         importlib.import_module(f"{name}.{one}")
-            except Exception:  # the function itself will say so
+            except Exception:  # the function itself will raise the error
                 continue
             if is_own(module):
                 found[module.__name__] = module

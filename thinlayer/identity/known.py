@@ -21,11 +21,11 @@ OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects diffe
 LOCKS = ("_thread.lock", "_thread.RLock")
 STREAMS = (sys.__stdin__, sys.__stdout__, sys.__stderr__)
 PROCESS = uuid.uuid4().hex[:8]
-_ALONE: dict[int, Any] = {}  # what no other process knows, kept so that ids stay their own
+_ALONE: dict[int, Any] = {}  # objects that only this process knows; kept so that their ids are not reused
 
 
 def known_as(value: Any) -> str | None:
-    """What all processes know an object by, without the objects that it holds; None if there is no such name."""
+    """Name of an object that is equal in all processes, without the objects that it holds; None if there is none."""
     kind = type(value)
     if isinstance(value, ufl.core.expr.Expr) and all(
         isinstance(one, (ConstantValue, MultiIndex)) for one in traverse_unique_terminals(value)
@@ -47,6 +47,6 @@ def known_as(value: Any) -> str | None:
 
 
 def only_here(value: Any) -> str:
-    """What stands for an object that no other process knows, as long as this process lasts."""
+    """Name of an object that only this process knows."""
     _ALONE[id(value)] = value
     return f"{name_of(type(value))}, which no other process knows ({PROCESS} {id(value)})"

@@ -1,4 +1,4 @@
-"""Whose code something is: of these packages, of a library, or the user's own."""
+"""Owner of code: these packages, a library, or the user."""
 
 from __future__ import annotations
 

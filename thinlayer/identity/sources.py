@@ -11,12 +11,12 @@ SEARCHED = ("CPATH", "C_INCLUDE_PATH")  # folders in which compilers look for fi
 
 
 def contents(source: Path) -> dict[Path, bytes]:
-    """File -> what is in it: a C source, the files that its preprocessor lines name, and so on; no headers of the system.
+    """File -> content: a C source, and recursively the files that its preprocessor lines name, without system headers.
 
     Nothing is preprocessed: a file counts even where a condition leaves it out.
 
     Raises:
-        OSError: a source that cannot be read; included files that cannot are left to the compiler.
+        OSError: the source cannot be read. The compiler reports included files that cannot be read.
     """
     searched = [Path(folder) for name in SEARCHED for folder in os.environ.get(name, "").split(os.pathsep) if folder]
     found = {source: source.read_bytes()}
@@ -36,5 +36,5 @@ def contents(source: Path) -> dict[Path, bytes]:
 
 
 def content(source: Path) -> bytes:
-    """All of that, one after the other: what a compilation depends on. Errors as in `contents`."""
+    """All these contents joined: the input of a compilation. Errors as in `contents`."""
     return b"\0".join(contents(source).values())

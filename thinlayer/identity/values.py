@@ -1,4 +1,4 @@
-"""Numbers, texts and names as JSON, and what objects are known by."""
+"""Numbers, texts and names as JSON, and names of objects."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ import numpy as np
 
 
 def digest(value: Any) -> str:
-    """Twelve digits that stand for a value that JSON knows, or for bytes."""
+    """Hash, twelve digits, of a JSON value or of bytes."""
     content = value if isinstance(value, bytes) else text_of(value).encode()
     return hashlib.sha256(content).hexdigest()[:12]
 
 
 def text_of(value: Any) -> str:
-    """A value that JSON knows as text."""
+    """A JSON value as text."""
     return json.dumps(value, sort_keys=True)
 
 

@@ -1,1 +1,1 @@
-"""What is read off states: comparisons, profiles along S, files for ParaView, pictures."""
+"""Results from states: comparisons, profiles along S, files for ParaView, pictures."""

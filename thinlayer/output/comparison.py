@@ -20,13 +20,13 @@ from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
 
 Where = Callable[[Expr], Expr]
-SAME_PROFILE = 1e-9  # relative
+SAME_PROFILE = 1e-9  # relative difference of equal thickness profiles
 
 
 def compare(
     full: State | History, interface: State | History, *, where: Where | None = None, at: float | None = None
 ) -> dict[str, float]:
-    """How far the interface law is from the meshed layer. Collective.
+    """Difference between the interface law and the meshed layer. Collective.
 
     Tractions are the bodies' reactions on S, jumps are differences at matched points of both faces (`Surface`).
 
@@ -93,7 +93,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     for name in ("plane", "bodies", "supports", "loads"):
         if there[name] != here[name]:
             raise ModelError(f"compare needs the same {name}, not {there[name]} and {here[name]}")
-    if interface.thin_layer is None:  # a law on S knows no thickness
+    if interface.thin_layer is None:  # a law on S has no thickness
         return
     one, other = (full.joint.relative_thickness(layer.profile) for layer in (full.layer, interface.thin_layer))
     if not np.allclose(one, other, rtol=SAME_PROFILE, atol=0.0):

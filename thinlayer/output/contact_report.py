@@ -1,4 +1,4 @@
-"""ContactReport: what every node of S does, in zones, with resultants and checks of the balance."""
+"""ContactReport: status of every node of S, zones, resultants and checks of the balance."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from thinlayer.output.surface import nodal_forces
 
 PINNED = "pinned"
 NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
-ROUNDING = 1e-10  # of the largest pressure: what solvers leave where there is none
-AT_LIMIT = 1e-9  # of the threshold: a law with memory returns to it, up to rounding
+ROUNDING = 1e-10  # pressure, over the largest one, that counts as zero
+AT_LIMIT = 1e-9  # relative distance from the threshold at which a node of a law with memory counts as sliding
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,13 @@ class ContactReport:
         status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
         u_T: (n, d - 1) tangential jump in the frame of S (`Surface.frame`).
         u_N: (n,) penetration, the upper side into the lower one; negative where S is open.
-        p: (n,) pressure >= 0 that the law gives; at pinned nodes it says nothing, their force is the support's.
+        p: (n,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
         t_T: (n, d - 1) tangential traction on the lower side; that on the upper side is opposite.
         threshold: (n,) largest |t_T| at this pressure.
         weights: (n,) area of S around each node.
         frames: (n, d, d), rows are the tangential axes and the normal of S.
-        force: (d,) resultant that S exerts on the upper body, without what supports at pinned nodes exert.
-        equilibrium: what the forces on the free nodes sum up to, over the sum of the absolute values of all nodal forces.
+        force: (d,) resultant of S on the upper body, without the forces of supports at pinned nodes.
+        equilibrium: sum of the forces on the free nodes, over the sum of the absolute values of all nodal forces.
         clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
             over the largest of the four: zero in equilibrium.
     """
@@ -142,7 +142,7 @@ class ContactReport:
 
     @property
     def along(self) -> Array:
-        """(n,) way along S from the first node, in 2D; from one piece of S to the next straight."""
+        """(n,) distance along S from the first node, in 2D; between two pieces of S it is the straight distance."""
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.x, axis=0), axis=1))])
 
     @cached_property

@@ -27,11 +27,11 @@ from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import History
 
 VTK_LAGRANGE = {"interval": 68, "triangle": 69, "quadrilateral": 70}  # VTK's numbers of cells of any degree
-SUBDIVISION = 3  # of curved cells
+SUBDIVISION = 3  # subdivision level of curved cells
 SHARP = 30.0  # angle (degree) between faces whose common edge is drawn
-ALMOST = 0.999  # of the displacements: without any VTK would merge the two sides of S
-OFF_MIDDLE = 1e-3  # of a cut, in units of the structure: along the faces of a grid it would leave crumbs
-BYTES = {"mesh": 128, "u": 24}  # of a node in a file: about those of its place and its cells, of its displacement
+ALMOST = 0.999  # factor of displacements that keeps the two sides of S apart, so that VTK does not merge them
+OFF_MIDDLE = 1e-3  # distance of a cut from the middle, over the structure's size: not along the faces of a grid
+BYTES = {"mesh": 128, "u": 24}  # approximate size of a node in a file: its place and cells; its displacement
 MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
 
 

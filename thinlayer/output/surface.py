@@ -1,4 +1,4 @@
-"""What happens on S: traction, jump and the displacements of both faces, for either model."""
+"""Fields on S: traction, jump and displacements of both faces, for the full and the interface model."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
 
 MASS_TOLERANCE = 1e-14
-SAME_PLACE = 1e-12  # of the largest displacement: jumps below are rounding
-SPREAD = 0.1  # of the way from the places where it is known: over less a traction tells no slope
+SAME_PLACE = 1e-12  # jump, over the largest displacement, that counts as zero
+SPREAD = 0.1  # least extent of the places with a known traction, over their distance, to extrapolate a slope
 
 
 def reaction(state: State) -> fem.Function:
@@ -120,7 +120,7 @@ class Surface:
         return found
 
     def _compiled(self, f: Expr, make: Callable[[Any], Any]) -> Any:
-        """What `make` makes of the integral over S of a scalar expression."""
+        """Result of `make` for the integral over S of a scalar expression."""
         try:
             return make(f * self.sides.measure)
         except ValueError as error:  # UFL's
@@ -251,7 +251,7 @@ class Surface:
         return float(np.sqrt(self.integral(self._expression(where, ()) * ufl.inner(f, f))))
 
     def _tell_by_other_side(self, r: fem.Function, held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Replace nodal forces where they are held by minus those of the other side; where they are held there too.
+        """Replace held nodal forces by minus those of the other side; return where they are held there too.
 
         Both sides of a node where S ends inside the bodies are one: there nothing is replaced.
         """
@@ -265,7 +265,7 @@ class Surface:
         return unknown
 
     def _silent(self, together: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Which components have no traction, of those in which supports hold the bodies together."""
+        """The components without traction among those in which supports hold the bodies together."""
         if not self.model.comm.allreduce(int(together.any())):
             return together
         along, whole = self.model.silent
@@ -390,7 +390,7 @@ class Surface:
         x = A.createVecRight()
         b.array[:] = r.x.array[: len(on_s)][keep]
         size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
-        b.array[:] /= size  # the solver squares forces: very small and very large ones have no squares
+        b.array[:] /= size  # the solver squares forces, which must neither underflow nor overflow
         ksp.solve(b, x)
         t.x.array[: len(on_s)][keep] = x.array * size
         t.x.scatter_forward()
@@ -400,7 +400,7 @@ class Surface:
 
 
 def _lacks_side(f: Expr, spaces: Sequence[fem.FunctionSpace]) -> bool:
-    """Whether a field of one of these spaces is in an expression without a side."""
+    """Whether an expression has a field of one of these spaces without a restriction to a side."""
     left, seen = [f], set()
     while left:
         part = left.pop()
@@ -414,6 +414,6 @@ def _lacks_side(f: Expr, spaces: Sequence[fem.FunctionSpace]) -> bool:
 
 
 def _short(thing: object) -> str:
-    """A thing in a message."""
+    """Text of an object for a message."""
     text = repr(thing)
     return text if len(text) <= 80 else f"{text[:80]}..."

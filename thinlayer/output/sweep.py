@@ -22,7 +22,7 @@ from thinlayer.files.table import Row, Table, read_back
 from thinlayer.output.sweep_file import ERRORS, ORDERS, SweepFile
 from thinlayer.parallel.agreement import on_all, require_same
 
-SAME_EPS = 1e-9  # relative: thicknesses that are computed in two ways
+SAME_EPS = 1e-9  # relative difference of equal thicknesses
 
 
 def observed_orders(eps: Iterable[float], errors: Iterable[float]) -> list[float | None]:
@@ -96,7 +96,7 @@ def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | Non
 
 
 def _flaw(row: Any, eps: float, first: Row | None) -> str | None:
-    """What is wrong with a row."""
+    """Description of an error in a row; None if it is right."""
     if not isinstance(row, Mapping):
         return repr(row)
     if missing := {*ERRORS} - row.keys():

@@ -1,4 +1,4 @@
-"""The csv file of a sweep, and the file beside it that says what its rows were made from."""
+"""The csv file of a sweep, and the file beside it that describes the data and code behind its rows."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ from thinlayer.identity.describer import CODE, SAME
 from thinlayer.identity.differences import MISSING, differences
 
 ERRORS = ("eps", "error_traction", "error_jump")
-ORDERS = ("order_traction", "order_jump")  # what a sweep adds
+ORDERS = ("order_traction", "order_jump")  # columns that a sweep adds
 
 
 class SweepFile:
-    """The csv file of a sweep, and beside it the one that says what its rows were made from; on one rank.
+    """The csv file of a sweep, and beside it a description of the data and code behind its rows; on one rank.
 
-    What `run` itself changes as it goes, such as a list of what it has found, is no part of that; what stands beside it,
-    and code, are.
+    The description leaves out data that `run` itself changes, such as a list of its results.
     """
 
     def __init__(self, path: Path, run: Callable[[float], Mapping[str, Any]]) -> None:
@@ -48,7 +47,7 @@ class SweepFile:
         return {float(row["eps"]): {n: v for n, v in row.items() if n not in ORDERS} for row in rows}  # type: ignore[arg-type]
 
     def _problem(self) -> str | None:
-        """Why the table that is there is not of this sweep."""
+        """Reason why the existing table does not belong to this sweep; None if it does."""
         name = str(self.path)
         if not self.beside.exists():
             return (

@@ -1,4 +1,4 @@
-"""An error that one rank alone has must not leave the others waiting for ever."""
+"""Ends all ranks if one rank alone has an error, so that the others do not wait for ever."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import traceback
 
 from mpi4py import MPI
 
-GRACE = 5.0  # s in which ranks that all end with an error come to their ends, rather than be cut off in what they print
-STATUS = 1  # of the processes where one rank alone has an error, as of any Python script; the command line has its own
-POLL = 1e-3  # s between two looks
+GRACE = 5.0  # s for all ranks with an error to finish printing it, before they are ended
+STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line has its own
+POLL = 1e-3  # s between two tests of a request
 
 
 def abort(error: BaseException) -> None:
@@ -20,7 +20,7 @@ def abort(error: BaseException) -> None:
 
 
 def is_done(request: MPI.Request, within: float) -> bool:
-    """Whether what has been asked for is done within so many seconds."""
+    """Whether a request completes within this number of seconds."""
     end = time.monotonic() + within
     while not request.Test():
         if time.monotonic() > end:
@@ -39,8 +39,8 @@ def _end(status: int) -> None:
 def _end_before_petsc() -> None:
     """Let `python3 -m mpi4py` end all ranks before PETSc ends on the rank that has an error.
 
-    mpi4py notes the status to abort with, and aborts as the last thing of all. Before that the objects of PETSc that the
-    script has made are freed, and PETSc ends, together with the other ranks: this rank would wait for them.
+    mpi4py stores the status and aborts last of all. Before this, Python frees the script's PETSc objects and PETSc ends;
+    both are collective, so this rank would wait for the others.
     """
     note = MPI._set_abort_status
 

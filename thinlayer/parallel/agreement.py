@@ -1,4 +1,4 @@
-"""Ranks that are told the same, and errors that only some of them have."""
+"""Agreement of ranks: the same data on all of them, and errors on some raised on all."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from thinlayer.identity.differences import MISSING, differences
 from thinlayer.identity.values import digest
 from thinlayer.parallel.abort import abort, is_done
 
-SHOWN = 60  # characters from where data differ
-PATIENCE = 60.0  # s that a rank with an error waits at least for the others, which may be at work
-LONG = 4000  # characters of data that are compared as a whole; of longer ones a digest is
-_DEPTH: Counter[int] = Counter()  # blocks that this rank is in, one within the other, by communicator
+SHOWN = 60  # number of characters shown where data differ
+PATIENCE = 60.0  # s that a rank with an error waits for the others at least
+LONG = 4000  # length of data, in characters, above which their hashes are compared
+_DEPTH: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
 
 
 @contextmanager
 def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
-    """What each rank does by itself, a user's code too: an error of one rank is an error of all. Collective.
+    """Context for code that each rank runs by itself, also users' code: an error on one rank is raised on all. Collective.
 
-    The code may have collective calls in it. Where an error keeps a rank from one that the others wait in, they never come
-    to the end of the block: the rank waits for them for PATIENCE, or as long as it has been in the block if that is longer,
-    and then ends all ranks.
+    The code may make collective calls. If an error keeps a rank from a call that the others wait in, they never reach the
+    end of the block: the rank waits for PATIENCE, or for the time it has been in the block if that is longer, and then ends
+    all ranks.
 
     Raises:
-        ModelError: not all ranks have an error; it names the first that has. Else each rank's own error.
+        ModelError: on some ranks an error occurred; it names the first of them. If all have one, each raises its own.
     """
     comm = comm or MPI.COMM_WORLD
     key, began = comm.py2f(), time.monotonic()
@@ -55,9 +55,9 @@ def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
 
 
 def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
-    """Every rank's error, once all are at the end of the same block.
+    """Every rank's error, once all ranks have reached the end of the same block.
 
-    Ranks that are in a block within this one learn of the errors there, and come here with errors of their own.
+    Ranks in an inner block receive the errors there, and reach this block with errors of their own.
     """
     text = None if problem is None else _text(problem)
     while True:
@@ -76,7 +76,7 @@ def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience:
 
 
 def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
-    """What stands for data that all ranks were given; raises ModelError, on all ranks, where they differ. Collective.
+    """Hash of data that all ranks were given; raises ModelError, on all ranks, if they differ. Collective.
 
     Args:
         comm: communicator (default: the world).
@@ -99,7 +99,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
 
 def _differing(comm: MPI.Intracomm, rank: int, value: Any, first: str, theirs: str) -> tuple[str, str, str]:
-    """Where the values of rank 0 and of another rank differ, and what either has there. Collective."""
+    """Path at which the values of rank 0 and of another rank differ, and both values there. Collective."""
     full = comm.allgather(in_full(value))
     for path, *both in differences(full[0], full[rank]):
         texts = ["nothing" if one is MISSING else json.dumps(one) for one in both]
@@ -122,6 +122,6 @@ def _text(error: Exception) -> str:
 
 
 def _for_all(error: Exception) -> Exception:
-    """An error that no rank is left waiting for."""
+    """The error, marked as raised on all ranks."""
     error.on_all_ranks = True  # type: ignore[attr-defined]
     return error

@@ -1,4 +1,4 @@
-"""Communicators: for our own messages on a mesh that somebody else made, and of what is to be freed."""
+"""Communicators for our messages on meshes of other owners, and collection of freed PETSc objects."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _COPIES: WeakKeyDictionary[Mesh, MPI.Intracomm] = WeakKeyDictionary()
 def communicator(mesh: Mesh) -> MPI.Intracomm:
     """A communicator of the ranks of a mesh, which outlives it: this rank's, the world, else a copy. Collective.
 
-    The mesh's own will not do: when Python's garbage collector frees a mesh amid a pickled collective, mpi4py 4.0 waits for
-    itself if the mesh's communicator was ever used for one.
+    The mesh's own communicator cannot be used: if it ever served a pickled collective, mpi4py 4.0 waits for itself when
+    Python's garbage collector frees the mesh amid another one.
     """
     for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
         if MPI.Comm.Compare(mesh.comm, comm) in SAME:
@@ -28,7 +28,7 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
 
 
 def collect(comms: Iterable[MPI.Intracomm]) -> None:
-    """Free what Python has dropped: PETSc keeps the objects of several ranks until all ranks are asked together."""
+    """Free PETSc objects that Python has dropped: objects of several ranks need a collective call."""
     for comm in comms:
         if comm.size > 1:
             PETSc.garbage_cleanup(comm)

@@ -34,7 +34,7 @@ def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Ar
 
 
 def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Array:
-    """Values of cells known by their original numbers, for whoever wants them. Collective.
+    """Send values of cells, known by their original numbers, to the ranks that want them. Collective.
 
     Args:
         comm: communicator.

@@ -1,4 +1,4 @@
-"""What the package tells through Python's `logging`, under the logger "thinlayer": one rank speaks for all.
+"""Messages through Python's `logging`, under the logger "thinlayer", from one rank only.
 
 Nothing is shown unless the user asks for it: `logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
 """

@@ -1,1 +1,1 @@
-"""Parts of the balance of forces: bodies, layers, pressures, contact, and what is added to a model."""
+"""Parts of the balance of forces: bodies, layers, pressures, contact, springs and users' own forms."""

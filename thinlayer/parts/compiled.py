@@ -18,15 +18,15 @@ from thinlayer.parts.softening import may_soften
 from thinlayer.parts.time_response import not_linear_at_once, takes_time
 from thinlayer.pointwise.compiled_term import CompiledTerm
 
-ASYMMETRY = 1e-8  # of a tangent, over its size
+ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
 
 
 class CompiledPart(Part):
     """A compiled law over a time step.
 
     Attributes:
-        points: where it acts.
-        eased: ease of the law, 0: itself.
+        points: the compiled term, with the quadrature points.
+        law: the law.
     """
 
     def __init__(self, key: str, model: Model, term: Term) -> None:
@@ -86,15 +86,15 @@ class CompiledPart(Part):
         out.axpy(1.0, self.points.forces(self._response.stress))
         return 0.0
 
-    def tangents(self, lack: float) -> list[Block]:
-        """Raises LawError for a law that says it is symmetric, and is not: half of its tangent would be lost."""
+    def tangents(self, relative_residual: float) -> list[Block]:
+        """As in `Part`. LawError: a law declares a symmetric tangent and has another; half of it would be lost."""
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:
             raise LawError(NOT_SYMMETRIC.format(type(self.law).__name__, skew))
-        return [Block(self.points.stiffness(self._response.tangent, lack))]
+        return [Block(self.points.stiffness(self._response.tangent, relative_residual))]
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> Outcome:
-        """Laws know their own remainder only of parameters that stay the same: where they vary it is what is left."""
+        """As in `Part`. Laws compute their remainder for constant parameters; otherwise it follows from the work."""
         response, interval = self._response, self.interval
         before = interval.old.stored.get(self.key, 0.0)
         after, dissipated, remainder = self.comm.allreduce(response.energies)
@@ -108,11 +108,11 @@ class CompiledPart(Part):
         return Outcome(before, float(after), float(dissipated), float(remainder), response.memory)
 
     def _stored_at(self, t: float) -> float:
-        """Energy of the last response with the parameters of a time; the law keeps those that it answers with."""
-        answering = self._t
+        """Energy of the last response with the parameters of time t; the law then has its old parameters again."""
+        t_old = self._t
         self.at_time(t)
         stored = self.points.stored(self._e, self._response.memory, self.interval.dt)
-        self.at_time(answering)
+        self.at_time(t_old)
         return float(self.comm.allreduce(stored))
 
     @property
@@ -128,7 +128,7 @@ class CompiledPart(Part):
         self._memory = new
         return True
 
-    # ---------------------------------------------------------------- what is asked about it
+    # ---------------------------------------------------------------- questions
     def undeclared_softening(self) -> tuple[str, str] | None:
         if not may_soften(self.law):
             return None
@@ -141,16 +141,16 @@ class CompiledPart(Part):
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
         return not_linear_at_once(self.points, times)
 
-    def seen(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
         return (self.points.strain(u.x.petsc_vec) * np.sqrt(np.abs(self.points.weights))[:, None]).ravel()
 
-    def seen_of_unit_jump(self) -> float:
+    def unit_jump_measure(self) -> float:
         steepest = float(self.points.B.norm(PETSc.NormType.INFINITY))
         return steepest**2 * float(self.comm.allreduce(float(np.abs(self.points.weights).sum())))
 
     @property
     def file_order(self) -> FileOrder:
-        """By cell, or facet; on facets, which may be seen from either side, points are put in the order of their places."""
+        """By cell or facet. The points of a facet are ordered by place, as their local order depends on the side."""
         points = self.points
         numbers = points.original[: len(points.cells)]
         if points.region.dim < points.dim:

@@ -14,11 +14,11 @@ from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, Part
 
 
 class ContactPart(Part):
-    """A contact law over a time step; what it remembers is the slip at the nodes of this rank.
+    """A contact law over a time step; its memory is the slip at the nodes of this rank.
 
     Attributes:
         law: the law.
-        nodes: where it acts.
+        nodes: the nodes of S on this rank.
     """
 
     key = CONTACT
@@ -44,8 +44,8 @@ class ContactPart(Part):
         self.nodes.add_forces(self.law.traction(self._w, self._slip), out)
         return 0.0
 
-    def tangents(self, lack: float) -> list[Block]:
-        """At rest, where the law has no tangent, that of bonded springs."""
+    def tangents(self, relative_residual: float) -> list[Block]:
+        """As in `Part`. At rest the law has no tangent; the tangent of bonded springs is used instead."""
         w = self._w
         moved = self.nodes.comm.allreduce(int(w.any()))
         C = self.law.tangent(w, self._slip) if moved else self.law.bonded(len(w), self.nodes.dim)
@@ -61,10 +61,10 @@ class ContactPart(Part):
         before = old.stored.get(self.key, 0.0)
         return Outcome(before, after, lost, work - (after - before) - lost, law.slip_after(w, self._slip))
 
-    def seen(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
         return (self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]).ravel()
 
-    def seen_of_unit_jump(self) -> float:
+    def unit_jump_measure(self) -> float:
         return float(self.nodes.comm.allreduce(float(self.nodes.weights.sum())))
 
     @property

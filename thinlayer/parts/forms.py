@@ -1,4 +1,4 @@
-"""Parts that are UFL forms: the bodies and laws of the layer without memory or rate, or a form of one's own."""
+"""Parts that are UFL forms: the bodies, the layer's laws without memory or rate, or a user's own form."""
 
 from __future__ import annotations
 
@@ -24,15 +24,14 @@ from thinlayer.parts.softening import Softening
 
 
 class FormPart(Part):
-    """Forces K mid + F(mid), linear and not.
+    """Forces K mid + F(mid), a linear and a non-linear part.
 
     Args:
-        key: of the part.
+        key: key of the part.
+        V: space of the displacements.
         K: matrix of the linear forces; None: there are none.
-        V: displacements.
-        residual: displacement, test function -> F, a UFL form; None: there is none.
-        energy: displacement -> the stored energy of F, a UFL form; None: F declares none.
-
+        residual: displacement, test function -> F, a UFL form; None: there is no F.
+        energy: displacement -> the stored energy of F, a UFL form; None: F has no energy.
     """
 
     def __init__(
@@ -44,7 +43,7 @@ class FormPart(Part):
         energy: Callable[[Expr], Expr] | None = None,
     ) -> None:
         self.key, self.K, self._energy = key, K, energy
-        self._u = fem.Function(V)  # of which F, its derivative and its energy are compiled
+        self._u = fem.Function(V)  # argument of the compiled F, its derivative and its energy
         self._product, self._change = (PETSc.Vec().createWithArray(self._owned(), comm=V.mesh.comm) for _ in range(2))
         self._F: fem.Form | None = None
         if residual is not None:
@@ -61,12 +60,12 @@ class FormPart(Part):
             self._take(mid.x.petsc_vec)
 
     def _take(self, u: PETSc.Vec) -> None:
-        """Compute F and its energy at displacements from now on."""
+        """From now on compute F and its energy at displacements u."""
         u.copy(self._u.x.petsc_vec)
         self._u.x.scatter_forward()
 
     def _nonlinear(self) -> PETSc.Vec:
-        """Nodal forces F; whoever asks destroys them."""
+        """Nodal forces F; the caller destroys the vector."""
         b = dolfinx.fem.petsc.assemble_vector(self._F)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         return b
@@ -75,7 +74,7 @@ class FormPart(Part):
         return self._add(self._mid.x.petsc_vec, out)
 
     def _add(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Add the forces at displacements that `_take` knows; the size of the larger of both kinds."""
+        """Add the forces at displacements u, which `_take` has got; returns the larger norm of K u and F."""
         size = 0.0
         if self.K is not None:
             self.K.mult(u, self._product)
@@ -88,7 +87,7 @@ class FormPart(Part):
             b.destroy()
         return size
 
-    def tangents(self, lack: float) -> list[Block]:
+    def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
         found = [] if self.K is None else [Block(self.K, theta, kept=True)]
         if self._F is not None:
@@ -97,11 +96,11 @@ class FormPart(Part):
             found.append(Block(J, theta))
         return found
 
-    def seen(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
         if self._F is not None:
             self._take(u.x.petsc_vec)
         self._add(u.x.petsc_vec, forces)
-        return super().seen(u, forces)
+        return super().error_measure(u, forces)
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> Outcome:
@@ -132,7 +131,7 @@ class FormPart(Part):
         return fem.form(self._energy(self._u)) if self._energy else None
 
     def _stored(self, u: PETSc.Vec) -> float:
-        """The energy of F at displacements; NaN if it declares none."""
+        """The energy of F at displacements u; NaN if F has none."""
         if self._energy_form is None:
             return float("nan")
         self._take(u)
@@ -146,9 +145,9 @@ class FormPart(Part):
 
 
 class LawForms(FormPart):
-    """The bodies, and laws of the layer that are a part of a form: bilinear ones in K, the others in F.
+    """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
 
-    K is there where no law is linear, too: zero, and of the pattern that the tangent has.
+    If no law is linear, K is zero with the nonzero pattern of the tangent.
     """
 
     def __init__(self, model: Model) -> None:
@@ -199,10 +198,10 @@ class LawForms(FormPart):
 
 
 def _stiffness(model: Model, linear: Sequence[Term]) -> PETSc.Mat:
-    """The matrix of linear laws, assembled; without any, zeros in the pattern of elastic bodies.
+    """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
 
     Raises:
-        LawError: a law that says that it is linear, and is not.
+        LawError: a law declares that it is linear and is not.
     """
     trial, test = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
     pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in model.bodies]
@@ -211,7 +210,7 @@ def _stiffness(model: Model, linear: Sequence[Term]) -> PETSc.Mat:
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
         raise LawError(
-            f"{names} says linear = True, but is not, or not in a way that UFL sees: {error}; "
+            f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
             "write linear = False in the class"
         ) from error
     K = dolfinx.fem.petsc.assemble_matrix(form)

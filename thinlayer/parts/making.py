@@ -15,7 +15,7 @@ from thinlayer.parts.pressure import PressurePart
 
 
 def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
-    """The parts of a model, with keys of their own, the bodies' first. Collective.
+    """The parts of a model, each with another key, the bodies first. Collective.
 
     Args:
         model: the model.

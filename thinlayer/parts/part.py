@@ -1,4 +1,4 @@
-"""A part of the balance of forces: what `Equations` asks of bodies, layers, pressures, contact and additions alike."""
+"""A part of the balance of forces: the common base of bodies, layers, pressures, contact and additions."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ class Interval:
 
 @dataclass(frozen=True)
 class PartTraits:
-    """What a part is like. Every flag is False unless it is set; several parts together have the flags that any one has.
+    """Properties of a part. Several parts together have a flag if one of them has it.
 
     Attributes:
         uses_dt: the tangent depends on the length of the step.
         weakens: the part may resist less than its tangent does: it flows, yields or softens, or its tangent may vanish.
-        releases: the part may let go of a body from one step to the next, as contact does.
+        releases: the part may resist a body in one step and release it in the next, as contact does.
         singular: the tangent may be singular for some strains although there is an energy.
-        saddle: the tangent with supports has eigenvalues of both signs.
-        eases: the part can be replaced by an easier one, see `Part.ease`.
-        switches: phases are held while an equilibrium is found, and switched after it.
+        saddle: the tangent with supports may have eigenvalues of both signs.
+        eases: the part can be replaced by an eased one, see `Part.ease`.
+        switches: phases stay the same while an equilibrium is found, and change after it.
     """
 
     uses_dt: bool = False
@@ -72,9 +72,9 @@ class Block:
 
     Attributes:
         matrix: the matrix.
-        factor: what it is multiplied by.
-        row, column: keys of the unknowns whose equations and derivatives these are: of a part, or `DISPLACEMENTS`.
-        kept: whether the part keeps the matrix; otherwise whoever asked for it destroys it.
+        factor: the block is `factor` times the matrix.
+        row, column: keys of the equations, and of the unknowns of the derivative: a part's key, or `DISPLACEMENTS`.
+        kept: True: the part keeps the matrix; False: the caller destroys it.
     """
 
     matrix: PETSc.Mat
@@ -86,14 +86,14 @@ class Block:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an accepted step has done to a part: energies (NaN where a law declares none), and what it remembers.
+    """Energies of a part over an accepted step (NaN if a law declares none), and its memory.
 
     Attributes:
         before, after: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
-        remainder: what is left of the work: what the time scheme adds, or parameters that vary.
-        memory: (n, values) internal values at the end of the step; None of a part without memory.
-        kept: whether the state keeps `after` by the part's key; not of bodies and forms, whose energies it finds itself.
+        remainder: work less the change of stored energy and less `dissipated`: by the time scheme or varying parameters.
+        memory: (n, values) internal variables at the end of the step; None: the part has no memory.
+        kept: whether the state keeps `after` under the part's key; it computes the energies of bodies and laws' forms.
     """
 
     before: float = 0.0
@@ -110,7 +110,7 @@ class FileOrder:
 
     Attributes:
         numbers: (cells,) original numbers.
-        order: (cells, k) local index of the values of each of them, in an order that the distribution has no part in.
+        order: (cells, k) local indices of each cell's values, in an order that does not depend on the distribution.
     """
 
     numbers: npt.NDArray[np.int64]
@@ -118,12 +118,12 @@ class FileOrder:
 
     @property
     def width(self) -> int:
-        """Number of places of a cell."""
+        """Number of values per cell, k."""
         return int(self.order.shape[1])
 
     @classmethod
     def by_place(cls, numbers: npt.NDArray[np.int64], indices: npt.NDArray[np.int64], x: Array) -> FileOrder:
-        """The values of a cell in the order of their places x (n, d) along a direction that no two of them share."""
+        """Order the values of each cell by the projections of their places x (n, d) on DIRECTION."""
         along = x @ np.array(DIRECTION[: x.shape[1]])
         return cls(numbers, np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1))
 
@@ -132,27 +132,29 @@ class FileOrder:
         return values[self.order].reshape(len(self.numbers), self.order.shape[1] * values.shape[1])
 
     def put(self, out: Array, rows: Array) -> None:
-        """The way back: fill (n, v)."""
+        """The inverse of `ordered`: fill `out` (n, v) from rows."""
         out[self.order.ravel()] = rows.reshape(self.order.size, out.shape[1])
 
 
-DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)  # no two points of a facet project to one
+# Irrational direction: the points of a facet have different projections on it, so that it orders them on all distributions.
+DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)
 
 
 class Part(ABC):
-    """A part of the balance of forces. Collective, as all methods are.
+    """A part of the balance of forces. All methods are collective.
 
-    A step begins with `begin`. Then unknowns are tried: `evaluate` is told the displacements (and finds its own unknowns in
-    `field`), and the others answer for them. `commit` answers once, when the step is accepted.
+    A step starts with `begin`. A solver then tries unknowns: `evaluate` gets the displacements, the part's own unknowns are
+    in `field`, and `add_forces`, `tangents` and the others refer to the last evaluation. `commit` is called once, when the
+    step is accepted.
 
     Attributes:
-        key: names the part's memory, energy and unknowns, in states and in files.
-        traits: what the part is like.
-        field: the part's own unknowns beside the displacements, as the solver has them; None if there are none.
-        failed: number of points of all ranks where the last evaluation failed.
-        K: matrix of the forces that are linear in the displacements; None if there are none.
-        cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements: rounding
-            of the displacements changes these forces by so much.
+        key: name of the part's memory, energy and unknowns, in states and in files.
+        traits: properties of the part.
+        field: the part's own unknowns beside the displacements, in the solver's units; None: there are none.
+        failed: number of points on all ranks at which the last evaluation failed.
+        K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
+        cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements. The
+            rounding of these forces is that of the displacements times this stiffness.
     """
 
     key: str
@@ -170,21 +172,21 @@ class Part(ABC):
 
     @abstractmethod
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        """Take displacements at the end of the step and where forces balance, mid = old + theta (u - old).
+        """Take the displacements u at the end of the step, and mid = old + theta (u - old), at which forces balance.
 
-        Both stay the caller's, and stay as they are until the next evaluation.
+        The caller owns both functions and leaves them unchanged until the next evaluation.
         """
 
     @abstractmethod
     def add_forces(self, out: PETSc.Vec) -> float:
-        """Add the nodal forces of the last evaluation; their size, if it says how small a residual must be, else 0."""
+        """Add the nodal forces of the last evaluation; returns their norm if the force scale shall know it, else 0."""
 
     @abstractmethod
-    def tangents(self, lack: float) -> list[Block]:
-        """Derivatives of the forces (and of `own_residual`) of the last evaluation by the unknowns at the end of the step.
+    def tangents(self, relative_residual: float) -> list[Block]:
+        """Derivatives of the forces and `own_residual`, at the last evaluation, by the unknowns at the end of the step.
 
         Args:
-            lack: norm of the last residual over the size of the forces; 0 unless a part's tangent may be singular.
+            relative_residual: norm of the last residual divided by the forces; 0 unless a tangent may be singular.
         """
 
     @abstractmethod
@@ -192,31 +194,31 @@ class Part(ABC):
         """Energies and memory at the end of the step, for the last evaluation."""
 
     def failure(self) -> str:
-        """What failed in the last evaluation, and where; "" if nothing did."""
+        """Text that says what failed in the last evaluation and where; "" if nothing did."""
         return ""
 
     # ---------------------------------------------------------------- memory, time, laws
     def rest(self) -> Array | None:
-        """Internal values (n, values) before anything happened; None of a part without memory."""
+        """Memory (n, values) at rest; None: the part has no memory."""
         return None
 
     def at_time(self, t: float) -> None:
-        """Take the parameters of a time; raises LawError if one is out of range."""
+        """Use the parameters at time t from now on. LawError: a parameter is out of range."""
 
     def parameters(self) -> list[Array]:
-        """The parameters that vary in time, as taken last, on this rank."""
+        """The parameters that vary in time, at the time of the last `at_time`, on this rank."""
         return []
 
     def ease(self, ease: float) -> None:
-        """Answer from now on as a part between this one (0) and an elastic one (1)."""
+        """From now on use the eased law; 0 is the law itself, 1 an elastic one."""
 
     @property
     def excess(self) -> float:
-        """Of columns whose phases are held, by how much another phase is lower in energy; <= 0: by nothing."""
+        """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
         return -np.inf
 
     def switch(self) -> bool:
-        """Change to the phases of lowest energy in the last evaluation; whether any changes."""
+        """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
         return False
 
     # ---------------------------------------------------------------- own unknowns
@@ -225,11 +227,11 @@ class Part(ABC):
         return np.empty(0)
 
     def own_start(self, old: State) -> Array:
-        """Own unknowns on this rank that a step from a state starts with."""
+        """Own unknowns on this rank at the start of a step from the state `old`."""
         return np.zeros(self.own_size)
 
     def own_result(self) -> fem.Function:
-        """Own unknowns of the last evaluation as the state keeps them, at the end of the step."""
+        """Own unknowns at the end of the step, in the units of the state, for the last evaluation."""
         assert self.field is not None
         return self.field.copy()
 
@@ -241,54 +243,57 @@ class Part(ABC):
         dofmap = self.field.function_space.dofmap
         return int(dofmap.index_map.size_local * dofmap.index_map_bs)
 
-    # ---------------------------------------------------------------- what is asked about it
+    # ---------------------------------------------------------------- questions
     @property
     def resists_rigid(self) -> bool:
-        """Whether a rigid motion of a whole body may bring about forces, as it does in layers and springs."""
+        """Whether a rigid motion of a whole body may cause forces, as in layers and springs."""
         return True
 
     @property
     def unchecked(self) -> Sequence[str]:
-        """Names of laws whose answers are not looked at point by point: what is not finite is seen in the sum alone."""
+        """Names of laws whose stresses are not checked point by point: NaNs are found in the summed forces only."""
         return ()
 
     @property
     def hint(self) -> str:
-        """What of this part may be why a linear solve fails, a part of a sentence."""
+        """A clause for errors: how this part may make a linear solve fail; "" if it does not."""
         return ""
 
     def undeclared_softening(self) -> tuple[str, str] | None:
-        """Name of a law that says nothing of softening and whose stress falls in the last evaluation, and where it does."""
+        """Name of a law whose stress falls in the last evaluation although it does not declare `softens`, and the place."""
         return None
 
     def takes_time(self) -> str:
-        """Name of a law whose answer depends on how long a step takes; "" if none does."""
+        """Name of a law whose response depends on the length of the step; "" if there is none."""
         return ""
 
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
-        """Name of a law that answers at once and not linearly, and whether as its parameters change at these times."""
+        """Name of a law with a non-linear instantaneous response, and whether varying parameters are the reason.
+
+        None: there is no such law.
+        """
         return None
 
-    def seen(self, u: fem.Function, forces: PETSc.Vec) -> Array:
-        """What the error of a step is measured in: strains or jumps (n,) at u, weighted so that their squares integrate.
+    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+        """Strains or jumps (n,) at u, from which the error of a step is estimated; the sum of their squares is an integral.
 
-        A part that has neither adds its nodal forces at u to `forces` instead.
+        A part without strains or jumps adds its nodal forces at u to `forces` instead.
         """
         return np.empty(0)
 
-    def seen_of_unit_jump(self) -> float:
-        """Sum of the squares that `seen` may have, about, where displacements of size 1 differ by 1 across the layer."""
+    def unit_jump_measure(self) -> float:
+        """Estimate of the sum of squares of `error_measure` for a unit jump across the layer."""
         return 0.0
 
     # ---------------------------------------------------------------- files
     @property
     def file_order(self) -> FileOrder | None:
-        """The order of the memory in files; None of a part without memory."""
+        """The order of the memory in files; None: the part has no memory."""
         return None
 
     @property
     def own_file_order(self) -> FileOrder | None:
-        """The order of the own unknowns, ghosts included, in files."""
+        """The order of the own unknowns in files, ghosts included; None: there are none."""
         return None
 
     # ---------------------------------------------------------------- end

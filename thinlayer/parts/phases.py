@@ -1,4 +1,4 @@
-"""Phases of a non-monotone layer: their shares, where they meet, and how they lie along S."""
+"""Phases of a non-monotone layer: their shares, their boundaries, and their profile along S."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NO_PHASES = "PhaseReport needs a layer whose law has phases, such as NonMonotone
 class PhaseReport:
     """Phases of the layer in a state of either model. Collective.
 
-    The phase is a number in [-1, 1]: pure phases -1, 0 and 1, in between the share of phase 1 (or -1) beside phase 0.
+    The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases; others are the share of phase 1 (or -1) beside phase 0.
 
     Attributes:
         state: the state; the layer's law, or one of a Stack, has phases (`forms.NonMonotone`).
@@ -53,7 +53,7 @@ class PhaseReport:
 
     @cached_property
     def _parts(self) -> list[tuple[Quadrature, Array, Array]]:
-        """Of every place with a law that has phases: points, phases (n,), weights (n,)."""
+        """Quadrature points, phases (n,) and weights (n,) of each law that has phases."""
         parts = []
         for key, quadrature in quadratures(self.state.model).items():
             memory = self.state.memory[key]
@@ -78,16 +78,16 @@ class PhaseReport:
 
     @property
     def boundary(self) -> float:
-        """Height above the layer's lower face where phase 0 ends if the other phases lie above it, a length.
+        """Thickness of phase 0 if the other phases lie above it, a length; the mean over S.
 
-        Of a mixture; for the bar of section 6.2 the position of the phase boundary, eps S of Eq. (47). The mean over S.
+        For the bar of section 6.2 it is the position eps S of the phase boundary, Eq. (47).
         """
         return max(1 - self.plus - self.minus, 0.0) * float(self._layer.eps) * phase_thickness(self._layer.law)
 
     def profile(self) -> tuple[Array, Array]:
         """Centres (columns, d) of the facets of S and the mean phase (columns,) of the layer there.
 
-        In the joint before inflating, in order along S in 2D, else by their coordinates, the same on all ranks.
+        Centres are those before inflating. They are ordered along S in 2D, else by coordinates, the same on all ranks.
         """
         sums = []
         for quadrature, phase, weights in self._parts:
@@ -99,7 +99,7 @@ class PhaseReport:
         return places[order], (part / whole)[order]
 
     def _order(self, places: Array) -> IntArray:
-        """Order of the facets of S with centres at these places: along S in 2D, else by their places."""
+        """Order of the facets of S with these centres: along S in 2D, else by coordinates."""
         size = float(np.ptp(self.state.model.joint.points, axis=0).max())
         return along(places, self._neighbours(places), size) if places.shape[1] == 2 else by_place(places, size)
 
@@ -117,7 +117,7 @@ class PhaseReport:
 
     @property
     def fronts(self) -> Array:
-        """Places (k, 2) on S, in 2D, between which more than half of the layer is in phase 1 or -1."""
+        """Places (k, 2) on S, in 2D, at which half of the layer is in phase 1 or -1."""
         x, phase = self.profile()
         if x.shape[1] != 2:
             raise ModelError("fronts are places on a line; in 3D look at profile()")
@@ -134,10 +134,10 @@ class PhaseReport:
 
 
 def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
-    """Fraction of the thickness and place among the internal values of each phase of a law."""
+    """Fraction of the thickness, and index among the internal variables, of each phase of a law."""
     return [(a, k) for a, one, k in memory_slots(law, "phase") if one.traits.phases]
 
 
 def phase_thickness(law: Law) -> float:
-    """Fraction of the thickness whose law has phases."""
+    """Fraction of the thickness taken by sublayers whose laws have phases."""
     return sum(a for a, one in law.sublayers if one.traits.phases)

@@ -1,4 +1,4 @@
-"""Where the compiled laws of a model act, by the keys that states and files know their memory by."""
+"""Terms and quadrature points of the compiled laws of a model, by the keys of their memory in states and files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from forms.work import Term
 from thinlayer.discretisation.model import Model
 from thinlayer.pointwise.quadrature import Quadrature
 
-LAYER = "layer"  # the key of the layer's memory; of several terms "layer 1", "layer 2", ... from below
+LAYER = "layer"  # key of the layer's memory; several terms have "layer 1", "layer 2", ... from below
 _FOUND: WeakKeyDictionary[Model, dict[str, Quadrature]] = WeakKeyDictionary()
 
 
@@ -19,7 +19,7 @@ def compiled_terms(model: Model) -> dict[str, Term]:
 
 
 def quadratures(model: Model) -> dict[str, Quadrature]:
-    """The points of compiled laws, by key; made once for a model. Collective."""
+    """The quadrature points of compiled laws, by key; made once per model. Collective."""
     if model not in _FOUND:
         _FOUND[model] = {key: Quadrature(model.V, p, model.origin) for key, p in compiled_terms(model).items()}
     return _FOUND[model]

@@ -20,16 +20,16 @@ class PressurePart(Part):
     In the meshed layer this is the pair of Taylor and Hood. On S a multiplier of degree 1 meets jumps of degree 2.
 
     Args:
-        V: displacements.
-        term: where the incompressible law acts.
-        stiffness: force over displacement that the bodies answer a node with, > 0. The rows of G are made forces with it,
-            like those of the balance: residuals of both are of one unit then.
-        origin: what files know the cells of the mesh by.
+        V: space of the displacements.
+        term: term of the incompressible law.
+        stiffness: stiffness of the bodies at a node, force per displacement, > 0. It makes the rows of G forces, so that
+            residuals of both kinds have one unit.
+        origin: original numbers of the cells of the mesh, for files.
 
     Attributes:
         region: the cells of the meshed layer, or S.
-        unit: what G is multiplied by; the unknown pressures of `field` are over it.
-        G: matrix of int q tr e(v), times the unit, pressures by displacements.
+        unit: factor of G; `field` is the pressure divided by it.
+        G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
     """
 
     key = PRESSURE
@@ -62,14 +62,14 @@ class PressurePart(Part):
     def own_residual(self) -> Array:
         return np.asarray(self._volume.array_r)
 
-    def tangents(self, lack: float) -> list[Block]:
+    def tangents(self, relative_residual: float) -> list[Block]:
         return [
             Block(self._turned, row=DISPLACEMENTS, column=self.key, kept=True),
             Block(self.G, row=self.key, column=DISPLACEMENTS, kept=True),
         ]
 
     def commit(self) -> Outcome:
-        """Pressures of a constraint that holds do no work."""
+        """As in `Part`; the pressure of a constraint does no work."""
         return Outcome(kept=False)
 
     def own_start(self, old: State) -> Array:
@@ -77,7 +77,7 @@ class PressurePart(Part):
         return super().own_start(old) if p is None else p.x.array[: self.own_size] / self.unit
 
     def own_result(self) -> fem.Function:
-        """The pressure at the end of the step; the balance of forces has the one at t + theta dt."""
+        """The pressure at the end of the step; `field` is the one at old.t + theta dt."""
         p, old, theta = self._p.copy(), self.interval.old.fields.get(self.key), self.interval.theta
         p.x.array[:] *= self.unit
         if theta < 1 and old is not None:

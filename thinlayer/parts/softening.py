@@ -1,4 +1,4 @@
-"""Where the stress of a law that is a part of forms falls as jumps grow, though the law says nothing of softening."""
+"""Finds laws in UFL forms whose stress falls as jumps grow although they do not declare `softens`."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from forms.work import Term
 from thinlayer.discretisation.model import Model
 from thinlayer.pointwise.quadrature import quadrature_degree
 
-FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
-TINY = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
+FALLING = 1e-3  # least negative slope that is no rounding, relative to the size of the tangent or of the changes
+TINY = np.finfo(float).tiny / np.finfo(float).eps ** 2  # smaller tangents may have lost digits by underflow
 
 
 def may_soften(law: BulkLaw) -> bool:
-    """Whether a law is asked if its stress falls.
+    """Whether the stress of a law is tested for softening.
 
-    Not those that say so, are linear or not symmetric, have a rate, bound stresses or switch phases: theirs fall for other
-    reasons, or never.
+    Laws are not tested if they declare `softens`, are linear or not symmetric, have a rate, bound stresses or switch
+    phases: their stress falls for other reasons, or never.
     """
     return not (
         law.traits.softens
@@ -37,16 +37,16 @@ def may_soften(law: BulkLaw) -> bool:
 
 
 class Softening:
-    """The layer's laws in forms that may soften. Collective, as all methods are."""
+    """The layer's laws in UFL forms that may soften. All methods are collective."""
 
     def __init__(self, model: Model) -> None:
         self.comm: MPI.Intracomm = model.comm
-        asked = [p for p in model.layer_terms if not p.law.traits.compiled and may_soften(p.law)]
+        tested = [p for p in model.layer_terms if not p.law.traits.compiled and may_soften(p.law)]
         self._u, self._old = fem.Function(model.V), fem.Function(model.V)
-        self._places = [_Place.of(p, model, self._u, self._old) for p in asked]
+        self._places = [_Place.of(p, model, self._u, self._old) for p in tested]
 
     def found(self, u: fem.Function, old: fem.Function) -> tuple[str, float]:
-        """Name of a law whose stress falls at displacements u, or since old ones, and its share of the layer; or ""."""
+        """Name of a law whose stress falls at displacements u or since `old`, and the share of its points; "": none."""
         for place in self._places:
             self._u.x.array[:], self._old.x.array[:] = u.x.array, old.x.array
             if share := place.share(self.comm):
@@ -56,11 +56,12 @@ class Softening:
 
 @dataclass(frozen=True)
 class _Place:
-    """A law's points.
+    """The region of a law.
 
     Attributes:
         name: class of the law.
-        falls: form whose value is the measure of where stresses fall; of all of the layer, where `everywhere` is 1.
+        falls: form whose value is the size of the region where stresses fall.
+        everywhere: constant in `falls`; 1: the form's value is the size of the whole region.
     """
 
     name: str
@@ -85,9 +86,10 @@ class _Place:
 
 
 def falling(p: Term, u: Any, old: Any) -> Any:
-    """UFL condition: a jump v has a negative form v.A.v of the tangent on sym(v (x) n), or stresses fell since old ones.
+    """UFL condition: the stress falls for a jump in some direction, or has fallen since displacements `old`.
 
-    A + FALLING |A| I is not positive definite where one of its leading minors is negative; NaNs fulfil no condition.
+    A is the tangent of the traction with respect to jumps. A + FALLING |A| I is not positive definite if one of its leading
+    minors is negative. NaNs fulfil no condition.
     """
     assert p.n is not None
     e = ufl.variable(p.strain(u))

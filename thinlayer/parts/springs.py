@@ -21,18 +21,18 @@ from thinlayer.parts.part import Array, Block, Outcome, Part
 
 @dataclass(frozen=True)
 class Springs(Addition):
-    """Springs between a part of the outer boundary and a base that does not move: t = -k_N u_N - k_T u_T.
+    """Springs between a facet set of the outer boundary and a base that does not move: t = -k_N u_N - k_T u_T.
 
-    They hold the bodies: a structure on springs needs no supports. The side of a meshed layer has a name of its own,
-    "NAME/LAYER", and has no springs unless it is named.
+    A structure on springs needs no supports. The side of a meshed layer has another name, "NAME/LAYER", and gets springs
+    only under that name.
 
     Attributes:
         place: name of a facet set on the outer boundary.
         normal, tangential: stiffness k_N across and k_T along the boundary, stress per length; >= 0, not both 0.
-        key: names their energy, "springs NAME".
+        key: name of their energy, "springs NAME".
 
     Raises:
-        ModelError: a stiffness out of range. Once a model is made: facets that are not there, or lie inside.
+        ModelError: a stiffness out of range. When a model is made: an unknown or empty facet set, or inner facets.
     """
 
     place: str
@@ -50,7 +50,7 @@ class Springs(Addition):
         object.__setattr__(self, "key", f"springs {self.place}")
 
     def check(self, model: Host) -> None:
-        """Raise ModelError or GeometryError unless the boundary is there, and outside."""
+        """Raise ModelError or GeometryError unless the facet set exists and lies on the outer boundary."""
         if not isinstance(self.place, str):
             raise ModelError(f"springs on {self.place!r}: a place is the name of a facet set")
         if not model.domain.values(self.place):
@@ -65,7 +65,7 @@ class Springs(Addition):
         return (across + self.tangential * ufl.inner(u, v)) * model.ds(model.domain.values(self.place))
 
     def part(self, model: Host) -> Part:
-        """The part of a model. Collective."""
+        """The springs as a part of a model's balance. Collective."""
         return SpringPart(self, model)
 
 
@@ -87,7 +87,7 @@ class SpringPart(Part):
         out.axpy(1.0, self._forces)
         return float(self._forces.norm())
 
-    def tangents(self, lack: float) -> list[Block]:
+    def tangents(self, relative_residual: float) -> list[Block]:
         return [Block(self._K, self.interval.theta, kept=True)]
 
     def commit(self) -> Outcome:
@@ -101,10 +101,10 @@ class SpringPart(Part):
         self._K.mult(u, self._forces)
         return float(u.dot(self._forces)) / 2
 
-    def seen(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
         self._K.mult(u.x.petsc_vec, self._forces)
         forces.axpy(1.0, self._forces)
-        return super().seen(u, forces)
+        return super().error_measure(u, forces)
 
     def destroy(self) -> None:
         for thing in (self._K, self._forces, self._change):

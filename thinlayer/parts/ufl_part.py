@@ -1,4 +1,4 @@
-"""A UFL form of one's own, as a part of the balance of forces."""
+"""A user's own UFL form, as a part of the balance of forces."""
 
 from __future__ import annotations
 
@@ -21,26 +21,25 @@ from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.part import Outcome, PartTraits
 
-ASYMMETRY = 1e-12  # difference of a matrix from its transpose, over its norm, that still counts as rounding
+ASYMMETRY = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding
 
 
 @dataclass(frozen=True)
 class UflPart(Addition):
-    """Forces that a UFL form gives: by their virtual work, or by the energy that they derive from.
+    """Forces given by a UFL form: their virtual work, or their energy.
 
-    UFL finds the derivatives. The form is taken where forces balance, at the displacements of t + theta dt. Give an energy
-    where there is one: the tangent is symmetric then, and the audit of a step has the energy. Forces that are given by
-    their work have a tangent that is not taken for symmetric, and no energy (NaN) unless they are linear and their matrix
-    is symmetric.
+    UFL finds the derivatives. The form is evaluated at the displacements at old.t + theta dt. If there is an energy, give
+    it: the tangent is then symmetric, and the audit of a step contains the energy. Otherwise the tangent counts as not
+    symmetric, and the energy is NaN unless the forces are linear with a symmetric matrix.
 
     Attributes:
         virtual_work: function (u, v, model) -> the virtual work at displacements u, a form linear in v; `model.dx` and
             `model.ds` are measures, and `model.domain.values(name)` the tags of a boundary.
-        energy: function (u, model) -> the stored energy, a form without v. One of both is given.
-        key: names the part in `State.energies`.
+        energy: function (u, model) -> the stored energy, a form without v. Give either `virtual_work` or `energy`.
+        key: name of the part in `State.energies`.
 
     Raises:
-        ModelError: neither function, or both. Once a model is made: what is no such form.
+        ModelError: neither function, or both. When a model is made: a function does not return such a form.
     """
 
     virtual_work: Callable[[Any, Any, Any], Any] | None = None
@@ -69,7 +68,7 @@ class UflPart(Addition):
         if not all(has_finite_numbers(integral.integrand()) for integral in form.integrals()):
             raise ModelError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
         if model.coordinates.t in form.constants():
-            raise ModelError(f"{what} depends on the time; what does is a load, or a support")
+            raise ModelError(f"{what} depends on the time; only loads and supports may")
         if form.arguments() != arguments or not _has_arity(form):
             raise ModelError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
 
@@ -91,12 +90,12 @@ class UflPart(Addition):
         return self.energy is not None
 
     def part(self, model: Host) -> FormPart:
-        """The part of a model. Collective."""
+        """The form as a part of a model's balance. Collective."""
         return _OwnForms(self, model)
 
 
 class _OwnForms(FormPart):
-    """The forces of a `UflPart`: those of a matrix, or others."""
+    """The forces of a `UflPart`: a matrix if they are linear, else a form."""
 
     traits = PartTraits(saddle=True)
 
@@ -124,10 +123,10 @@ class _OwnForms(FormPart):
 
 
 def _has_arity(form: Any) -> bool:
-    """Whether a form is linear in each of its arguments, and none of its terms is without one of them."""
+    """Whether a form is linear in each of its arguments, and each of its terms contains all of them."""
     try:
         check_form_arity(apply_algebra_lowering(expand_derivatives(form)), form.arguments())
-    except (ArityMismatch, ValueError):  # UFL fails to say which terms of a sum do not match
+    except (ArityMismatch, ValueError):  # UFL raises ValueError for sums whose terms differ
         return False
     return True
 

@@ -1,1 +1,1 @@
-"""Laws that act at points: compiled, on arrays of quadrature points of the meshed layer and of S."""
+"""Compiled laws on arrays of quadrature points of the meshed layer and of S."""

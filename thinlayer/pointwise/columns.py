@@ -1,4 +1,4 @@
-"""Columns of the layer: facets of S, in the meshed layer with the cells that stand on them."""
+"""Columns of the layer: facets of S, and in the meshed layer the cells above each of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 Array = npt.NDArray[np.float64]
-TIE = 1e-11  # excess of a phase that another one beats by rounding alone
+TIE = 1e-11  # largest excess that counts as rounding: the phase stays
 
 
 class Columns:
@@ -26,7 +26,9 @@ class Columns:
 
     def sum_of(self, values: Array) -> Array:
         """Sums (columns,) of values at the points, the same on all ranks."""
-        sums: Array = np.bincount(self.of, values, len(self.centres)).astype(float)  # of no points: integers
+        sums: Array = np.bincount(self.of, values, len(self.centres)).astype(
+            float
+        )  # bincount of no points gives integers
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
@@ -36,7 +38,7 @@ class Columns:
 
 
 class Switching:
-    """The phases of a law whose columns switch, read from its internal values and changed there."""
+    """Reads and changes the phases of columns in the internal values of a law that switches."""
 
     def __init__(self, law: Any, columns: Columns | None = None) -> None:
         self.law, self.columns = law, columns
@@ -47,10 +49,10 @@ class Switching:
         if not self.columns:
             return values
         phase, drive, bound = map(self.columns.mean, values)
-        return [np.rint(phase), drive, bound]  # the mean of equal numbers is rounded
+        return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def excess(self, memory: Array) -> float:
-        """Largest excess of a column: by how much the energy of another phase is lower, over C. Collective."""
+        """Largest excess of all columns: energy of the phase less that of the best other phase, over C. Collective."""
         return float(self.law.excess(*self._of_columns(memory)).max(initial=-np.inf))
 
     def switched(self, memory: Array, old: Array) -> Array | None:
@@ -58,7 +60,7 @@ class Switching:
 
         Args:
             memory: internal values at the equilibrium that was found with the phases held.
-            old: those at the beginning of the step, with these phases.
+            old: internal values at the beginning of the step, with these phases.
         """
         before = self._of_columns(memory)
         after = np.where(self.law.excess(*before) > TIE, self.law.switched(*before), before[0])

@@ -19,15 +19,17 @@ from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import Origin, Quadrature
 
-ROUNDED = np.finfo(float).tiny / np.finfo(float).eps ** 2  # tangents below may come of numbers that have lost digits
-FALLING = 1e-3  # of a tangent's size, or of changes: that much below zero is no rounding
-MOMENT = np.finfo(float).eps  # part of a step in which nothing happens
-LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # parts of the tangent at rest that are added to one that may vanish
+UNDERFLOW = (
+    np.finfo(float).tiny / np.finfo(float).eps ** 2
+)  # size of a tangent below which underflow may have cost digits
+FALLING = 1e-3  # stresses fall if an eigenvalue, or the work of changes, is below minus this share of its size
+MOMENT = np.finfo(float).eps  # fraction of a step that is too short for any change
+LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # bounds of the share of the rest tangent added to a singular one
 
 
 @dataclass(frozen=True)
 class Response:
-    """What a law answers at the points of this rank.
+    """Response of a law at the points of this rank.
 
     Attributes:
         stress: (points, m), at t + theta dt.
@@ -48,16 +50,16 @@ class Response:
         """Largest difference between the tangent at a point of this rank and its transpose, over its size."""
         C = self.tangent
         apart, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
-        regular = np.isfinite(apart) & (size > ROUNDED)
+        regular = np.isfinite(apart) & (size > UNDERFLOW)
         return float((apart[regular] / size[regular]).max(initial=0.0))
 
 
 class CompiledTerm(Quadrature):
-    """Points where one compiled law acts. Collective.
+    """A term whose compiled law is run at quadrature points. Collective.
 
     Attributes:
         material: the compiled law.
-        switching: of a law whose phases are held in a solve and switched after it; else None.
+        switching: for a law whose phases are fixed in a solve and switch after it; else None.
     """
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
@@ -92,7 +94,7 @@ class CompiledTerm(Quadrature):
         return self._strain.array_r.reshape(self.count, len(self.slots)).copy()
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
-        """The law's answer to strains e after e_old and the internal values `memory`."""
+        """Response of the law to strains e after strains e_old and internal values `memory`."""
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
         total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
         return Response(s, C, new, total, failed)
@@ -103,7 +105,7 @@ class CompiledTerm(Quadrature):
         return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
-        """What is not finite at the first point of this rank where the law failed, and where that is; "" if it did not."""
+        """Message on the first point of this rank where the law failed; "" if there is none."""
         at = np.flatnonzero(np.isnan(response.stress[:, 0]))[:1]
         if not len(at):
             return ""
@@ -114,8 +116,8 @@ class CompiledTerm(Quadrature):
     def falls(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
         """Number of this rank's points where stresses fall as the layer opens or slips, at strains e or since e_old.
 
-        Jumps v make the strains sym(v (x) n): stresses fall where the tangent's form is negative for one of them, or, of a
-        law that remembers nothing, where the work of the change of stress on the change of strain is.
+        Stresses fall where the tangent is negative for a strain sym(v (x) n) of some jump v, or, for a law without memory,
+        where the change of stress does negative work on the change of strain.
         """
         law, m = self.term.law, len(self.slots)
         v = np.eye(3)[: self.dim]
@@ -125,7 +127,7 @@ class CompiledTerm(Quadrature):
         N = np.stack(rows, axis=-1).reshape(self.count, len(v), m)
         A = N @ response.tangent @ N.swapaxes(1, 2)
         size = np.abs(A).max(axis=(1, 2), initial=0.0)
-        known = np.isfinite(size) & (size > ROUNDED)
+        known = np.isfinite(size) & (size > UNDERFLOW)
         down = np.zeros(self.count, bool)
         down[known] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[known] / 2)[:, 0] < -FALLING * size[known]
         if not (law.internal or law.traits.varies):
@@ -136,11 +138,11 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(down))
 
     def ease(self, ease: float) -> None:
-        """Let the law answer from now on with an ease, see `BulkLaw.eased`; 0: the law itself."""
+        """Use the law with this ease from now on, see `BulkLaw.eased`; 0: the law itself."""
         self.material.take(self.term.law.eased(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:
-        """Let the law answer from now on with its parameters at a time. Collective.
+        """Use the law's parameters at this time from now on. Collective.
 
         Raises:
             LawError: parameters out of range, on all ranks.
@@ -156,13 +158,13 @@ class CompiledTerm(Quadrature):
             raise LawError(problem)
 
     def _tangent_at_rest(self) -> Array:
-        """Tangents (points, m, m) before anything happened; collective where parameters vary."""
+        """Tangents (points, m, m) at rest; collective where parameters vary."""
         none = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
         return self.respond(none, none, self.rest(), 0.0, 1.0).tangent
 
     def _regular(self, tangent: Array, lack: float) -> Array:
-        """The tangents, with a small part of that at rest added where they have changed."""
+        """The tangents, plus a small share of the tangent at rest where they differ from it."""
         if self._at_rest is None:
             return tangent
         part = min(max(lack, LEAST_STIFFNESS), MOST_STIFFNESS)
@@ -170,7 +172,7 @@ class CompiledTerm(Quadrature):
         return tangent + part * self._at_rest * (change > 1e-9 * size)[:, None, None]
 
     def rest(self) -> Array:
-        """Internal values before anything happened."""
+        """Internal values at rest."""
         return np.zeros((self.count, self.material.memory))
 
     def forces(self, stress: Array) -> PETSc.Vec:
@@ -183,9 +185,9 @@ class CompiledTerm(Quadrature):
     def stiffness(self, tangent: Array, lack: float = 0.0) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.
 
-        A tangent that may vanish (`Traits.singular`) gets a small part of that at rest, the more the larger the residual
-        over the forces, `lack` (Levenberg and Marquardt): cells through the meshed layer that share a strain in any way
-        they like would leave the matrix singular. What is found is the law's own equilibrium.
+        If the tangent may be singular (`Traits.singular`), a small share of the tangent at rest is added, which grows with
+        the residual over the forces, `lack` (Levenberg-Marquardt). Without it the matrix is singular where cells through
+        the meshed layer can share a strain in several ways. The equilibrium that is found does not change.
         """
         m, rows = len(self.slots), self.count * len(self.slots)
         first = self.B.getOwnershipRange()[0]

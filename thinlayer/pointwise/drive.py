@@ -21,18 +21,18 @@ from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint, Materi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointHistory:
-    """What a law did at a point, a row for each step; components in the frame of S, tangential ones, then the normal one.
+    """Response of a law at a point, one row for each step; components in the frame of S, tangential ones first.
 
     Attributes:
         n: (d,) unit normal.
         t: (steps,) time at the end of the step.
         jumps: (steps, d) at the end of the step.
         tractions: (steps, d) at t + theta dt, where balance holds.
-        stress: (steps, 3, 3) likewise, in the axes of n; all components, also those that S does not see.
+        stress: (steps, 3, 3) likewise, in the axes of n; with the in-plane components, which do not act on S.
         memory: (steps, values) internal values at the end of the step, in the law's order (tensors in Mandel's).
-        energies: (steps, 3) per area of S: stored at the end, dissipated in the step, what the time scheme adds to the
-            balance of the step; NaN if the law declares no energy.
-        parts: (steps,) number of parts in which the step was taken.
+        energies: (steps, 3) per area of S: stored at the end, dissipated in the step, error of the time scheme in
+            the balance of the step; NaN if the law declares no energy.
+        parts: (steps,) number of parts that the step was divided into.
     """
 
     n: Array
@@ -70,23 +70,23 @@ def drive(
 ) -> PointHistory:
     """Drive the interface law of a layer, of order 0, from rest along a path.
 
-    Each step says of every component of S either the jump at its end or the traction (at t + theta dt):
-    `[{"w_T": 0.01, "t_N": -1.0}, ...]`, in 3D with T1 and T2 for T, the axes of `Surface.frame`. A step whose tractions are
-    not found is halved, again and again.
+    Each step prescribes for every component either the jump at its end or the traction at t + theta dt:
+    `[{"w_T": 0.01, "t_N": -1.0}, ...]`, in 3D with T1 and T2 for T, the axes of `Surface.frame`. A step that does not
+    converge is halved repeatedly.
 
     Args:
         law: any law of a layer, parameters per thickness (`law.per_thickness(eps)` converts real ones); a Stack too.
         steps: the path.
         n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
         dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.
-            May be left out for laws that do not depend on it.
-        theta: 1 (backward Euler) down to 1/2 (midpoint rule): for laws that creep or relax. With others the tractions hold
-            within the steps, and jumps at their ends swing about the path; `march` refuses that.
+            Optional for laws that do not depend on it.
+        theta: 1 (backward Euler) down to 1/2 (midpoint rule): for laws that creep or relax. With other laws tractions
+            balance within the steps, and jumps at their ends oscillate about the path; `march` refuses that.
 
     Raises:
-        ModelError: a path that leaves a component free or asks for two things; no dt where the law depends on it; other
+        ModelError: a path that prescribes nothing or both values for a component; no dt where the law depends on it; other
             input out of range.
-        SolveError: tractions that the law does not bear; `history` has the steps before.
+        SolveError: tractions beyond the strength of the law; `history` has the steps before.
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise ModelError(
@@ -151,12 +151,12 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     s = (1 - b) / (a * a + c * c) if b < 0 and a * a + c * c > 0 else 1 / (1 + b) if b >= 0 else 2.0
     first, last = [1 - s * a * a, -a, -s * a * c], [-s * a * c, -c, 1 - s * c * c]
     if b < -1 + 1e-12:  # n = -e_2: half a turn about the third axis
-        first, last = [-1.0, -a, 0.0], [0.0, c, 1.0]  # normal to n as far as rounding goes
+        first, last = [-1.0, -a, 0.0], [0.0, c, 1.0]  # normal to n up to rounding
     return normal, np.array([first, last, normal]).T
 
 
 def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
-    """Of a step of the path: which components have a prescribed jump, (d,), and the values, (d,)."""
+    """(d,) whether each component of a step has a prescribed jump, and (d,) the prescribed values."""
     names = COMPONENTS[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
     if not isinstance(step, Mapping):

@@ -6,8 +6,8 @@ then a C function of two arrays of numbers,
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
     out: stress (6), q_new, tangent (36), energies (3)
 
-in Mandel's order. `points.c` calls them point by point, and solves the local problem of a `Stack`. Numbers stay out of the
-compiled code: a law is compiled once, whatever its parameters and its thickness.
+in Mandel's order. `response.c` calls them point by point, and solves the local problem of a `Stack`. Numbers stay
+out of the compiled code: a law is compiled once, whatever its parameters and its thickness.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from forms.trace import Symbolic, key, named, require_numbers_alone, symbolic, u
 from thinlayer.compiling.compiled import SourceError, library
 
 Array = npt.NDArray[np.float64]
-ARGUMENTS = 7  # of the C functions that FFCx writes; fewer in older releases, which ignore the rest
+ARGUMENTS = 7  # number of arguments of FFCx's C functions; older releases have fewer, and ignore the rest
 FIXED_IN, FIXED_OUT = 6 + 6 + 3 + 2, 6 + 36 + 3
 C_KERNEL = "int{}(double *out, const void *, const double *in)"
 
@@ -43,12 +43,12 @@ class Kernel:
     """One law at one point, compiled.
 
     Attributes:
-        address: of the C function.
+        address: address of the C function.
         memory: number of internal values.
         parameters: real parameters, one after the other.
-        fraction: of the thickness.
-        otherwise: address of the function that answers where this one gives NaN; 0 if there is none.
-        keep: what must live as long as the addresses are used.
+        fraction: share of the thickness.
+        otherwise: address of the function that is called where this one gives NaN; 0 if there is none.
+        keep: objects that must live as long as the addresses are used.
     """
 
     address: int
@@ -84,7 +84,7 @@ def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
 
 
 def _require_substitute(law: BulkLaw, other: Any) -> None:
-    """Raise LawError unless a law can answer for another one: from the same numbers, in the same places."""
+    """Raise LawError unless the law `otherwise` has the same parameters and internal values, in the same order."""
     name, kind = type(law).__name__, type(other).__name__
     if not isinstance(other, BulkLaw) or other.sublayers[0][1] is not other:
         raise LawError(
@@ -111,7 +111,7 @@ def _require_substitute(law: BulkLaw, other: Any) -> None:
 
 
 def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
-    """Of each sublayer with a scalar internal variable of this name: fraction, law, place among internal values."""
+    """Fraction, law and index of the internal value of each sublayer with a scalar internal variable of this name."""
     start, found = law.memory - sum(one.memory for _, one in law.sublayers), []
     for fraction, one in law.sublayers:
         if one.internal.get(name) == ():
@@ -122,7 +122,7 @@ def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED: dict[Any, tuple[int, Any]] = {}  # by what is computed; this package's laws also by name
+_COMPILED: dict[Any, tuple[int, Any]] = {}  # by key of the equations; this package's laws also by name
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
@@ -148,7 +148,7 @@ def _compiled(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
 
 
 class _Outputs(NamedTuple):
-    """What a law answers at a point, UFL: stress (6,), 0 or NaN where it does not hold, internal values, energies (3)."""
+    """Outputs of a law at a point, UFL: stress (6,), 0 or NaN where it does not hold, internal values, energies (3)."""
 
     stress: Expr
     failing: Expr
@@ -161,10 +161,10 @@ class _Outputs(NamedTuple):
 
 
 def _outputs(law: BulkLaw, point: Symbolic) -> _Outputs:
-    """What a law answers to symbols.
+    """Outputs of a law for symbols.
 
     Raises:
-        LawError: a law that fails, gives something else than it must, or decides by a number.
+        LawError: the law fails, returns wrong shapes, or compares numbers in Python.
     """
     one, step = point.law, point.step
     told, advances = law.methods
@@ -187,7 +187,7 @@ def _outputs(law: BulkLaw, point: Symbolic) -> _Outputs:
 
 
 def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
-    """A vector of the outputs and the tangent, of one Constant with all inputs."""
+    """A vector of the outputs and the tangent, a function of one Constant with all inputs."""
     tangent = ufl.diff(outputs.stress, point.strain)
     rows = [outputs.stress[i] for i in range(6)]
     rows[0] += outputs.failing
@@ -235,7 +235,7 @@ def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, Any]:
 
 
 def _rehearse(law: KernelLaw, parameters: Array) -> None:
-    """Call the kernel once, uncompiled, at rest: mistakes have clear messages there, and indices are checked."""
+    """Call the kernel once, uncompiled, at rest: Python has clear messages, and checks indices."""
     name = type(law).__name__
     kernel = getattr(law, "kernel", None)
     if kernel is None:
@@ -269,8 +269,8 @@ def _compiled_by_numba(law: Any, n_parameters: int) -> tuple[int, Any]:
 
 
 def written(thing: Any, names: tuple[str, ...] = (), within: tuple[Any, ...] = ()) -> Any:
-    """What a function is made of, hashable: its code, and the values of what it names, which numba takes for constants."""
-    thing = getattr(thing, "py_func", thing)  # of what numba has compiled
+    """Identity of a function, hashable: its code, and the values of its globals, which numba takes as constants."""
+    thing = getattr(thing, "py_func", thing)  # the Python function behind numba's
     if isinstance(thing, np.ndarray):
         return thing.dtype.str, thing.shape, thing.tobytes()
     if isinstance(thing, (tuple, list)):
@@ -288,7 +288,7 @@ def written(thing: Any, names: tuple[str, ...] = (), within: tuple[Any, ...] = (
 
 
 def _names(code: CodeType) -> tuple[str, ...]:
-    """Names of globals and attributes in a function, and in those that it defines."""
+    """Names of globals and attributes in a function and in its inner functions."""
     inner = [name for part in code.co_consts if isinstance(part, CodeType) for name in _names(part)]
     return *code.co_names, *inner
 

@@ -39,9 +39,9 @@ class Material:
         self.memory = int(self._memories.sum()) + (3 * layers if layers > 1 else 0)
 
     def take(self, law: BulkLaw) -> None:
-        """Answer from now on with the parameters of another law of the same kind; nothing is compiled.
+        """Use the parameters of another law of the same kind from now on; nothing is compiled.
 
-        Where they vary, from the next `take_at` on.
+        Varying parameters are used from the next `take_at` on.
 
         Raises:
             ModelError: a law of another kind, or parameters of another shape.
@@ -64,10 +64,10 @@ class Material:
         return np.split(self.parameters, np.cumsum(self._counts)[:-1], axis=-1)
 
     def take_at(self, x: Array, t: float) -> None:
-        """Answer from now on with the parameters at places x (d, points), in the joint before inflating, and a time.
+        """Use from now on the parameters at places x (d, points), in the joint before inflating, and at a time.
 
         Raises:
-            LawError: parameters out of range at one of them, or that the law gives in another form.
+            LawError: parameters out of range at one of them, or of the wrong shape.
         """
         columns = []
         for _, law in self._current.sublayers:
@@ -113,7 +113,7 @@ class Material:
                 raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
-        in_plane = m < 6  # laws that another one answers for are closed forms of plane strain
+        in_plane = m < 6  # laws with `otherwise` are closed forms of plane strain
         addresses = self._addresses if in_plane else np.where(self._others, self._others, self._addresses)
         law = self._given(
             addresses, self._others, self._memories, self._counts, self._fractions, self.parameters.ravel()
@@ -153,7 +153,7 @@ def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
 
 
 def _kinds(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
-    """Class of each sublayer, and what it declares beside its parameters: that is in the compiled code."""
+    """Class and choices of each sublayer, which determine its compiled code."""
     kinds: list[tuple[type[BulkLaw], str]] = []
     for _, one in law.sublayers:
         kinds.append((type(one), repr(one.choices())))

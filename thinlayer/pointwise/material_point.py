@@ -15,11 +15,12 @@ from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 
 COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}
-ITERATIONS, SHORTENINGS = 60, 25  # of Newton's method, and of each of its steps
-SMALLEST = 2.0**-10  # part of a step
-FARTHEST = 2.0**25  # that tractions are looked for along a singular tangent, in elastic steps
-EXACT, ENOUGH = 1e-12, 1e-9  # of the tractions: what is asked for, what will do where it cannot be reached
-ROUNDING, STEEP = 1e-15, 1e3  # the least change of a jump; steps are next to nothing up to so many of them
+ITERATIONS, SHORTENINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step
+LEAST_PART = 2.0**-10  # smallest part of a step before the path fails
+FARTHEST = 2.0**25  # longest search along a singular tangent, in elastic steps
+TOLERANCE, LOOSE_TOLERANCE = 1e-12, 1e-9  # relative error of tractions: wanted; accepted if Newton's method stagnates
+ROUNDING = 1e-15  # least relative change of a jump
+STEEP = 1e3  # Newton steps shorter than this many least changes are dominated by rounding
 
 
 class MaterialPointState(NamedTuple):
@@ -42,14 +43,14 @@ class MaterialPoint:
         self.material = Material(MPI.COMM_SELF, law)
         self.switching = Switching(law) if law.traits.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
-        # strain of each component of the jump, (6, d): e = E w, and by virtue of power t = E^T stress
+        # (6, d), strain of a unit jump in each component: e = E w, t = E^T stress
         outer = np.einsum("ia,j->aij", axes, self.n3)
         pairs = (outer + np.swapaxes(outer, 1, 2)) / 2
         self.E = np.stack([pairs[:, i, j] * (1.0 if i == j else ROOT2) for i, j in MANDEL])
         self.stiffness = 0.0  # largest entry of a tangent so far
 
     def rest(self) -> MaterialPointState:
-        """The law before anything happened."""
+        """The law at rest."""
         d = len(self.n)
         none = np.zeros(d)
         return MaterialPointState(
@@ -69,7 +70,7 @@ class MaterialPoint:
         return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
 
     def depends_on_time(self, old: MaterialPointState, now: MaterialPointState) -> bool:
-        """Whether a step from one state to the jump of another has other answers if it takes longer."""
+        """Whether the response to a step from one state to the jump of another depends on its duration."""
         short, long = (self._respond(old, now.w, dt) for dt in (1.0, 2.0))
         if short is None or long is None:
             return short is not long
@@ -85,7 +86,7 @@ class MaterialPoint:
             found = self._settled(state, held, aim, part * dt)
             if found is None:
                 part /= 2
-                if part < SMALLEST:
+                if part < LEAST_PART:
                     raise SolveError(self._stuck(state, held, done))
                 continue
             state, done, parts = found, done + part, parts + 1
@@ -95,7 +96,7 @@ class MaterialPoint:
         return state._replace(energies=spent), parts
 
     def _settled(self, old: MaterialPointState, held: Array, aim: Array, dt: float) -> MaterialPointState | None:
-        """The state after a part of a step, in phases that no other one beats; None if it is not found."""
+        """The state after a part of a step, after all switches of phases; None if it is not found."""
         while True:
             found = self._solve(old, held, aim, dt)
             if found is None or self.switching is None:
@@ -121,11 +122,11 @@ class MaterialPoint:
     def _solve(self, old: MaterialPointState, held: Array, goal: Array, dt: float) -> MaterialPointState | None:
         """Newton's method for the components whose traction is prescribed; None if it does not converge.
 
-        Where the tangent is singular (at a limit, or where an open layer is to close), it goes along what the tractions
-        lack, farther each time.
+        Where the tangent is singular (at a limit, or where an open layer is to close), the jump moves in the direction of
+        the missing traction, farther each time.
         """
         free, farther = np.logical_not(held), 1.0
-        self._respond(old, old.w, dt)  # for its stiffness
+        self._respond(old, old.w, dt)  # sets self.stiffness
         now = self._respond(old, np.where(held, goal, old.w), dt)
         for _ in range(ITERATIONS):
             if now is None or farther > FARTHEST:
@@ -133,7 +134,7 @@ class MaterialPoint:
             left = goal[free] - now.traction[free]
             lack = np.abs(left).max(initial=0.0)
             scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
-            if lack <= EXACT * scale:
+            if lack <= TOLERANCE * scale:
                 return now
             slope, found = now.tangent[np.ix_(free, free)], None
             if np.linalg.cond(slope) < 1e13:
@@ -144,7 +145,7 @@ class MaterialPoint:
                     found = self._out_of_rounding(old, now, free, goal, step, dt)
             if found is now:
                 return now
-            if found is None and lack <= ENOUGH * scale:
+            if found is None and lack <= LOOSE_TOLERANCE * scale:
                 return now
             if found is None:
                 found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, lack)
@@ -155,10 +156,11 @@ class MaterialPoint:
     def _out_of_rounding(
         self, old: MaterialPointState, now: MaterialPointState, free: Array, goal: Array, step: Array, dt: float
     ) -> MaterialPointState | None:
-        """A closer state where the slope is next to infinite, as a dashpot's at rest: a step is nothing beside the jump.
+        """A state with a smaller error where the tangent is almost infinite, as for a dashpot at rest.
 
-        Steps grow from the least that changes the jump. `now` if that one changes the tractions by more than they lack:
-        nothing but rounding is left. None if no step helps, or if the slope is not like that.
+        Newton steps are then lost in the rounding of the jump; steps here grow from the least change of the jump. Returns
+        `now` if already this least change alters the tractions by more than their error: only rounding is left. Returns
+        None if no step helps, or if the tangent is not that large.
         """
         size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
         lack = np.abs(goal[free] - now.traction[free]).max()
@@ -186,7 +188,7 @@ class MaterialPoint:
         dt: float,
         bound: float,
     ) -> MaterialPointState | None:
-        """A state on the way from `now` whose tractions lack no more than the bound; None if there is none."""
+        """A state between `now` and a step whose error of tractions is within the bound; None if there is none."""
         for shortening in range(SHORTENINGS):
             w = now.w.copy()
             w[free] += 0.5**shortening * direction

@@ -29,14 +29,14 @@ KINDS = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """What a mesh was made from: a joint, before it was inflated and distributed over ranks.
+    """Relation of a mesh to the joint it was made from, before inflating and distributing.
 
     Attributes:
-        comm: communicator for the terms' own messages.
+        comm: communicator for messages of the terms.
         x: (d,) UFL coordinates in the joint.
         numbers: dimension, local cells or facets -> their numbers in the joint.
-        columns: gives the column of each cell (-1 outside the layer) or facet of the joint, and the columns' centres
-            (columns, d).
+        columns: function that returns the column of each cell (-1 outside the layer) or facet of the joint, and the
+            centres (columns, d) of the columns.
     """
 
     comm: MPI.Intracomm
@@ -51,7 +51,7 @@ class Region:
     Attributes:
         measure: dx, ds or dS, for all its entities or for those with some tags.
         parent_mesh: the mesh it is a part of.
-        mesh: the cells or facets that the measure integrates over, ghosts included.
+        mesh: submesh of the cells or facets of the measure, ghosts included.
         dim: dimension of its cells.
         parent: local number in `parent_mesh` of each cell of `mesh`.
         maps: entity maps for fem.form.
@@ -68,7 +68,7 @@ class Region:
         self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
 
     def side(self, f: Expr) -> Expr:
-        """A function on `mesh` as the measure's integrands need it."""
+        """A function on `mesh`, restricted as integrands of the measure require."""
         return f("+") if self.measure.integral_type() == "interior_facet" else f
 
 
@@ -113,8 +113,8 @@ def _everywhere(mesh: Mesh, kind: str) -> npt.NDArray[np.int32]:
 def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
     """Degree of the quadrature of laws of displacements in V: exact on straight cells, higher on others.
 
-    On quadrilaterals and hexahedra a point more each way. UFL would sum the degrees of all directions and of the geometry:
-    many times the points, to no avail.
+    Quadrilaterals and hexahedra get one more point per direction. UFL would sum the degrees of all directions and of the
+    geometry, which needs many times the points for no gain.
     """
     mesh = V.mesh
     degree, curved = V.ufl_element().basix_element.degree, 2 * (mesh.geometry.cmap.degree - 1)
@@ -128,13 +128,13 @@ class Quadrature:
 
     Attributes:
         term: the law, its strain, weight and measure.
-        region: where it acts.
+        region: the cells or facets of the measure.
         origin: the joint of the mesh, if there is one.
         comm: communicator for messages.
-        degree: of the quadrature: the measure's, or `quadrature_degree`.
+        degree: quadrature degree of the measure, or `quadrature_degree`.
         count: number of points of this rank.
-        cells: (cells of the region that this rank owns, points per cell) their points.
-        x: (points, d) their places.
+        cells: (cells, points per cell) numbers of the points in the cells of the region that this rank owns.
+        x: (points, d) places of the points.
         n: (points, 3) director; NaN in a body, which has none.
         weights: (points,) quadrature weights.
     """
@@ -176,7 +176,7 @@ class Quadrature:
             self.n[:] = np.nan
 
     def _integrated(self, rows: Expr, q: Expr) -> Array:
-        """Integrals (points, m) of m functions over what belongs to each point."""
+        """Quadrature weight times the values (points, m) of m functions at each point."""
         form = fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
@@ -197,7 +197,7 @@ class Quadrature:
 
     @cached_property
     def columns(self) -> Columns:
-        """The columns of the layer that the points are in: of S without a joint, a column for each facet.
+        """The columns of the layer that contain the points; on S without a joint each facet is a column.
 
         Raises:
             ModelError: a meshed layer without a joint.

@@ -1,4 +1,4 @@
-"""What results depend on besides a study's options: versions, PETSc options, the source code."""
+"""Provenance of results besides a study's options: versions, PETSc options, source code."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def petsc_options() -> dict[str, Any]:
 
 @cache
 def code() -> str:
-    """What stands for the source of the package and of its studies."""
+    """Hash of the source of the package and of its studies."""
     folder, content = Path(__file__).parents[2], hashlib.sha256()
     for package in (*PACKAGES, "studies"):
         for path in sorted((folder / package).rglob("*")):

@@ -1,4 +1,4 @@
-"""Record: the folder a study leaves behind, with its tables, its pictures and what it was made from."""
+"""Record: the folder of a study's run, with tables, pictures, and a description of its input."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LOG = logger("study")
 
 
 class Record:
-    """What a run of a study keeps: tables, pictures, checks; `run.json` says what they were made from.
+    """Results of a study's run: tables, pictures, checks; `run.json` describes their input.
 
     Used in a `with` statement it owns its folder: another run is refused as long as it lasts, and the files of an earlier
     run are in previous-1, previous-2, ... from the start; nothing is left if the study stops before it writes anything.
@@ -42,7 +42,7 @@ class Record:
     Attributes:
         study: name of the study.
         out: the folder.
-        options: what the user chose.
+        options: options chosen by the user.
         resume: whether to continue an earlier run of the study with the same options.
         checks: the checks so far.
         parameters, results: what the study was made from, and numbers that it found besides its tables; for run.json.
@@ -74,7 +74,7 @@ class Record:
             self._folder.withdraw()
 
     def identity(self) -> list[Any]:
-        """What tells the run from others, wherever its folder is."""
+        """Identity of the run, independent of its folder."""
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def path(self, name: str) -> Path:
@@ -120,7 +120,7 @@ class Record:
         on_root(MPI.COMM_WORLD, check)
 
     def _problem(self) -> str | None:
-        """What is wrong with resuming the run in the folder."""
+        """Reason why the run in the folder cannot be resumed; None if it can."""
         run = self._folder.told("--resume: ")
         if run["study"] != self.study:
             return f"--resume: the run in {self.out} is of the study {run['study']}, not {self.study}"

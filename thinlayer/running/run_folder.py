@@ -34,7 +34,7 @@ class RunFolder:
         """Own the folder, and move files of an earlier run away.
 
         Args:
-            problem: what is wrong with resuming the run that is there; None: it is not resumed.
+            problem: gives the reason why the existing run cannot be resumed; None: do not resume.
 
         Raises:
             ModelError: no files can be written there, another run is at work, tables of unknown origin are there, or the

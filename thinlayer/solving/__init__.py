@@ -1,1 +1,1 @@
-"""From the balance of forces to its equilibrium."""
+"""Solving the balance of forces: equations, finders, linear solvers and their options."""

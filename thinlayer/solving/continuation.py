@@ -1,4 +1,4 @@
-"""Continuation: a step that Newton's method does not find, through laws whose equilibrium is found more easily."""
+"""Continuation: solve a step on which Newton's method fails through a sequence of eased laws."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from petsc4py import PETSc
 
 from thinlayer.errors import SolveError
 
-FIRST, LEAST = 0.25, 1 / 64  # how much easier a law is than the next one
-MOST = 30  # solves
-RUN_AWAY = 1e5  # displacements over those of an elastic layer: the law itself has no equilibrium
+FIRST_DECREMENT, LEAST_DECREMENT = 0.25, 1 / 64  # decrements of the ease from one law to the next
+MOST_SOLVES = 30  # number of solves after which continuation gives up
+RUN_AWAY = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
 
 
 class Continuation:
-    """The eases of the laws on the way from an elastic layer (1) to the law itself (0), and what was found.
+    """Lowers the ease from 1, an elastic layer, to 0, the law itself.
 
-    The ease falls by a decrement that doubles after a solve that converges and is halved after one that does not.
+    The decrement of the ease is doubled after a solve that converges and halved after one that fails.
 
     Attributes:
         solves: number of solves so far.
@@ -26,17 +26,17 @@ class Continuation:
     def __init__(self) -> None:
         self.solves = 0
         self._reached: float | None = None
-        self._decrement = FIRST
+        self._decrement = FIRST_DECREMENT
 
     def follow(self, solve: Callable[[float, PETSc.Vec | None], PETSc.Vec]) -> PETSc.Vec:
-        """The unknowns of the law itself, as the last solve gave them. Collective.
+        """The unknowns of the law itself, as the last solve returned them. Collective.
 
         Args:
-            solve: ease and unknowns to start from (None: those of the old state) -> unknowns; where another solve follows,
-                a copy of them is where it starts.
+            solve: ease, unknowns to start from (None: those of the old state) -> unknowns. The next solve starts from a
+                copy of them.
 
         Raises:
-            SolveError: a law on the way has no equilibrium that is found, or displacements run away.
+            SolveError: the solve of an eased law fails, or displacements run away.
         """
         reached: PETSc.Vec | None = None
         limit = math.inf
@@ -48,7 +48,7 @@ class Continuation:
                     x = solve(ease, reached)
                 except SolveError:
                     self._decrement /= 2
-                    if self._reached is None or self._decrement < LEAST or self.solves >= MOST:
+                    if self._reached is None or self._decrement < LEAST_DECREMENT or self.solves >= MOST_SOLVES:
                         raise
                     continue
                 size = float(x.norm(PETSc.NormType.INFINITY))

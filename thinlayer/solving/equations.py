@@ -27,21 +27,21 @@ Kind = TypeVar("Kind", bound=Part)
 
 
 class Equations:
-    """Residual and tangent of a model. The unknowns are displacements, then those that parts have beside them.
+    """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
 
-    Collective, as all methods are.
+    The constructor and all methods are collective.
 
     Attributes:
         parts: the parts of the balance.
-        traits: what they are like together.
+        traits: the traits of all parts together.
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
-        prescribed: displacements at its end that supports prescribe.
+        prescribed: displacements that supports prescribe at the end of the step.
         mean_stiffness: mean size of the diagonal entries of K.
         failed: number of points where parts failed in the last residual.
-        eased: ease of the parts, 0: themselves.
-        scale: what residuals are measured by; the forces of stresses are those of the parts that tell.
+        eased: ease of the parts; 0 is the parts themselves.
+        scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
     """
 
     def __init__(self, model: Model) -> None:
@@ -63,7 +63,7 @@ class Equations:
         diagonal.destroy()
         self._tangent: PETSc.Mat | None = None
         self._forces, self.loads = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
-        self.failed, self.eased, self._lack = 0, 0.0, 0.0
+        self.failed, self.eased, self._relative_residual = 0, 0.0, 0.0
 
     def of_kind(self, kind: type[Kind]) -> list[Kind]:
         """The parts of a kind."""
@@ -75,7 +75,7 @@ class Equations:
         return self._layout.vector()
 
     def put_state(self, state: State, x: PETSc.Vec) -> None:
-        """Write the unknowns of a state, as a step that goes on from it starts with them."""
+        """Write into x the unknowns from which a step after this state starts."""
         values = self._layout.split(x.array)
         values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
         for part in self._with_own:
@@ -83,7 +83,7 @@ class Equations:
 
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
-        """Global numbers among the unknowns of the displacements that supports prescribe."""
+        """Global numbers, among the unknowns, of the held displacements."""
         return self._layout.rows(self.held)
 
     @cached_property
@@ -101,9 +101,10 @@ class Equations:
         return RigidMotions(self.model, self.held, self.scale.stiffness)
 
     def require_unique(self) -> None:
-        """Raise SolveError if a piece of a body can move freely: by the last tangent, or what parts resist at the last u.
+        """Raise SolveError if a connected piece of the bodies can move freely.
 
-        Not asked where a part may resist less than its tangent does.
+        The test uses the last tangent or, if parts can release bodies, the tangent at the last u of the parts that resist
+        rigid motions. There is no test if a part may resist less than its tangent does.
         """
         if self.traits.weakens:
             return
@@ -117,15 +118,15 @@ class Equations:
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
-        """The model before anything happened."""
+        """The state at rest, before the first step."""
         memory = {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
         return State(self.model, fem.Function(self.model.V), t, Report("rest", 0, 0.0, 0.0), memory)
 
     def begin(self, interval: Interval) -> None:
-        """Set the step that the residual is of.
+        """Begin a step: set its loads and supports, and begin it in all parts.
 
         Raises:
-            ModelError: loads or supports that are not finite at its time.
+            ModelError: loads or supports that are not finite at the times of the step.
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
@@ -135,19 +136,19 @@ class Equations:
                 self.loads.axpy(share, b)
                 b.destroy()
         self.prescribed = self.history.prescribed_at(interval.t)
-        farthest = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
+        largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
-        self.scale.begin(float(self.loads.norm()), farthest, moved)
+        self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
         for part in self.parts:
             part.begin(interval)
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """The residual at the displacements before the step, as what is out of balance at its start."""
+        """Compute the residual at the displacements before the step, and tell the force scale its norm."""
         self.residual(x, out)
         self.scale.start(free_norm(self, out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Internal forces less loads, then the parts' own residuals. NaN where a part failed."""
+        """Internal forces less loads, then the parts' own residuals. All forces are NaN if a part failed."""
         self._layout.put(x)
         theta, mid = self.interval.theta, self._mid.x.petsc_vec
         self.u.x.petsc_vec.copy(mid)
@@ -166,44 +167,44 @@ class Equations:
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
         for part in self._with_own:
             rows[part.key][:] = part.own_residual()
-        self._lack = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
+        self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
 
     def failure(self) -> str:
-        """What failed in the last residual, and where; "" if nothing did."""
+        """Text that says which part failed in the last residual and where; "" if none did."""
         return next(filter(None, [part.failure() for part in self.parts]), "")
 
     def _blocks(self, parts: list[Part]) -> list[Block]:
-        return [block for part in parts for block in part.tangents(self._lack)]
+        return [block for part in parts for block in part.tangents(self._relative_residual)]
 
     def tangent(self) -> PETSc.Mat:
-        """Tangent at the last residual's unknowns, supports not yet taken in. The same matrix is filled each time.
+        """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.
 
         Raises:
-            LawError: a law that says it is symmetric, and is not.
+            LawError: a law declares a symmetric tangent and has another one.
         """
         self._tangent = self._matrix.fill(self._blocks(self.parts))
         return self._tangent
 
     def ease(self, ease: float) -> None:
-        """Replace parts by ones between themselves (0) and elastic ones (1)."""
+        """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
         self.eased = ease
         for part in self.parts:
             part.ease(ease)
 
     @property
     def excess(self) -> float:
-        """Of columns whose phases are held, by how much another phase is lower in energy; <= 0: by nothing."""
+        """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
         return max(part.excess for part in self.parts)
 
     def switch(self) -> bool:
-        """Let columns change to the phases of lowest energy in the last residual; whether any does."""
+        """Change columns to the phases of lowest energy in the last residual. True if any column changes."""
         return any([part.switch() for part in self.parts])
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
         """The state at the end of the step, for its solution x.
 
         Raises:
-            SolveError: x is no equilibrium, whatever the solver said; or, where parts release bodies, not the only one.
+            SolveError: x is no equilibrium, even if the solver converged; or parts released a body and it can move freely.
         """
         out, change = self.vector(), self.u.x.petsc_vec.duplicate()
         self.residual(x, out)
@@ -232,16 +233,16 @@ class Equations:
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
-        """Raise ModelError if loads or supports, LawError if a law's parameters, are out of range at one of these times."""
+        """Raise ModelError (loads, supports) or LawError (parameters of laws) for values out of range at these times."""
         for t in times:
             self._given_at(t)
 
     def linear_in_time(self, start: float, end: float) -> bool:
-        """Whether loads, supports and parameters of laws are linear in time between two times. Seen at a few of them."""
+        """Whether loads, supports and parameters of laws are linear between two times. Tested at a few times."""
         return linear_in_time(self._given_at, start, end, self.comm)
 
     def _given_at(self, t: float) -> list[npt.NDArray[np.float64]]:
-        """Loads, prescribed displacements and parameters that vary, on this rank."""
+        """Loads, prescribed displacements and varying parameters at time t, on this rank."""
         given = self.history.given_at(t)
         for part in self.parts:
             part.at_time(t)

@@ -1,4 +1,4 @@
-"""One step of a model to its equilibrium: a linear step from where it was, refined, or followed by Newton's method."""
+"""One step of a model to its equilibrium: a linear solve from the old state, then refinement or Newton's method."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from thinlayer.solving.linear_solvers import mark, tell_multigrid
 from thinlayer.solving.newton import newton, reason_name
 from thinlayer.solving.options import PREFIX
 
-REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # of direct solvers, of Krylov methods
-WORTH_REFINING = {True: 1e-6, False: 0.5}  # Krylov methods converge in the preconditioned norm: singular systems too
-UNDETERMINED = 1e-3  # of the displacements, that rounding may change after a direct solve
-OVERSHOOT = 10.0  # residual of a first step over the forces
-UNRESISTED = 1e4  # displacements of a first step over the old ones: where all yields, nothing resists
+# Relative residuals; keys: True for direct solvers, False for Krylov methods.
+REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
+WORTH_REFINING = {True: 1e-6, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
+UNDETERMINED = 1e-3  # first refinement, relative to the displacements, that shows a singular matrix
+OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
+UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
 
 
 class Equilibrium:
-    """Finds the unknowns at the end of a step: a `Finder` that keeps a factor as long as the matrix stays the same.
+    """A `Finder` for static equilibrium that keeps its factor as long as the matrix stays the same.
 
     Attributes:
-        equations: of the model, which know the step.
-        curved: whether Newton's method follows the linear step.
-        reused: whether the last step took the factor of an earlier one.
+        equations: the equations of the step.
+        nonlinear: whether Newton's method follows the linear step.
+        reused: whether the last step used the factor of an earlier one.
     """
 
-    def __init__(self, equations: Equations, *, curved: bool, own_test: bool, yields: bool, advice: str) -> None:
-        self.equations, self.curved = equations, curved
+    def __init__(self, equations: Equations, *, nonlinear: bool, own_test: bool, yields: bool, advice: str) -> None:
+        self.equations, self.nonlinear = equations, nonlinear
         self._own_test, self._yields, self._advice = own_test, yields, advice
         self._ksp: PETSc.KSP | None = None
         self._factored: tuple[float, float] | None = None
@@ -39,7 +40,7 @@ class Equilibrium:
         self._vectors = [equations.vector() for _ in range(4)]
 
     def forget(self) -> bool:
-        """Drop the factor of the last matrix; whether the last step took that of an earlier one."""
+        """Drop the factor of the last matrix. True if the last step used the factor of an earlier one."""
         if self._ksp is not None:
             self._ksp.destroy()
         self._ksp = self._factored = None
@@ -53,7 +54,7 @@ class Equilibrium:
             vector.destroy()
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
-        """Unknowns at the end of the step; with `start`, Newton's method begins there.
+        """Unknowns at the end of the step; if `start` is given, Newton's method begins there without a linear step.
 
         Errors as in `solve`.
         """
@@ -68,7 +69,7 @@ class Equilibrium:
             vector.set(0.0)
         equations.put_state(equations.interval.old, x)
         move.array[held] = equations.prescribed - x.array_r[held]
-        if not self.curved:
+        if not self.nonlinear:
             x.axpy(1.0, move)
             equations.residual(x, r)
         else:
@@ -76,10 +77,10 @@ class Equilibrium:
         if equations.failed:
             raise SolveError(f"at the start of the step {equations.failure()}")
         forces = equations.scale.forces
-        if self.curved:
+        if self.nonlinear:
             self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
-        if not self.curved:
+        if not self.nonlinear:
             r.array[held] = 0.0
             self._prepare()
         else:
@@ -87,17 +88,17 @@ class Equilibrium:
         iterations = self._solve_linear(r, d)
         if self._yields and x.norm() > 0 and not d.norm() <= UNRESISTED * x.norm():
             self._elastic_step(x, r, d, move)
-        if self.curved and not math.isfinite(d.norm()):
+        if self.nonlinear and not math.isfinite(d.norm()):
             raise SolveError(
                 "the tangent at the start of the step is singular",
                 advice="does something resist every motion of the bodies, and every strain at rest? "
                 "A stress without a linear part, as e^3, needs a small one",
             )
-        if self.curved:
+        if self.nonlinear:
             d.array[held] = move.array_r[held]
         x.axpy(1.0, d)
         equations.residual(x, r)
-        if self.curved:
+        if self.nonlinear:
             self._retreat(x, r, d, move, forces)
             return self._newton(x, r)
         return Found(x, iterations, self._refine(x, r, d))
@@ -116,7 +117,7 @@ class Equilibrium:
         self._solve_linear(r, d)
 
     def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
-        """Shorten a first step that a law which stiffens with its rate has made far too long; supports stay moved."""
+        """Shorten a linear step that is far too long, as laws that stiffen with their rate cause; supports stay moved."""
         d.axpy(-1.0, move)
         for _ in range(40):
             if not forces or self._free_norm(r) <= OVERSHOOT * forces:
@@ -126,7 +127,7 @@ class Equilibrium:
             self.equations.residual(x, r)
 
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
-        """Matrix and factor of the step; displacements `move` of supports, if any, into the right-hand side b."""
+        """Make the matrix and the factor of the step, and add the forces of support displacements `move` to b."""
         equations = self.equations
         dt = equations.interval.dt if equations.traits.uses_dt else 0.0
         key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
@@ -135,7 +136,7 @@ class Equilibrium:
             return
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
-        if self.curved:
+        if self.nonlinear:
             self._require_finite("tangent (the slope of the stress)", A.norm())
         else:
             equations.require_unique()
@@ -148,12 +149,12 @@ class Equilibrium:
         tell_multigrid(ksp, A, equations.model)
         self._factored = key
 
-    def _require_finite(self, what: str, size: float) -> None:
-        """Raise SolveError if the norm of what laws in forms give where the step starts is NaN or infinite."""
+    def _require_finite(self, quantity: str, size: float) -> None:
+        """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
         if not math.isfinite(size):
             names = sorted({name for part in self.equations.parts for name in part.unchecked})
             raise SolveError(
-                f"the {what} of {' or '.join(names)} is not finite at the start of the step",
+                f"the {quantity} of {' or '.join(names)} is not finite at the start of the step",
                 advice="at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small) for a root, small a square "
                 "of strains, or a ufl.conditional",
             )
@@ -164,7 +165,11 @@ class Equilibrium:
         return int(self._ksp.getIterationNumber())
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> float:
-        """Steps of iterative refinement after a linear solve; the relative residual, checked."""
+        """Refine the linear solution x iteratively; returns its relative residual.
+
+        Raises:
+            SolveError: the solution is not unique, or its residual is too large.
+        """
         equations, ksp = self.equations, self._ksp
         assert ksp is not None
         reason = ksp.getConvergedReason()
@@ -173,12 +178,12 @@ class Equilibrium:
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
             ksp.solve(r, d)
-            old = equations.interval.old.u.x.petsc_vec  # loads that end at zero leave displacements that are rounding
+            old = equations.interval.old.u.x.petsc_vec  # if loads end at zero, x itself is only rounding
             size = max(x.norm(), old.norm())
             if first and direct and d.norm() > UNDETERMINED * size:
                 raise SolveError(
-                    "no unique solution: rounding of the forces changes the displacements by "
-                    f"{d.norm() / max(size, 1e-300):.1e} of themselves",
+                    "no unique solution: rounding of the forces changes the displacements by a share of "
+                    f"{d.norm() / max(size, 1e-300):.1e}",
                     advice="does something resist every motion of the bodies, and every strain of the layer?",
                 )
             first = False
@@ -205,7 +210,7 @@ class Equilibrium:
         return residual
 
     def _relative(self, r: PETSc.Vec) -> float:
-        """Residual where nothing is held, over the forces."""
+        """Norm of the residual over the unknowns that are not held, relative to the force scale."""
         return self.equations.scale.relative(self._free_norm(r))
 
     def _free_norm(self, r: PETSc.Vec) -> float:
@@ -214,7 +219,7 @@ class Equilibrium:
 
     def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> Found:
         steps, residual = newton(
-            self.equations, x, r, own_test=self._own_test, hopeless=self._yields, advice=self._advice
+            self.equations, x, r, own_test=self._own_test, stop_early=self._yields, advice=self._advice
         )
         if not self.equations.traits.releases:
             self.equations.require_unique()

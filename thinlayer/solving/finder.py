@@ -1,4 +1,4 @@
-"""What finds the unknowns of a step, and the tries of one."""
+"""Protocol of the finders of a step's unknowns, their results, and the attempts at a step."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Found:
     """Unknowns at the end of a step.
 
     Attributes:
-        x: the unknowns; they belong to the finder, and stay as they are until it finds others or is closed.
-        iterations: steps that it took, of Newton's method if there are any.
-        residual: what is left out of balance, over the forces.
+        x: the unknowns; the vector belongs to the finder and is valid until the next `find` or `close`.
+        iterations: number of iterations; of Newton's method, if the finder uses it.
+        residual: norm of the residual relative to the forces.
     """
 
     x: PETSc.Vec
@@ -27,23 +27,26 @@ class Found:
 
 
 class Finder(Protocol):
-    """Finds the unknowns of the step that its equations have begun; keeps what it can from one step to the next.
+    """Finds the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
 
     Attributes:
-        reused: whether the last step went on with what an earlier one had kept, and so read no PETSc options for it.
+        reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
     """
 
     reused: bool
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
-        """The unknowns, from the old state or from a start near them. Collective.
+        """The unknowns at the end of the step. Collective.
+
+        Args:
+            start: unknowns to begin from; None: those of the old state.
 
         Raises:
-            SolveError: they were not found.
+            SolveError: the unknowns were not found.
         """
 
     def forget(self) -> bool:
-        """Drop what is kept between steps; whether the last one used it, so that another try may go otherwise."""
+        """Drop what is kept between steps. True if the last step used it: then another try may succeed."""
 
     def close(self) -> None:
         """Free matrices, vectors and factors."""
@@ -56,8 +59,8 @@ class Attempt:
     Attributes:
         name: for the log.
         linear: PETSc options of the linear solver, without prefix.
-        options: those of Newton's method.
-        eased: whether the way leads through easier laws, from an elastic one.
+        options: PETSc options of Newton's method, without prefix.
+        eased: whether eased laws are solved first, beginning with an elastic one.
     """
 
     name: str

@@ -1,41 +1,45 @@
-"""How small a residual must be: the size of the forces in a step, and what rounding leaves of them."""
+"""The force scale of a step: the forces that residuals are compared with, and their rounding."""
 
 from __future__ import annotations
 
 import numpy as np
 
-AIM = 1e-10  # share of the forces that solvers leave out of balance
-ALLOWED = 1e-6  # share of the forces that an accepted state may have out of balance, whoever found it
+AIM = 1e-10  # residual at which solvers stop, relative to the forces
+ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
 EPSILON = float(np.finfo(float).eps)
-ROUNDED = 1e-14  # share of stiffness times displacement that is rounding, once it has been added up
-TINY = 1e-300  # in place of zero, where there are no forces at all
+ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
+TINY = 1e-300  # divisor instead of zero if there are no forces
 
 
 class ForceScale:
-    """The one measure of residuals of a step, all norms over the free displacements or forces of a model.
+    """The forces that the residuals of a step are compared with. Norms of forces and residuals are Euclidean.
 
     Its rules:
 
-    1. A residual is measured by the forces: the largest of the loads, of the forces of stresses at the last residual, and
-       of what was out of balance when the step began.
-    2. Where supports move stiff bodies, or loads end at zero, forces may be nothing but rounding. No forces are smaller
-       than those of which that rounding, 1e-14 of stiffness times displacement, is the share allowed to a state.
-    3. Solvers aim at 1e-10 of the forces.
-    4. Bodies that have moved far on soft springs leave more than that: solvers need not go below the rounding of stiffness
-       times displacement, but to 1e-6 of what rules 1 and 2 give without the forces of stresses.
-    5. Rounding of prescribed displacements is always allowed; no solver can remove it.
-    6. A state is accepted with 1e-6 of the forces out of balance, or with what rule 5 allows.
+    1. Residuals are relative to "the forces": the largest of the loads, the forces of the stresses at the last residual,
+       and the residual at the start of the step.
+    2. If supports move stiff bodies, or if loads end at zero, all forces may be rounding errors. Therefore the forces have
+       a lower bound: 1e-14 of stiffness times displacement, their rounding, divided by the 1e-6 of rule 6.
+    3. Solvers stop at a residual of 1e-10 of the forces.
+    4. If bodies have moved far on soft springs, rounding may exceed rule 3. Solvers then stop at the rounding of stiffness
+       times displacement, but at no more than 1e-6 of the forces of rules 1 and 2 without those of the stresses.
+    5. A residual as small as the rounding of prescribed displacements is always allowed; no solver can reduce it.
+    6. A state is accepted with a residual of at most 1e-6 of the forces, or at most that of rule 5.
 
-    A factor common to all forces, as a change of units, and a rigid motion of supports and bodies change no ratio.
+    Neither a factor common to all forces, such as a change of units, nor a rigid motion of supports and bodies changes a
+    relative residual.
+
+    Args:
+        stiffness: norm of the diagonal of the bodies' stiffness.
+        cancelling: norm of the diagonal of the stiffness of springs that act on differences of displacements.
 
     Attributes:
-        stiffness: norm of the diagonal of the bodies' stiffness.
-        cancelling: the same of springs that act on differences of displacements.
-        forces: rules 1 and 2, for the last residual.
+        stiffness: the argument.
+        forces: the forces of rules 1 and 2 for the last residual.
     """
 
     def __init__(self, stiffness: float, cancelling: float = 0.0) -> None:
-        self.stiffness, self._stiffest = stiffness, max(stiffness, cancelling)
+        self.stiffness, self._largest_stiffness = stiffness, max(stiffness, cancelling)
         self.begin(0.0, 0.0, 0.0)
 
     def begin(self, loads: float, prescribed: float, moved: float) -> None:
@@ -47,36 +51,38 @@ class ForceScale:
             moved: largest displacement of the state before.
         """
         self._loads, self._unbalanced = loads, 0.0
-        self._least_forces = ROUNDED / ALLOWED * self.stiffness * max(prescribed, moved)
-        self._of_supports = EPSILON * self.stiffness * prescribed
+        self._least_forces = ROUNDING_SHARE / ALLOWED * self.stiffness * max(prescribed, moved)
+        self._support_rounding = EPSILON * self.stiffness * prescribed
         self.forces = self.least
 
     def start(self, unbalanced: float) -> None:
-        """Take the norm of what is out of balance at the start of the step; it may be all the forces there are."""
+        """Take the norm of the residual at the start of the step; the step may have no other forces."""
         self._unbalanced = unbalanced if np.isfinite(unbalanced) else 0.0
 
     @property
     def least(self) -> float:
-        """Size of the forces without those of stresses."""
+        """The forces of rules 1 and 2 without those of the stresses."""
         return max(self._loads, self._unbalanced, self._least_forces)
 
     def see(self, *stresses: float) -> None:
-        """Take norms of the forces of stresses at a new residual."""
+        """Take norms of the forces of the stresses at a new residual."""
         self.forces = max([self.least, *stresses])
 
-    def rounding(self, farthest: float) -> float:
-        """What rounding leaves of the forces where the largest displacement is `farthest`."""
-        return EPSILON * self._stiffest * farthest
+    def rounding(self, largest_displacement: float) -> float:
+        """Rounding of the forces."""
+        return EPSILON * self._largest_stiffness * largest_displacement
 
-    def aim(self, farthest: float) -> float:
-        """Norm of a residual that solvers aim at, where the largest displacement is `farthest`."""
-        return max(AIM * self.forces, self._of_supports, min(self.rounding(farthest), ALLOWED * self.least))
+    def aim(self, largest_displacement: float) -> float:
+        """Norm of the residual at which solvers stop."""
+        return max(
+            AIM * self.forces, self._support_rounding, min(self.rounding(largest_displacement), ALLOWED * self.least)
+        )
 
     @property
     def allowed(self) -> float:
-        """Norm of the residual that a state may have."""
-        return max(ALLOWED * self.forces, self._of_supports)
+        """Largest norm of the residual of an accepted state."""
+        return max(ALLOWED * self.forces, self._support_rounding)
 
     def relative(self, norm: float) -> float:
-        """The norm of a residual over the forces."""
+        """The norm of a residual divided by the forces."""
         return norm / max(self.forces, TINY)

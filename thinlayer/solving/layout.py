@@ -1,4 +1,4 @@
-"""Where unknowns are in a vector: displacements first, then those that parts of the balance have beside them."""
+"""The order of the unknowns in a vector: displacements first, then the parts' own unknowns."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from petsc4py import PETSc
 
 
 class Layout:
-    """The unknowns of this rank, those of each field in one piece. Collective.
+    """The unknowns of this rank, field after field. Collective.
 
     Args:
         comm: communicator.
-        fields: key -> the function that unknowns are values of, in the order of the unknowns.
+        fields: key -> the function whose values are unknowns, in the order of the unknowns.
     """
 
     def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
@@ -32,7 +32,7 @@ class Layout:
         return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
 
     def split(self, values: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[np.float64]]:
-        """The pieces of all unknowns of this rank, by key; views."""
+        """The unknowns of this rank, split by key; the arrays are views."""
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
     def put(self, x: PETSc.Vec) -> None:

@@ -1,4 +1,4 @@
-"""Linear solvers for a model: PETSc options to try, and what multigrid must know."""
+"""Linear solvers for a model: their PETSc options, properties of the matrix, and rigid motions for multigrid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DIRECT: dict[str, OptionValue] = {
     "ksp_rtol": 1e-10,
     "pc_factor_mat_solver_type": "mumps",
     "mat_mumps_icntl_7": 2,
-    "mat_mumps_icntl_14": 100,  # per cent of spare memory: with MUMPS's own 20 it fails now and then on several ranks
+    "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
 }
 MULTIGRID: dict[str, OptionValue] = {
     **DIRECT,
@@ -28,15 +28,15 @@ MULTIGRID: dict[str, OptionValue] = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
 }
-MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # unknowns; below, factorising is faster
+MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # dimension -> number of unknowns below which factorising is faster
 
 
 def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
     """PETSc options to try in turn.
 
-    Direct: MUMPS, Cholesky where the tangent is symmetric, else LU; AMF ordering. Large models start with conjugate
-    gradients (GMRES without symmetry) and algebraic multigrid that knows the rigid motions; very stiff layers slow it down
-    so much that factorising is faster. Incompressible layers make a saddle point: direct.
+    The direct solver is MUMPS with AMF ordering: Cholesky for symmetric tangents, else LU. Large models try conjugate
+    gradients (GMRES without symmetry) with algebraic multigrid first; it knows the rigid motions. Very stiff layers slow
+    multigrid down so much that factorising is faster. Incompressible layers lead to saddle points: direct only.
     """
     direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
@@ -47,12 +47,12 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
 
 
 def direct_solver(model: Model) -> dict[str, OptionValue]:
-    """PETSc options of a factorisation: Cholesky, which is LDL^T unless the matrix is marked as definite, or LU."""
+    """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
     return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
 def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
-    """Rigid motions for algebraic multigrid; nobody else reads them."""
+    """Attach the rigid motions as the near null space of A if the preconditioner is algebraic multigrid."""
     if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
         A.setNearNullSpace(PETSc.NullSpace().create(vectors=rigid_modes(model), comm=model.comm))
 
@@ -64,14 +64,14 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[st
         ksp: the solver.
         b: right-hand side.
         x: solution.
-        ours: names of options that are not the user's.
+        ours: names of the options that are our defaults.
 
     Raises:
-        OptionError: PETSc does not take the value of an option.
-        SolveError: PETSc, or a library that it calls, has ended with an error. It leaves what it worked on locked: the
-            solver is of no more use; b is not touched, as a copy of it was solved for.
+        OptionError: PETSc does not accept the value of an option.
+        SolveError: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
+            is unchanged.
     """
-    right = b.copy()
+    right = b.copy()  # PETSc leaves the right-hand side locked after an error
     try:
         ksp.solve(right, x)
     except PETSc.Error as error:
@@ -82,13 +82,13 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[st
 
 
 def failed_in_petsc(error: PETSc.Error) -> SolveError:
-    """What an error of PETSc is for who marches: a solve that has failed."""
+    """A SolveError for an error of PETSc, so that a march can try a shorter step."""
     said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
     return SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})")
 
 
 def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
-    """Tell PETSc whether a tangent is symmetric and positive definite, which that of a saddle point of energy is not."""
+    """Tell PETSc whether a tangent is symmetric, and whether it is positive definite, as it is not at a saddle point."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
 

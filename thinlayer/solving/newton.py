@@ -1,4 +1,4 @@
-"""Newton's method for a step of a model: PETSc's SNES, told when to stop by the forces of the step."""
+"""Newton's method for a step of a model: PETSc's SNES with a convergence test by the force scale of the step."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from thinlayer.solving.options import PREFIX, OptionError, OptionValue
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
-    "snes_rtol": 0,  # the first residual says nothing: a dashpot at rest lets the first step go anywhere
+    "snes_rtol": 0,  # the first residual is no scale: it may be arbitrarily large where a dashpot was at rest
     "snes_stol": 0,
     "snes_max_it": 100,
 }
 YIELDING: dict[str, OptionValue] = {"snes_max_it": 50}
-FLAT: dict[str, OptionValue] = {  # a search for the least energy: residuals may have to grow on the way
+SINGULAR: dict[str, OptionValue] = {  # for singular tangents: the search is for the least energy, residuals may grow
     "snes_linesearch_type": "cp",
     "snes_linesearch_max_it": 40,
-    "snes_linesearch_atol": 0,  # of the work along the step, in units of energy: it knows nothing of the forces
+    "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
     "snes_max_it": 300,
 }
-STALLED = 16  # steps without a residual that is a tenth smaller: a law that yields has no equilibrium, or hides it
-RUN_AWAY = 1e6  # displacements over those of the first step: likewise
+STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
+RUN_AWAY = 1e6  # largest displacements, relative to those of the first step, for laws that yield
 Reason = PETSc.SNES.ConvergedReason
 
 
 def newton(
-    equations: Equations, x: PETSc.Vec, r: PETSc.Vec, *, own_test: bool, hopeless: bool, advice: str
+    equations: Equations, x: PETSc.Vec, r: PETSc.Vec, *, own_test: bool, stop_early: bool, advice: str
 ) -> tuple[int, float]:
-    """Solve for x, from displacements that satisfy the supports; steps taken and relative residual. Collective.
+    """Solve for x, from displacements that satisfy the supports; returns steps and relative residual. Collective.
 
     Args:
-        equations: the step; their last residual is that of x.
+        equations: the equations of the step; their last residual was computed at x.
         x: unknowns, overwritten.
-        r: a vector to work with.
-        own_test: whether we say when to stop, or PETSc's options do.
-        hopeless: whether to give up where the residual stays or the displacements run away: laws that yield.
-        advice: what else to try, for the error.
+        r: a work vector.
+        own_test: True: the force scale says when to stop; False: PETSc options do.
+        stop_early: stop if the residual stagnates or displacements run away, as for loads beyond the limit load.
+        advice: further things to try, for the error.
 
     Raises:
-        SolveError: no convergence. OptionError: a method that does not ask when to stop.
+        SolveError: no convergence. OptionError: a method of PETSc's that does not use our convergence test.
     """
     largest = RUN_AWAY * _largest(x)
     residuals: list[float] = []
@@ -67,9 +67,9 @@ def newton(
         if math.isnan(norms[2]):
             return Reason.DIVERGED_FNORM_NAN
         x = snes.getSolution()
-        if hopeless and _stays(residuals):
-            given_up = f"the residual has stayed where it is for {STALLED} steps"
-        elif hopeless and not _largest(x) <= largest:
+        if stop_early and _stagnates(residuals):
+            given_up = f"the residual has not fallen for {STAGNATION_STEPS} steps"
+        elif stop_early and not _largest(x) <= largest:
             given_up = "displacements grow without bound"
         if given_up:
             return Reason.DIVERGED_DTOL
@@ -92,8 +92,8 @@ def newton(
     last = equations.scale.relative(float(snes.getFunctionNorm()))
     ksp_reason = snes.getKSP().getConvergedReason()
     snes.destroy()
-    stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # by rounding
-    stopped = own_test and reason >= 0 and not last < ALLOWED  # by a test other than ours
+    stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # rounding stops the line search
+    stopped = own_test and reason >= 0 and not last < ALLOWED  # another test than ours ended the solve
     if stopped or (reason < 0 and not stalled):
         failed = f"; {equations.failure()}" if equations.failed else ""
         raise SolveError(
@@ -110,12 +110,13 @@ def _largest(x: PETSc.Vec) -> float:
     return float(x.norm(PETSc.NormType.INFINITY))
 
 
-def _stays(residuals: list[float]) -> bool:
-    """Whether the last steps have not made the residual smaller."""
-    return len(residuals) > STALLED and min(residuals[-STALLED:]) > 0.9 * min(residuals[:-STALLED])
+def _stagnates(residuals: list[float]) -> bool:
+    """Whether the last steps have not reduced the residual."""
+    before, last = residuals[:-STAGNATION_STEPS], residuals[-STAGNATION_STEPS:]
+    return bool(before) and min(last) > 0.9 * min(before)
 
 
 def reason_name(kind: Any, value: int) -> str:
-    """PETSc's name of a reason why it stopped."""
+    """PETSc's name of the reason why a solver stopped."""
     names = {v: k for k, v in vars(kind).items() if isinstance(v, int) and not k.startswith("_")}
     return names.get(value, str(value))

@@ -1,4 +1,4 @@
-"""PETSc options: our defaults, the user's word over them, and an error for options nothing has read."""
+"""PETSc options: our defaults, which the user's options override, and errors for options that no solver reads."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from forms.base import InputError
 from thinlayer.solving.petsc_missing import was_read
 
 PREFIX = "thinlayer_"
-# PETSc's errors that values of options lead to: not supported, wrong, out of range, wrong state, user's function missing,
-# unknown type, no such factorisation
-OF_OPTIONS = (56, 62, 63, 73, 83, 86, 92)
+# PETSc's error codes that a wrong value of an option can cause: not supported, wrong, out of range, wrong state, user's
+# function missing, unknown type, no such factorisation
+OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
-_PLACED: set[str] = set()  # names in PETSc's database, without the prefix, that are there by `defaults`
+_PLACED: set[str] = set()  # names, without the prefix, of the options that `defaults` has put into PETSc's database
 
 
 class OptionError(InputError):
@@ -24,9 +24,9 @@ class OptionError(InputError):
 
 @contextmanager
 def defaults(options: Mapping[str, OptionValue]) -> Iterator[None]:
-    """Put options under our prefix into PETSc's database, where the user has not set them, for the time of a block."""
+    """Within a `with` block, PETSc's database has these options under our prefix, unless the user has set them."""
     database = PETSc.Options()
-    theirs = database.getAll()  # hasName would count as reading
+    theirs = database.getAll()  # hasName would mark the option as read
     ours = {PREFIX + name: value for name, value in options.items() if PREFIX + name not in theirs}
     for name, value in ours.items():
         database.setValue(name, value)
@@ -45,19 +45,19 @@ def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
 
 
 def given_elsewhere() -> str:
-    """The options under our prefix that are in PETSc's database, as on a command line."""
+    """The options under our prefix in PETSc's database, written as on a command line."""
     found = sorted(PETSc.Options().getAll().items())
     return " ".join(f"-{name} {value}".rstrip() for name, value in found if name.startswith(PREFIX))
 
 
 def unread() -> list[str]:
-    """Names under our prefix that are set and no solver has read, without the prefix."""
+    """Names, without the prefix, of options under our prefix that are set and that no solver has read."""
     ours = [name for name in PETSc.Options().getAll() if name.startswith(PREFIX)]
     return [name.removeprefix(PREFIX) for name in ours if not was_read(name)]
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
-    """Raise OptionError if the user has set options that the solver, just used, has not read; our own may stay unread."""
+    """Raise OptionError if the last solve has not read all options that the user has set; ours may stay unread."""
     names = [name for name in unread() if name not in _PLACED.intersection(ours)]
     if names:
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
@@ -68,10 +68,10 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 
 
 def require_known_values(error: PETSc.Error, ours: Collection[str]) -> None:
-    """Raise OptionError instead of a PETSc error that says that the value of an option is not known or out of range."""
-    if error.ierr in OF_OPTIONS:
+    """Raise OptionError if a wrong value of one of the user's options may have caused a PETSc error."""
+    if error.ierr in OPTION_ERRORS:
         found = {k.removeprefix(PREFIX): v for k, v in PETSc.Options().getAll().items() if k.startswith(PREFIX)}
         theirs = [name for name in found if name not in _PLACED.intersection(ours)]
         given = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
         if theirs:
-            raise OptionError(f"a PETSc option has a value that PETSc does not take, among: {given}") from error
+            raise OptionError(f"PETSc does not take the value of one of these options: {given}") from error

@@ -23,20 +23,20 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.parallel.exchange import carry
 
-NEARLY = 0.5  # delta/eps, nu = 3/8: below it what free ends relax is no pressure along S
-LONG = (
-    1.0  # delta/eps, nu = 6/13: below it what jumps found at free ends relax is within a thickness of them, and local
-)
-SHARE = 0.1  # of a layer's stiffness: errors of this size are told
-OVERLAP = 2.0  # closing over thickness: from 1 on bodies overlap, here by another thickness
-VOLUME, HELD = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), 1e8  # trace of a strain; bulk modulus that holds it, over mu
-CORNER = 0.25  # rad between a facet and the mean of its neighbours: more is a corner of S, less a curve
-JUMPS = 1e-9  # modulus along S over mu, rounding: a law with less sees jumps alone
-SHEAR = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' over 1/(3 h), degree 2
-STRETCH = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v over h/30
-ALIKE = 1e-3  # relative change of lmbda/mu in time below which it is none
-ROUNDING = 1e-9  # of displacements: jumps that are smaller are nothing
-HALF = 0.5  # of the largest opening: as good a state to ask how the pressure evens out
+# Length delta of the pressure along S, relative to eps:
+NEARLY_INCOMPRESSIBLE = 0.5  # (nu = 3/8) a shorter pressure has no effect along S
+LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter pressure changes jumps only within a thickness of free ends
+LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
+LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
+VOLUME = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # trace of a strain, as a row over its six components
+BULK_MODULUS = 1e8  # penalty that keeps the volume, relative to the tangent
+CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
+NEGLIGIBLE = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
+SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
+STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
+SAME_RATIO = 1e-3  # relative change of lmbda/mu in time that counts as none
+JUMP_ROUNDING = 1e-9  # rounding of jumps, relative to the displacements
+LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
 
 
 def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
@@ -44,7 +44,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
 
     Args:
         model: the model.
-        lasting: how long its loads last when it is looked at, times > 0; () if they are sudden.
+        lasting: durations > 0 of the loads at the times of interest; () for sudden loads.
     """
     found = _thin(model)
     if found is None:
@@ -76,7 +76,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     if not (model.linear or _of_jumps(strata)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if layer.law.traits.linear and not layer.law.traits.phases:  # what a phase strains is not under pressure
+    if layer.law.traits.linear and not layer.law.traits.phases:  # the strain of a phase brings about no pressure
         _warn_of_pressure(model, found, start)
 
 
@@ -88,7 +88,7 @@ def _thin(model: Model) -> tuple[InterfaceModel, ThinLayer] | None:
 
 
 def free_rim(model: Model) -> Rim:
-    """Where the layer's side is free: no support of its whole side holds it along S."""
+    """The part of the rim of S where the layer's side is free: no support of the whole side holds it along S."""
     rim, supports = model.structure.sheet.rim, model.supports
     held = np.zeros(rim.outward.shape)
     for place, components in supports.entries:
@@ -103,9 +103,13 @@ def free_rim(model: Model) -> Rim:
 # ---------------------------------------------------------------- before a solve
 @dataclass(frozen=True)
 class Stratum:
-    """A sublayer, or the layer: its share of the thickness, moduli lmbda and mu, and the modulus of its sheet.
+    """A sublayer, or the whole layer.
 
-    Moduli are those at rest, or those that loads meet that have lasted; then lmbda/mu is another one, and `when` says so.
+    Attributes:
+        fraction: share of the thickness.
+        lmbda, mu: moduli at rest or, if lmbda/mu changes in time, under loads that have lasted.
+        along: modulus of the sublayer as a sheet in the plane of S.
+        when: words for a warning that say how long loads last; "" at rest.
     """
 
     fraction: float
@@ -117,7 +121,7 @@ class Stratum:
     @property
     def nearly(self) -> bool:
         """Whether it is nearly incompressible."""
-        return self.length > NEARLY * self.fraction
+        return self.length > NEARLY_INCOMPRESSIBLE * self.fraction
 
     @property
     def length(self) -> float:
@@ -126,21 +130,21 @@ class Stratum:
 
     @property
     def compliance(self) -> float:
-        """Under a normal traction, sides held."""
+        """Compliance under a normal traction without strain along S, over the thickness of the layer."""
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
     def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Stratum | None:
-        """From the tangent at rest; None if the law has no resistance to shear, and so no such length."""
+        """A stratum from the tangent C at rest; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained:
-            held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * HELD
+            held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * BULK_MODULUS
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
 def _strata(model: InterfaceModel, dt: float = 0.0) -> list[Stratum]:
-    """Those of a layer under loads that have lasted dt, 0: at rest; [] if their tangents are not known."""
+    """The strata of a layer under loads that have lasted dt (0: at rest); [] if their tangents are not known."""
     n, strata = model.at_rest.n, model.at_rest.strata
     later = model.at_rest.over(dt) if dt > 0 else [None] * len(strata)
     found: list[Stratum] = []
@@ -148,22 +152,23 @@ def _strata(model: InterfaceModel, dt: float = 0.0) -> list[Stratum]:
         if C is None and C_later is None:
             return []
         rest, then = (None if one is None else Stratum.of(a, law, one, n) for one in (C, C_later))
-        if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=ALIKE)):
+        if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=SAME_RATIO)):
             then = replace(then, when=f" under loads that last {dt:.4g}")
         found += [one for one in (then or rest,) if one]
     return found
 
 
 def _of_jumps(strata: list[Stratum]) -> bool:
-    """Whether strains along S leave the law without stress, as springs: its traction then does not know the thickness."""
-    return bool(strata) and all(stratum.along <= JUMPS * stratum.mu for stratum in strata)
+    """Whether strains along S cause no stress, as in springs: the traction then does not depend on the thickness."""
+    return bool(strata) and all(stratum.along <= NEGLIGIBLE * stratum.mu for stratum in strata)
 
 
 def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
-    """Straight facets of a curved S have angles between them, into which a slip along S has to open the layer.
+    """Warn if slip along straight facets of a curved S is resisted by the angles between the facets.
 
-    A slip w opens it by w . (N - n), with the facet's normal n and the mean one N of its neighbours at each vertex: normal
-    stiffness times the mean of |N - n|^2 comes to the tangential one. Larger angles are taken for corners of S.
+    A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
+    vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential one. Angles above CORNER_ANGLE
+    are corners of S.
     """
     sheet, joint = model.structure.sheet, model.joint
     if joint.degree > 1 or joint.planar:
@@ -173,26 +178,27 @@ def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
     sums = np.zeros((len(used), joint.dim))
     np.add.at(sums, number, sheet.normals * sheet.areas[:, None, None])
     tilt = sums[number] / np.linalg.norm(sums[number], axis=2, keepdims=True) - sheet.normals
-    tilt[np.linalg.norm(tilt, axis=2) > CORNER] = 0.0
+    tilt[np.linalg.norm(tilt, axis=2) > CORNER_ANGLE] = 0.0
     k = joint.dim
     squares = ((tilt.sum(axis=1) ** 2).sum(axis=1) + (tilt**2).sum(axis=(1, 2))) / (k * (k + 1))
     angle = math.sqrt(float(sheet.areas @ squares / sheet.areas.sum()))
     normal, tangential = stiffness_of_jumps(model, layer)
-    if normal * angle**2 > SHARE * tangential:
-        what = (
+    if normal * angle**2 > LEAST_ERROR * tangential:
+        effect = (
             f"is about {1 + normal * angle**2 / tangential:.3g} times too stiff against it,"
             if tangential
             else "resists"
         )
         warn(
             f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average: a slip "
-            f"along S opens the layer there, which {what} by the mesh alone; use curved cells (degree 2), or a finer mesh",
+            f"along S opens the layer there, which {effect} by the mesh alone; use curved cells (degree 2), or a finer "
+            "mesh",
             model.comm,
         )
 
 
 def stiffness_of_jumps(model: InterfaceModel, layer: ThinLayer) -> tuple[float, float]:
-    """Normal and least tangential stiffness of the layer at rest, over an area; zeros if they are not known."""
+    """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
     n, compliances = model.at_rest.n, np.zeros(2)
     for fraction, _, C in model.at_rest.strata:
         if C is None:
@@ -200,7 +206,7 @@ def stiffness_of_jumps(model: InterfaceModel, layer: ThinLayer) -> tuple[float, 
         A = across(C, n)
         size, up = float(np.abs(A).max()), float(n @ A @ n)
         along = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
-        if min(along, up) <= JUMPS * size:
+        if min(along, up) <= NEGLIGIBLE * size:
             return up, 0.0
         compliances += [fraction / up, fraction / along]
     normal, tangential = 1 / (compliances * layer.eps)
@@ -208,7 +214,10 @@ def stiffness_of_jumps(model: InterfaceModel, layer: ThinLayer) -> tuple[float, 
 
 
 def _warn_of_thickness(model: InterfaceModel, layer: ThinLayer) -> None:
-    """The law is the first terms of a series in the thickness over the length on which bodies' stresses vary."""
+    """Warn if the layer is thicker than a body.
+
+    The law is the start of a series in eps over the length on which the bodies' stresses vary.
+    """
     height = min(model.structure.sheet.heights)
     if layer.eps > height:
         warn(
@@ -219,7 +228,10 @@ def _warn_of_thickness(model: InterfaceModel, layer: ThinLayer) -> None:
 
 
 def _warn_of_hard_layer(model: InterfaceModel, layer: ThinLayer, strata: list[Stratum]) -> None:
-    """Order 0 leaves eps grad_S <u> out of the jump, eps t/E_body beside eps t/E_layer: more than all of it then."""
+    """Warn if the layer is harder than a body.
+
+    Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
+    """
     n, bodies = model.at_rest.n, model.structure.bodies_at_rest
     if layer.order == 1 or not strata or any(C is None for C in bodies):
         return
@@ -235,10 +247,10 @@ def _warn_of_hard_layer(model: InterfaceModel, layer: ThinLayer, strata: list[St
 
 
 def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence[list[Stratum]]) -> None:
-    """At free ends the pressure of a nearly incompressible layer falls to zero over a length delta, which laws leave out.
+    """Warn if the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta.
 
-    Between rigid faces a strip of half-width l carries 1 - tanh(l/delta) delta/l of what the laws say. Told is the largest
-    factor of a layer whose strata are these at several times.
+    Laws leave this out. Between rigid faces a strip of half-width l carries 1 - tanh(l/delta) delta/l of the load that
+    the laws give. The warning names the largest factor; `layers` are the strata of the layer at several times.
     """
     layers = [strata for strata in layers if any(stratum.nearly for stratum in strata)]
     if not layers:
@@ -248,8 +260,8 @@ def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence
         return
     if any(stratum.length == math.inf for strata in layers for stratum in strata):
         warn(
-            "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as of a layer "
-            "that is held there; one that is free is squeezed out, and its jump is not zero; mesh the layer "
+            "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
+            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; mesh the layer "
             "(structure.full), or support its sides if they are held",
             model.comm,
         )
@@ -260,7 +272,7 @@ def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence
     delta = layer.eps * max(lengths)
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
-    if lost > 1 / (1 - SHARE) - 1:
+    if lost > 1 / (1 - LEAST_ERROR) - 1:
         warn(
             f"the layer is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
@@ -271,23 +283,26 @@ def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence
 
 
 def pressure_length(strata: list[Stratum], width: float) -> float:
-    """delta of the pressure along S, over the thickness of a layer; the width that it flows along is likewise.
+    """Length delta of the pressure along S, relative to the thickness of the layer.
 
-    Strata have one normal traction t: the layer opens by w = c t - B t'', with their compliances c and the flow along S
-    that a slope of t drives, in strata that are nearly incompressible. Their neighbours are sheared and, as
-    strains along S grow in proportion to the place, stretched; delta^2 = B/c. Of one stratum it is its `length`.
+    All strata have one normal traction t. The layer opens by w = c t - B t'': c is the sum of their compliances, and B t''
+    the flow along S that a slope of t drives in nearly incompressible strata. The flow shears the other strata and, as
+    strains along S grow in proportion to the place, stretches them; delta^2 = B/c. For one stratum delta is its `length`.
+    B is the minimum of a quadratic form of displacements along S, of degree 2 through each stratum.
 
-    B is the least of a quadratic form of displacements along S, of degree 2 through each stratum.
+    Args:
+        strata: from below.
+        width: length of the flow along S, relative to the thickness of the layer.
     """
     count = 2 * len(strata) + 1
     A, b = np.zeros((count, count)), np.zeros(count)
     for k, one in enumerate(strata):
         at = slice(2 * k, 2 * k + 3)
-        A[at, at] += one.mu / (3 * one.fraction) * SHEAR
+        A[at, at] += one.mu / (3 * one.fraction) * SHEAR_MATRIX
         if one.nearly:
             b[at] += math.sqrt(one.lmbda / (one.lmbda + 2 * one.mu)) * one.fraction / 6 * np.array([1.0, 4.0, 1.0])
         else:
-            A[at, at] += 3 / width**2 * max(one.along, 0.0) * one.fraction / 30 * STRETCH
+            A[at, at] += 3 / width**2 * max(one.along, 0.0) * one.fraction / 30 * STRETCH_MATRIX
     inside = slice(1, -1)  # the bodies do not move
     flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
     return math.sqrt(flow / sum(one.compliance for one in strata))
@@ -296,7 +311,7 @@ def pressure_length(strata: list[Stratum], width: float) -> float:
 # ---------------------------------------------------------------- after a solve
 @dataclass(frozen=True)
 class _Faces:
-    """At the vertices of the simplices of S: displacements of the lower and the upper face (n, d, d), thickness (n, d)."""
+    """Thickness (n, d) and displacements of the lower and upper face (n, d, d) at the vertices of the simplices of S."""
 
     state: State
     sheet: Sheet
@@ -306,7 +321,7 @@ class _Faces:
 
     @classmethod
     def of(cls, state: State, layer: ThinLayer) -> _Faces | None:
-        """Those of a state on rank 0, None on others. Collective."""
+        """The faces of a state on rank 0, None on other ranks. Collective."""
         model, joint = state.model, state.model.joint
         cells = joint.table.cells[joint.surface_rows]
         needed = np.unique(cells[cells >= 0])
@@ -340,33 +355,33 @@ class _Faces:
 
     @property
     def slip_squared(self) -> FloatArray:
-        """(n, d) |w_T|^2, at least the square of what is rounding next to the displacements."""
+        """(n, d) |w_T|^2 plus the square of the rounding of displacements."""
         jump = self.upper - self.lower
         slip = jump - self.opening[..., None] * self.sheet.normals
-        rounding = ROUNDING * max(np.abs(self.lower).max(), np.abs(self.upper).max())
+        rounding = JUMP_ROUNDING * max(np.abs(self.lower).max(), np.abs(self.upper).max())
         return np.asarray((slip**2).sum(axis=2) + rounding**2)
 
     @property
     def closing(self) -> FloatArray:
-        """(n, d) how far the faces have approached each other, over the thickness."""
+        """(n, d) approach of the faces, relative to the thickness."""
         return -self.opening / self.thickness
 
     @property
     def mean_closing(self) -> float:
-        """Its mean over S; where the layer opens it counts as none."""
+        """Mean closing over S; an opening counts as zero."""
         areas = self.sheet.areas
         return float(areas @ np.maximum(self.closing, 0).mean(axis=1) / areas.sum())
 
 
 def _warn_of_overlap(faces: _Faces) -> None:
-    """A layer that closes by its thickness is gone; laws of small strains do not know it, and the bodies overlap.
+    """Warn if the bodies overlap by more than the thickness on average, which laws of small strains do not prevent.
 
-    Told is an overlap as large as the thickness, on average: at single places, such as ends, jumps are large in any case,
-    and where the thickness tends to zero under the same load, jumps stay, and pass it in the end. Results of linear models
-    are proportional to their loads: there a unit load is as good as any, and nothing is told.
+    The mean over S is tested, because at single places, such as ends, jumps are large in any case. The limit is not zero,
+    because as the thickness tends to zero under the same load, jumps stay and exceed it in the end. Linear models are not
+    tested: their results are proportional to loads of any size.
     """
     closing, state = faces.closing, faces.state
-    if faces.mean_closing > OVERLAP:
+    if faces.mean_closing > LEAST_OVERLAP:
         worst = np.unravel_index(closing.argmax(), closing.shape)
         x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[faces.sheet.vertices[worst]])
         warn(
@@ -378,44 +393,44 @@ def _warn_of_overlap(faces: _Faces) -> None:
 
 
 def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: float | None) -> None:
-    """How much stiffer the law is than a layer whose pressure evens out along S, with the opening that was found.
+    """Warn if the law is too stiff for the openings found, compared with a layer whose pressure evens out along S.
 
-    Asked is the state that opens most and, of those that open at least half as much, the last: laws that creep or relax
-    are nearer to it then.
+    Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
+    or relax become nearly incompressible with time.
     """
     openings = [float(np.abs(faces.opening).max()) for faces in found]
     most = openings.index(max(openings))
-    last = max(k for k, opening in enumerate(openings) if opening >= HALF * max(openings))
-    worst, told = SHARE, None
+    last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
+    worst, stratum = LEAST_ERROR, None
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
         strata = _strata(model, 0.0 if start is None else state.t - start)
-        if len(strata) != 1 or not LONG < strata[0].length < math.inf:
+        if len(strata) != 1 or not LONG_PRESSURE < strata[0].length < math.inf:
             continue
         excess = pressure_excess(faces, strata[0])
         if excess > worst:
-            worst, told = excess, strata[0]
-    if told:
+            worst, stratum = excess, strata[0]
+    if stratum:
         warn(
-            f"the layer is nearly incompressible{told.when} (lmbda/mu = {told.lmbda / told.mu:.4g}): with the jumps found, "
-            f"the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material flow along S; the "
-            "structure is off by less where the bodies are soft; mesh the layer (structure.full) to see by how much",
+            f"the layer is nearly incompressible{stratum.when} (lmbda/mu = {stratum.lmbda / stratum.mu:.4g}): with the "
+            f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
+            "flow along S; the structure is off by less where the bodies are soft; mesh the layer (structure.full) to see "
+            "by how much",
             model.comm,
         )
 
 
 def pressure_excess(faces: _Faces, layer: Stratum) -> float:
-    """int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2): work that the law asks for in excess, over the work that is needed.
+    """Excess of the law's work over the work of the layer, int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2).
 
-    1 + excess says how many times the law is too stiff for the jumps found: by the pressure where they open the layer, not
-    at all where they shear it alone. With wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, that of
-    the layer
+    The law is 1 + excess times too stiff for the jumps found; the excess is zero if they only shear the layer. With
+    wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, and the pressure p of the layer solves
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through the others,
 
-    continuous and of degree 1. Where cells at a free end are larger than the length of the pressure, p is left free there:
-    it could not fall within them. On straight facets of a curved S slip opens the layer at one end of a facet and closes
-    it at the other, which the law resists, too. Jumps that are rounding next to the displacements count as shear.
+    continuous and of degree 1. If cells at a free end are larger than the length of the pressure, p is not set to zero
+    there, as it cannot fall within a cell. On straight facets of a curved S slip opens the layer at one end of a facet and
+    closes it at the other, and the law resists that, too. Jumps as small as the rounding of displacements count as shear.
     """
     sheet, eps = faces.sheet, faces.thickness.mean(axis=1)
     d = sheet.joint.dim
@@ -442,7 +457,7 @@ def pressure_excess(faces: _Faces, layer: Stratum) -> float:
 
 
 def _assemble(blocks: FloatArray, number: IntArray) -> scipy.sparse.csc_matrix:
-    """The matrix of blocks (n, d, d) of simplices whose vertices have these numbers (n, d)."""
+    """Assemble the blocks (n, d, d) of simplices whose vertices have these numbers (n, d)."""
     rows = np.broadcast_to(number[:, :, None], blocks.shape).ravel()
     columns = np.broadcast_to(number[:, None, :], blocks.shape).ravel()
     return scipy.sparse.coo_matrix((blocks.ravel(), (rows, columns))).tocsc()

@@ -1,9 +1,9 @@
-"""Weak springs that hold every node where it was: they lead to an equilibrium that is hard to find, or show that none is.
+"""Weak springs between every node and its old place: they lead to an equilibrium, or show that there is none.
 
-With springs k at all nodes, R(u) + k (u - u_0) = 0 has a solution even beyond a limit of the loads, and Newton's method
-finds it easily while k is large. As k falls, u tends to the nearest equilibrium if there is one; if there is none it runs
-away, in the end as 1/k. For a layer whose flow is associated this is a theorem: R is monotone, |u - u_0| only grows as k
-falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida). For other layers it is a sign.
+With springs k at all nodes, R(u) + k (u - u_0) = 0 has a solution even above the limit load, and Newton's method finds it
+easily while k is large. As k falls, u tends to the nearest equilibrium if there is one; otherwise u runs away, in the end
+as 1/k. For a layer with associated flow this is a theorem: R is monotone, |u - u_0| only grows as k falls, and no
+equilibrium is nearer (Brezis 1973, the regularisation of Yosida). For other layers it is an indication.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import mark, solve_linear, tell_multigrid
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
-Found = TypeVar("Found")
-FIRST, LEAST = 1.0, 1e-12  # stiffness of the springs, over the mean one of the bodies' nodes; below, rounding
-SOFTER = 10.0  # stiffness over that of the next springs
-NEAR = 1.3  # growth of the distance with SOFTER springs near an equilibrium
-FAR = 30.0  # distance over that of an elastic layer: laws that flow at a limit go farther, others do not come so far
-FAR_ENOUGH = 1e6  # distance over that of an elastic layer, from which on it is known that they run away
-TOLERANCE = 1e-3  # residual over the forces of the springs: their solution is only on the way
-ITERATIONS, CUTS = 40, 6  # of Newton's method, and of a step of it
-MEMORY = 6  # steps over the largest of whose residuals a new one may not grow
-DECREASE = 0.1  # of the residual, over the length of the step
+Result = TypeVar("Result")
+FIRST_STIFFNESS, LEAST_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
+SOFTENING_FACTOR = 10.0  # stiffness of springs divided by that of the next ones
+SETTLED_GROWTH = 1.3  # growth of the distance per SOFTENING_FACTOR below which an equilibrium is near
+RUN_AWAY = 30.0  # distance, relative to that of an elastic layer, that shows that there is no equilibrium
+STOP_DISTANCE = 1e6  # distance, relative to that of an elastic layer, at which the search ends
+TOLERANCE = 1e-3  # residual of solutions with springs, relative to the forces of the springs
+ITERATIONS, HALVINGS = 40, 6  # largest numbers of Newton's steps, and of trial lengths of one step
+COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which bounds a new one
+LEAST_DECREASE = 0.1  # relative decrease of the residual over the length of the step
 
 
 class Restraint:
-    """Steps of a model whose nodes are held by springs. Collective.
+    """Steps of a model with springs at all nodes. Collective.
 
     Args:
-        equations: of the model.
+        equations: the equations of the model.
         options: PETSc options of the linear solver.
     """
 
@@ -57,36 +57,36 @@ class Restraint:
             if thing is not None:
                 thing.destroy()
 
-    def follow(self, rest: State, step: Interval, find: Callable[[PETSc.Vec], Found]) -> Found:
-        """What `find` finds, without springs, from where softer and softer ones lead.
+    def follow(self, rest: State, step: Interval, find: Callable[[PETSc.Vec], Result]) -> Result:
+        """Soften the springs until `find` succeeds without them; returns its result.
 
         Args:
-            rest: the state before anything happened.
-            step: from an equilibrium to the time at which one is looked for.
+            rest: the state at rest.
+            step: from an equilibrium to the time of the wanted one.
             find: unknowns -> the equilibrium near them; raises SolveError.
 
         Raises:
-            NoEquilibrium: displacements run away. SolveError: nothing is found.
+            NoEquilibrium: displacements run away. SolveError: no equilibrium was found.
         """
         elastic = self._elastic_distance(rest, step)
         failed = SolveError("weak springs have not led to an equilibrium")
         if not elastic:
             raise failed
         self._start(step)
-        distance, softer, settled = 0.0, SOFTER, False
-        self._stiffness = FIRST * self._unit
-        while self._stiffness > LEAST * self._unit and distance < FAR_ENOUGH * elastic:
+        distance, softer, settled = 0.0, SOFTENING_FACTOR, False
+        self._stiffness = FIRST_STIFFNESS * self._unit
+        while self._stiffness > LEAST_STIFFNESS * self._unit and distance < STOP_DISTANCE * elastic:
             if not self._solve():
-                if softer < SOFTER or not distance:
+                if softer < SOFTENING_FACTOR or not distance:
                     break
                 self._stiffness *= softer
-                softer = math.sqrt(SOFTER)
+                softer = math.sqrt(SOFTENING_FACTOR)
                 self._stiffness /= softer
                 self._kept.copy(self.x)
                 continue
             before, distance = distance, self._distance(self.x)
             self.x.copy(self._kept)
-            settled = distance < before * (1 + (NEAR - 1) * math.log10(softer))
+            settled = distance < before * (1 + (SETTLED_GROWTH - 1) * math.log10(softer))
             if settled:
                 try:
                     return find(self.x)
@@ -95,15 +95,15 @@ class Restraint:
             self._stiffness /= softer
             if distance > math.sqrt(softer) * before > 0:
                 self._run_on(softer)
-        if distance >= FAR * elastic and not settled:
+        if distance >= RUN_AWAY * elastic and not settled:
             raise NoEquilibrium(distance / elastic)
         raise failed
 
     # ---------------------------------------------------------------- the step
     def _elastic_distance(self, rest: State, step: Interval) -> float:
-        """Displacements that the loads and supports of the step would bring about at rest, in an elastic layer.
+        """Norm of the displacements that the loads and supports of the step cause from rest, with an elastic layer.
 
-        In the time of the step: what takes time does not answer at once.
+        The step has its own length dt, as laws with rate do not answer at once.
         """
         equations, r, d = self.equations, self._r, self._d
         equations.begin(Interval(rest, step.old.t, step.dt, 1.0))
@@ -117,7 +117,7 @@ class Restraint:
             A = equations.tangent()
         finally:
             equations.ease(ease)
-        A.shift(LEAST * self._unit)
+        A.shift(LEAST_STIFFNESS * self._unit)
         n = equations.n_displacements
         r.set(0.0)
         r.array[:n] = equations.loads.array_r - loads.array_r
@@ -141,7 +141,7 @@ class Restraint:
         return float(self._d.norm())
 
     def _run_on(self, softer: float) -> None:
-        """Start from where displacements come that grow as the springs soften, if that is nearer."""
+        """Extrapolate x, as if displacements grew in proportion to 1/k, if that reduces the residual."""
         here = self._residual(self.x)
         self.x.copy(self._trial)
         self._trial.scale(softer)
@@ -159,7 +159,7 @@ class Restraint:
         return float(r.norm())
 
     def _solve(self) -> bool:
-        """Move x to the equilibrium with springs; whether it was found."""
+        """Move x to the equilibrium with springs. True if it was found."""
         sizes = [self._residual(self.x)]
         while len(sizes) <= ITERATIONS and math.isfinite(sizes[-1]):
             A = self.equations.tangent()
@@ -167,18 +167,18 @@ class Restraint:
             A.zeroRowsColumns(self.equations.held_rows, 1.0)
             self._r.scale(-1.0)
             self._solve_linear(A, self._r, self._d)
-            sizes.append(self._search(max(sizes[-MEMORY:])))
+            sizes.append(self._search(max(sizes[-COMPARED_RESIDUALS:])))
             allowed = max(TOLERANCE * self._stiffness * self._distance(self.x), aim(self.equations, self.x))
             if sizes[-1] <= allowed:
                 return True
         return False
 
     def _search(self, most: float) -> float:
-        """Go along d, as far as the residual does not grow over `most`; the residual there."""
+        """Move x along d to a residual below `most`, or else to the smallest one tried; returns the residual."""
         best, at, length = math.inf, 0.0, 1.0
-        for _ in range(CUTS):
+        for _ in range(HALVINGS):
             size = self._at(length)
-            if size < (1 - DECREASE * length) * most:
+            if size < (1 - LEAST_DECREASE * length) * most:
                 best, at = size, length
                 break
             if size < best:

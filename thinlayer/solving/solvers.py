@@ -25,7 +25,7 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.finder import Attempt, Finder, Found
 from thinlayer.solving.linear_solvers import failed_in_petsc, linear_solvers
-from thinlayer.solving.newton import FLAT, NEWTON, YIELDING
+from thinlayer.solving.newton import NEWTON, SINGULAR, YIELDING
 from thinlayer.solving.options import (
     PREFIX,
     OptionError,
@@ -38,7 +38,7 @@ from thinlayer.solving.options import (
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
 
-SEARCHES = ("bt", "l2")  # Newton's line searches where a law yields
+SEARCHES = ("bt", "l2")  # PETSc's line searches that are tried in turn for laws that yield
 
 
 def solve(
@@ -49,13 +49,13 @@ def solve(
     method: str | None = None,
     like: State | None = None,
 ) -> State:
-    """Equilibrium of a model at a time; of a layer with memory, its response to the sudden load. Collective.
+    """Equilibrium of a model at a time; a layer with memory answers to the sudden load. Collective.
 
     Args:
         model: the model.
-        t: the time that loads and supports are taken at.
-        options: PETSc options without prefix, over our defaults; options given to PETSc as -thinlayer_NAME come first.
-        method: "linear" (default if every law is linear) or "newton". Of contact laws "condensed" (to the jumps on S;
+        t: the time of loads and supports.
+        options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides both.
+        method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the jumps on S;
             default on one rank while S is narrow), "multigrid" (default otherwise), "newton" (default if a body is not
             linear, or for a law of one's own) or "relaxation" (the paper's, for comparison).
         like: under a contact law, a state of the same joint with a similar contact status, such as that of another load or
@@ -103,7 +103,7 @@ def require_hardening(model: Model, what: str) -> None:
 
 
 def comm_of(model: Any) -> MPI.Intracomm:
-    """Communicator of a model; the world, if it is none."""
+    """Communicator of a model; MPI.COMM_WORLD if `model` is no model."""
     return model.comm if isinstance(model, Model) else MPI.COMM_WORLD
 
 
@@ -153,7 +153,7 @@ class Solver:
         self._given = dict(options or {})
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)
-        self._linear = [{}] if self.method in METHODS else linear_solvers(model)  # those that have not failed
+        self._linear = [{}] if self.method in METHODS else linear_solvers(model)  # without those that have failed
         if len(self._linear) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
             self._linear = self._linear[:1]
         self._log = logger("solve", model.comm)
@@ -161,10 +161,10 @@ class Solver:
         self._finder: Finder = (
             ContactFinder(self.equations, self.method, like) if self.method in METHODS else self._equilibrium()
         )
-        self._told = False  # whether a law that softens has been told
+        self._warned = False  # whether there was a warning of a law that softens
 
     def _check(self, method: Any, like: Any) -> None:
-        """Raise an error unless the method is one for the model, and so is the state to begin from."""
+        """Raise an error unless the method and the state `like` suit the model."""
         model, allowed = self.model, ("newton", *METHODS) if self.model.contact else ("linear", "newton")
         if self.method not in allowed:
             check_method(model, self.method)
@@ -183,8 +183,8 @@ class Solver:
     def _equilibrium(self) -> Equilibrium:
         own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         advice = f"a smaller step or load, {self._advice}"
-        curved = self.method == "newton"
-        return Equilibrium(self.equations, curved=curved, own_test=own_test, yields=self.yields, advice=advice)
+        nonlinear = self.method == "newton"
+        return Equilibrium(self.equations, nonlinear=nonlinear, own_test=own_test, yields=self.yields, advice=advice)
 
     def close(self) -> None:
         """Free matrices and factors."""
@@ -193,15 +193,21 @@ class Solver:
         self.model.laws_were_read()
 
     def rest(self, t: float) -> State:
-        """The model before anything happened."""
+        """The state at rest, before the first step."""
         return self.equations.rest(t)
 
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, *, held: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
 
-        With t = old.t it is the response to a sudden load. Errors as in `solve`. Where Newton's method fails with a law
-        that yields, it is tried with another line search and then through laws that are easier, if `thorough`. Phases that
-        columns of the layer change are changed, and the equilibrium is found again, until none does; not if `held`.
+        With t = old.t it is the response to a sudden load. Errors as in `solve`.
+
+        Args:
+            old: the state before the step.
+            t: time at the end of the step.
+            theta: forces balance at old.t + theta (t - old.t).
+            thorough: if Newton's method fails, try further line searches and then eased laws.
+            held: keep the phases of `old`; otherwise columns change phase, and the equilibrium is found again, until all
+                columns have the phase of lowest energy.
         """
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
@@ -218,10 +224,10 @@ class Solver:
         return self._accept(found.x, Report(self.method, iterations, found.residual, seconds, eased))
 
     def seek(self, old: State, t: float, theta: float = 1.0) -> State:
-        """The state at the end of a step that `step` does not find, by weak springs at all nodes. Collective.
+        """State at the end of a step for which `step` has failed, by weak springs at all nodes. Collective.
 
         Raises:
-            NoEquilibrium: displacements run away as the springs soften. SolveError: nothing is found.
+            NoEquilibrium: displacements run away as the springs soften. SolveError: no equilibrium was found.
         """
         start = time.perf_counter()
         near = [attempt for attempt in self._attempts() if not attempt.eased]
@@ -238,17 +244,17 @@ class Solver:
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
         state = self.equations.accept(x, report)
-        self._tell_softening(state.t)
+        self._warn_of_softening(state.t)
         return state
 
-    def _tell_softening(self, t: float) -> None:
-        """Warn, once, where the stress of a law falls that does not say so: at the same loads there may be other states."""
-        if self._told:
+    def _warn_of_softening(self, t: float) -> None:
+        """Warn, once, if the stress of a law falls that does not declare `softens`: there may be other equilibria."""
+        if self._warned:
             return
         found = next(filter(None, (part.undeclared_softening() for part in self.equations.parts)), None)
         if found:
             name, where = found
-            self._told = True
+            self._warned = True
             warn(
                 f"at t = {t:g} the stress of {name} falls {where} as jumps or strains grow: this equilibrium "
                 "may be one of several, and steps may pass over others; write softens = True in the class and follow "
@@ -258,7 +264,7 @@ class Solver:
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[Attempt]:
-        """What is tried in turn: line searches, each with every linear solver; then a way through easier laws."""
+        """The attempts in turn: every line search with every linear solver, then eased laws."""
         attempts = []
         for search in self._searches:
             options = self._newton_options(search)
@@ -266,16 +272,16 @@ class Solver:
                 words = [self.method, f"line search {search}" if search else "", str(linear.get("pc_type", ""))]
                 attempts.append(Attempt(", ".join(filter(None, words)), linear, options))
         if self.equations.traits.eases:
-            attempts.append(Attempt("easier laws", self._linear[-1], attempts[-1].options, eased=True))
+            attempts.append(Attempt("eased laws", self._linear[-1], attempts[-1].options, eased=True))
         return attempts
 
     def _work_through(self, attempts: list[Attempt], start: PETSc.Vec | None = None) -> tuple[Found, int]:
-        """What the first attempt that succeeds finds, with the iterations of all; number of solves with easier laws.
+        """Result of the first attempt that succeeds, with the iterations of all; number of solves with eased laws.
 
-        A linear solver that fails while there is another one is not tried again, in later steps either.
+        A linear solver that fails is dropped for this and all later steps, unless it is the last one.
 
         Raises:
-            SolveError: that of the first attempt with the last linear solver.
+            SolveError: all attempts failed; the error of the first attempt with the last linear solver.
         """
         spent, failed = 0, ""
         first: SolveError | None = None
@@ -286,7 +292,7 @@ class Solver:
             if failed:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, failed)
             try:
-                found, solves = self._through_easier_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
+                found, solves = self._through_eased_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
             except SolveError as error:
                 failed = f"{attempt.name} failed: {error.reason}"
                 if len(self._linear) > 1:
@@ -301,7 +307,7 @@ class Solver:
         raise first from (None if last is first else last)
 
     def _try(self, attempt: Attempt, start: PETSc.Vec | None = None) -> Found:
-        """What an attempt finds, with a new factor where it fails with an old one."""
+        """Result of an attempt; if it fails with the factor of an earlier step, it is made again with a new one."""
         began = time.perf_counter()
         try:
             try:
@@ -309,7 +315,7 @@ class Solver:
             except SolveError as error:
                 if not self._finder.forget():
                     raise
-                self._log.debug("%s: with a new factor, as with that of earlier steps: %s", attempt.name, error.reason)
+                self._log.debug("%s: again with a new factor, as the old one failed: %s", attempt.name, error.reason)
                 found = self._with_options(attempt, start)
         except SolveError as error:
             seconds = time.perf_counter() - began
@@ -317,13 +323,13 @@ class Solver:
             self._log.debug("%s: failed after %d iterations, %.2g s", attempt.name, len(error.residuals), seconds)
             raise
         seconds = time.perf_counter() - began
-        told = attempt.name, found.iterations, found.residual, seconds
-        self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *told)
+        outcome = attempt.name, found.iterations, found.residual, seconds
+        self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *outcome)
         return found
 
-    def _through_easier_laws(self, attempt: Attempt) -> tuple[Found, int]:
-        """What is found by `Continuation`, and its solves. Strains and internal values at the start stay what they are."""
-        way, spent, residual = Continuation(), 0, math.nan
+    def _through_eased_laws(self, attempt: Attempt) -> tuple[Found, int]:
+        """Result of `Continuation`, and its number of solves. All solves begin with the strains and memory of the step."""
+        continuation, spent, residual = Continuation(), 0, math.nan
 
         def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
             nonlocal spent, residual
@@ -337,12 +343,12 @@ class Solver:
             return found.x
 
         try:
-            return Found(way.follow(solve), spent, residual), way.solves
+            return Found(continuation.follow(solve), spent, residual), continuation.solves
         finally:
             self.equations.ease(0.0)
 
     def _with_options(self, attempt: Attempt, start: PETSc.Vec | None) -> Found:
-        """What the finder finds with our PETSc options and the user's, all of which it must read."""
+        """Result of the finder with our PETSc options and the user's. All options of the user must be read."""
         ours = {**attempt.linear, **attempt.options}
         with defaults({**ours, **self._given}):
             try:
@@ -361,7 +367,7 @@ class Solver:
 
     @property
     def _searches(self) -> tuple[str | None, ...]:
-        """Line searches to try in turn; None: the one of the options."""
+        """Line searches to try in turn; None: the line search of the options."""
         if self.yields and not is_set("snes_linesearch_type", self._given):
             return SEARCHES
         return (None,)
@@ -371,7 +377,7 @@ class Solver:
             return {}
         if self.model.contact:
             search = "basic"
-        options = NEWTON | YIELDING if self.yields else NEWTON | FLAT if self.equations.traits.singular else NEWTON
+        options = NEWTON | YIELDING if self.yields else NEWTON | SINGULAR if self.equations.traits.singular else NEWTON
         return options | ({"snes_linesearch_type": search} if search else {})
 
     @property

@@ -1,4 +1,4 @@
-"""StepProblem: the balance of forces of a time step in a script of one's own, for one's own PETSc SNES."""
+"""StepProblem: the balance of forces of a time step in a user's own script, for the user's own PETSc SNES."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.kernels import Array
+from thinlayer.solving.force_scale import ALLOWED
 
-LARGEST_RESIDUAL = 1e-6  # part of the forces that may be out of balance in a state that is accepted
 DIFFERENT, SUBSET = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
 @dataclass
 class _Remembering:
-    """A compiled term over the time steps: its last response, and strains and internal values at the step's beginning."""
+    """A compiled term with its last response, and its strains and memory at the beginning of the step."""
 
     term: CompiledTerm
     strain: Array
@@ -36,7 +36,7 @@ class _Remembering:
 class StepProblem:
     """The balance of forces of a time step: a UFL form, terms of layers and bodies, and prescribed displacements.
 
-    It gives a PETSc SNES its function and its Jacobian; which solvers and line searches it uses stays its owner's:
+    It gives a PETSc SNES its function and its Jacobian. The user chooses the solvers and line searches:
 
         problem = StepProblem(R, u, bcs, terms)
         problem.attach(snes)
@@ -47,20 +47,20 @@ class StepProblem:
 
     Args:
         form: virtual work of the other stresses less that of the loads, a UFL form of u, linear in a test function.
-        u: displacements, of all bodies; the state at the start is what they are when the problem is made.
+        u: displacements of all bodies; their values when the problem is made are the first state.
         bcs: Dirichlet conditions; their values are read at every residual.
-        terms: of laws on any UFL measure: of a layer (`BrokenMesh.layer`), of a body (`forms.work.body`). Laws with memory
-            or rate are compiled and run at quadrature points; others become a part of the form.
+        terms: terms of laws on any UFL measure: of a layer (`BrokenMesh.layer`) or a body (`forms.work.body`). Laws with
+            memory or rate are compiled and run at quadrature points; the others are added to the form.
 
     Attributes:
-        t: time at the end of the steps that were accepted.
+        t: time at the end of the last accepted step.
         compiled: the compiled terms, with their `strain`, `respond`, `forces` and `stiffness`.
-        memory: internal values (points, values) of each compiled term on this rank, at the last accepted state.
-        energies: of the compiled terms at the last accepted state: stored; dissipated in all steps; what the time scheme
-            adds to the balance of energy. NaN where a law declares no energy.
+        memory: internal variables (points, values) of each compiled term on this rank, at the last accepted state.
+        energies: of the compiled terms at the last accepted state: stored; dissipated in all steps; the time scheme's error
+            of the balance of energy in all steps. NaN if a law declares no energy.
 
     Raises:
-        LawError: a law that needs a pressure of its own.
+        LawError: a law that needs its own pressure field.
         ModelError: a measure without tags.
     """
 
@@ -107,7 +107,7 @@ class StepProblem:
 
     @property
     def memory(self) -> list[Array]:
-        """Internal values of each compiled term on this rank, (points, values)."""
+        """Internal variables of each compiled term on this rank, (points, values)."""
         return [one.memory for one in self._remembering]
 
     # ---------------------------------------------------------------- a step
@@ -117,9 +117,9 @@ class StepProblem:
         snes.setJacobian(self.jacobian, self._matrix)
 
     def begin(self, dt: float) -> None:
-        """Begin a step of length dt >= 0 from the state that was accepted last; 0 is a sudden load.
+        """Begin a step of length dt >= 0 from the last accepted state; 0 is a sudden load.
 
-        Again after a step that failed, once its owner has put u back.
+        After a step that failed, set u back to the last accepted state and call `begin` again.
         """
         if not dt >= 0:
             raise ModelError(f"the length of a step is {dt}; allowed: >= 0")
@@ -128,22 +128,22 @@ class StepProblem:
             one.term.at_time(self.t + self._dt)
 
     def residual(self, snes: PETSc.SNES | None, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Forces out of balance at displacements x, NaN where a law fails.
+        """Residual at displacements x: internal forces less loads; all NaN if a law fails.
 
-        Where displacements are prescribed, how much x differs from them, times a stiffness of the form: line searches
-        compare both.
+        For prescribed displacements it is the difference of x from them, times a stiffness of the form: line searches add
+        both kinds up.
         """
         self._put(x)
         self._balance(out)
-        out.array[self._held] = self._stiffness * self._missing()
+        out.array[self._held] = self._stiffness * self._support_errors()
         if self._failures():
             out.set(np.nan)
 
     def jacobian(self, snes: PETSc.SNES | None, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        """Derivative of the residual, at the displacements that it was asked for last.
+        """Derivative of the residual at the displacements of its last call.
 
-        The rows of prescribed displacements are those of the identity, times a stiffness, so that a Newton step meets them
-        and carries all others along: the matrix is not symmetric.
+        The rows of prescribed displacements are those of the identity times a stiffness, so that a Newton step meets the
+        prescribed values: the matrix is not symmetric.
         """
         P.zeroEntries()
         for form in self._J:
@@ -156,11 +156,11 @@ class StepProblem:
             A.assemble()
 
     def accept(self) -> None:
-        """End the step at the displacements u: the internal values there are where the next one begins.
+        """End the step at the displacements u: the next step begins with the internal variables there.
 
         Raises:
-            SolveError: more than 1e-6 of the forces are out of balance, a law fails at u, or a column of a law with phases
-                is to change phase, see `switch`.
+            SolveError: more than 1e-6 of the forces is out of balance, a law fails at u, or a column must change phase, see
+                `switch`.
         """
         out = self._forces
         self._put(self._u.x.petsc_vec)
@@ -168,13 +168,14 @@ class StepProblem:
         if failed := self._failures():
             first = next(filter(None, self._gathered([one.term.failure(one.response) for one in self._remembering])))
             raise SolveError(f"laws fail at {failed} points: {first}")
-        out.array[self._held] = self._stiffness * self._missing()
-        if (lack := float(out.norm())) > LARGEST_RESIDUAL * size:
-            raise SolveError(f"u is no equilibrium: {lack / max(size, lack):.3g} of the forces are out of balance")
+        out.array[self._held] = self._stiffness * self._support_errors()
+        if (unbalanced := float(out.norm())) > ALLOWED * size:
+            share = unbalanced / max(size, unbalanced)
+            raise SolveError(f"u is no equilibrium: {share:.3g} of the forces are out of balance")
         columns = [(one.term.switching, one.response) for one in self._remembering if one.term.switching]
         if any(switching.excess(response.memory) > TIE for switching, response in columns if switching):
             raise SolveError(
-                "columns of the layer are to change phase: call switch() and solve again until it gives False"
+                "columns of the layer must change phase: call switch() and solve again until it returns False"
             )
         found = sum((one.response.energies for one in self._remembering), np.zeros(3))
         stored, dissipated, remainder = self._comm_sum(found)
@@ -184,7 +185,7 @@ class StepProblem:
         self.t, self._dt = self.t + self._dt, np.nan
 
     def switch(self) -> bool:
-        """Let columns of laws with phases change to the phase of lowest energy; True: solve the step again."""
+        """Change columns of laws with phases to the phase of lowest energy. True if any changes: solve the step again."""
         changed = False
         self._respond()
         for one in self._remembering:
@@ -205,7 +206,7 @@ class StepProblem:
         self._u.x.scatter_forward()
 
     def _balance(self, out: PETSc.Vec) -> float:
-        """Forces out of balance, with those of supports; the size of these or of compiled terms' forces, the larger one."""
+        """Write internal forces less loads, reactions included; returns the largest of their norm and the terms' norms."""
         out.set(0.0)
         for form in self._R:
             b = dolfinx.fem.petsc.assemble_vector(form)
@@ -220,12 +221,12 @@ class StepProblem:
             out.axpy(1.0, forces)
         return max(size, float(out.norm()))
 
-    def _missing(self) -> Array:
-        """How much prescribed displacements lack."""
-        wanted = np.zeros(len(self._u.x.array))
+    def _support_errors(self) -> Array:
+        """Displacements u less prescribed values, at the held displacements."""
+        prescribed = np.zeros(len(self._u.x.array))
         for bc in self._bcs:
-            bc.set(wanted)
-        return np.asarray(self._u.x.array[self._held] - wanted[self._held])
+            bc.set(prescribed)
+        return np.asarray(self._u.x.array[self._held] - prescribed[self._held])
 
     def _respond(self) -> None:
         if self._remembering and np.isnan(self._dt):
@@ -251,7 +252,7 @@ class StepProblem:
 
 
 def _compiled(form: ufl.Form) -> list[fem.Form]:
-    """A form as several, each with one set of tags for all its integrals of a kind: DOLFINx compiles no others."""
+    """Compiled forms whose sum is the form; each has one set of tags per type of integral, as DOLFINx requires."""
     groups: list[list[ufl.Integral]] = []
     for integral in form.integrals():
         kind, tags = integral.integral_type(), integral.subdomain_data()

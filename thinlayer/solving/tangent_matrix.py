@@ -1,4 +1,4 @@
-"""One matrix from the blocks that parts of the balance add to the tangent."""
+"""The tangent as one matrix: the sum of the blocks that parts of the balance add."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ SAME, SUBSET, DIFFERENT = (
 
 
 class TangentMatrix:
-    """Sums of blocks, side by side in one matrix that is filled again each time. Collective.
+    """A matrix of sums of blocks; every `fill` writes into the same matrix. Collective.
 
     Args:
         comm: communicator.
-        sizes: number of unknowns of this rank, by the keys of blocks, in the order of the unknowns.
+        sizes: key of a block -> its number of unknowns on this rank, in the order of the unknowns.
     """
 
     def __init__(self, comm: MPI.Intracomm, sizes: Mapping[str, int]) -> None:
@@ -31,7 +31,7 @@ class TangentMatrix:
         self._whole: PETSc.Mat | None = None
 
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
-        """The matrix with these blocks; they may have entries where those of the first time had some. Destroys theirs."""
+        """The matrix of these blocks; no entries may lie outside those of the first call. Destroys blocks not kept."""
         places: dict[tuple[str, str], list[Block]] = {}
         for block in blocks:
             places.setdefault((block.row, block.column), []).append(block)
@@ -85,7 +85,7 @@ class TangentMatrix:
 
 
 def _zero_diagonal(comm: MPI.Intracomm, n: int) -> PETSc.Mat:
-    """A matrix with n rows of this rank whose diagonal entries are there, and zero: rows need one to be held."""
+    """A matrix with n rows on this rank that stores zeros on its diagonal: `zeroRowsColumns` needs stored entries."""
     places = np.arange(n + 1, dtype=PETSc.IntType)
     first = comm.scan(n) - n
     csr = (places, (first + places[:-1]).astype(PETSc.IntType), np.zeros(n))

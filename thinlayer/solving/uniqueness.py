@@ -1,4 +1,4 @@
-"""Bodies that nothing holds: rigid motions that neither supports nor the layer resist leave a solution undetermined."""
+"""Uniqueness: a solution is undetermined if neither supports nor the layer resist a rigid motion of a body."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.errors import SolveError
 
-HELD = 1e-10  # of a Gram matrix of supported displacements, over its largest eigenvalue: a motion that supports allow
-# Rounding of forces moves a body by eps (stiffness of the bodies) / (stiffness of what holds it) of the displacements:
-# at this ratio a thousandth of them is left to chance.
-RESISTED = 1e3 * np.finfo(float).eps
+# Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
+# supports.
+ALLOWED_MOTION = 1e-10
+# Least stiffness against a rigid motion, relative to that of the bodies. Rounding of the forces moves a body by eps over
+# this ratio, relative to the displacements: here by a thousandth.
+RESISTED_MOTION = 1e3 * np.finfo(float).eps
 
 Array = npt.NDArray[np.float64]
 
 
 def pieces(model: Model) -> tuple[IntArray, int]:
-    """Number of the connected piece that each cell of the joint is in, and how many there are.
+    """The number of each cell's connected piece (cells,), and the number of pieces.
 
-    Cells are connected by nodes that they share, unless they are on different sides of S there.
+    Cells that share a node are connected, unless they lie on different sides of S there.
     """
     joint = model.domain.joint
     nodes = joint.cells * 3 + (joint.side + 1)[:, None] if isinstance(model, InterfaceModel) else joint.cells * 3
@@ -46,7 +48,7 @@ def pieces(model: Model) -> tuple[IntArray, int]:
 
 
 class RigidMotions:
-    """The rigid motions of a model's connected pieces that its supports allow. Collective, as all methods are.
+    """The rigid motions of a model's connected pieces that its supports allow. All methods are collective.
 
     Args:
         model: the model.
@@ -59,18 +61,18 @@ class RigidMotions:
 
     @cached_property
     def _free(self) -> tuple[Array, Array]:
-        """Motions that supports allow, (displacements of this rank, m), and their parts, (m, motions of pieces)."""
+        """Motions that supports allow (displacements of this rank, m), and their shares of each piece's motions (m, k)."""
         motions = self._motions()
         at_supports = motions[self.held]
         gram = self.model.comm.allreduce(at_supports.T @ at_supports)
         values, vectors = np.linalg.eigh(gram)
-        allowed = vectors[:, values <= HELD * max(values[-1], 1.0)]
+        allowed = vectors[:, values <= ALLOWED_MOTION * max(values[-1], 1.0)]
         free = motions @ allowed
         free[self.held] = 0.0
         return free, allowed.T
 
     def _motions(self) -> Array:
-        """Translations and rotations of each piece, of size 1 for the structure, at the displacements of this rank."""
+        """Translations and rotations of each piece at the displacements of this rank; they are of the order of 1."""
         model, joint = self.model, self.model.domain.joint
         V = model.V
         number, count = pieces(model)
@@ -89,9 +91,9 @@ class RigidMotions:
         return motions.reshape(count * len(rigid), owned * bs).T
 
     def require_resisted(self, A: PETSc.Mat) -> None:
-        """Raise SolveError if a tangent, its supports taken in or not, lets a piece move that nothing else holds."""
-        free, parts = self._free
-        if not len(parts):
+        """Raise SolveError if a tangent, with or without supports, does not resist a motion that supports allow."""
+        free, shares = self._free
+        if not len(shares):
             return
         v, f = A.createVecs()
         v.set(0.0)
@@ -103,16 +105,16 @@ class RigidMotions:
         v.destroy()
         f.destroy()
         _, sizes, rows = np.linalg.svd(self.model.comm.allreduce(free.T @ forces))
-        if sizes[-1] > RESISTED * self._stiffness or not np.isfinite(sizes[-1]):
+        if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return
         raise SolveError(
-            f"no unique solution: {self._described(rows[-1] @ parts)}, and neither supports nor the layer resist it "
-            "(to what rounding tells)",
+            f"no unique solution: {self._described(rows[-1] @ shares)}, and neither supports nor the layer resist it "
+            "(to rounding)",
             advice="add supports, or give the layer's law a stiffness in this direction",
         )
 
     def _described(self, motion: Array) -> str:
-        """The motion of the piece that moves farthest, in words."""
+        """Words for the motion of the piece that moves most."""
         d = self.model.joint.dim
         of_pieces = motion.reshape(len(self._names), -1)
         k = int(np.abs(of_pieces).max(axis=1).argmax())
@@ -120,6 +122,6 @@ class RigidMotions:
         if np.abs(turn).max() > np.abs(shift).max():
             pairs = [AXES[i] + AXES[j] for i in range(d) for j in range(i + 1, d)]
             return f"body {self._names[k]!r} can turn in the plane {pairs[int(np.abs(turn).argmax())]}"
-        shift /= shift[np.abs(shift).argmax()]  # one of both directions
+        shift /= shift[np.abs(shift).argmax()]  # largest component 1, whichever sign the motion has
         direction = ", ".join(f"{c:.3g}" for c in np.round(shift, 6) + 0.0)
         return f"body {self._names[k]!r} can move along ({direction})"

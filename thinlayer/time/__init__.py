@@ -1,1 +1,1 @@
-"""Marching in time."""
+"""Marching in time and along equilibrium paths."""

@@ -1,4 +1,4 @@
-"""ArcLength: what a march along an equilibrium path is told, and the models that it can follow."""
+"""ArcLength: the settings of a march along an equilibrium path, and checks of the models that allow one."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from thinlayer.time.plan import distinct
 
 @dataclass(frozen=True)
 class ArcLength:
-    """An equilibrium path of a model, followed by arc length: t is the parameter of loads and supports, and may go back.
+    """An equilibrium path of a model, followed by arc length; t is the parameter of loads and supports and may decrease.
 
-    The path starts at the state of t = start, with t increasing, and goes on in the direction of its last increment. This
-    is the selection rule: no energies are compared, and equilibria are followed whether they are stable or not. What
-    happens within the length of one step is not seen: it should be small against the features of the path.
+    The path starts at the state of t = start, with t increasing, and goes on in the direction of its last increment.
+    Energies are not compared: stable and unstable equilibria are followed alike. Steps should be short compared with the
+    features of the path, as events within a step go unnoticed.
 
-    Lengths are sqrt(|du|^2/U^2 + dt^2/T^2), with the L2 norm of the change of nodal displacements, T = `first`, and U from
-    the first step. `smallest` and `largest` are relative to the length of the first step. It adapts to the number of Newton
-    steps; steps that fail are halved.
+    The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2), with the L2 norm of the change du of nodal displacements,
+    T = `first`, and U from the first step. Step lengths adapt to the number of Newton steps; steps that fail are halved.
+    `smallest` and `largest` are relative to the length of the first step.
 
     Attributes:
-        end: the march ends when t comes to it; the last step lands there. > start.
+        end: time > start at which the march ends; the last step ends there.
         first: change of t in the first step, > 0.
         smallest: length below which a step is not shortened further (default: 1e-6).
-        largest: length of the longest step (default: 1; longer ones may pass over loops of the path).
-        steps: largest number of steps; more are an error.
-        back: the march ends too when t falls below it, < start. Without it a path that comes back to
-            start - (end - start) is a SolveError. Loads and supports are evaluated there.
+        largest: length of the longest step (default: 1; longer steps may pass over loops of the path).
+        steps: largest number of steps; a longer path is a SolveError.
+        back: time < start below which the march ends, too. Without it a path that comes back to start - (end - start) is
+            a SolveError. Loads and supports are evaluated at such times.
 
     Raises:
         ModelError: values out of range.
@@ -62,11 +62,11 @@ class ArcLength:
             raise ModelError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
     def lowest(self, start: float) -> float:
-        """Time below which the march ends."""
+        """The time below which the march ends."""
         return 2 * start - self.end if self.back is None else float(self.back)
 
     def check(self, start: float) -> None:
-        """Raise ModelError unless the path can begin at a time."""
+        """Raise ModelError unless the path can begin at the time `start`."""
         if not math.isfinite(start) or not self.end > start:
             raise ModelError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
         if self.first > self.end - start:
@@ -78,9 +78,9 @@ class ArcLength:
 
 
 def require_path(model: Model, theta: float, method: str | None) -> None:
-    """Raise ModelError unless paths of the model can be followed: laws of t alone, differentiable, without bounds."""
+    """Raise ModelError unless paths of the model can be followed: its laws need tangents and no rate, no bounds."""
     if theta != 1:
-        raise ModelError(f"theta is {theta}; on a path equilibria are those of t itself: theta = 1")
+        raise ModelError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
     if method not in (None, "newton"):
         raise ModelError(f"method is {method!r}; a path is followed by Newton's method")
     if model.contact:
@@ -90,19 +90,19 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
         if law.traits.rate:
             raise ModelError(f"{name} depends on the strain rate, and t is no time on a path: march in time")
         if law.traits.constrained:
-            raise ModelError(f"{name} is incompressible: paths have displacements alone; march in time")
+            raise ModelError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
         if law.traits.bounded:
             raise ModelError(
-                f"{name} bounds stresses: loads come to their limit, and stay there; march in time, which tells it"
+                f"{name} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit"
             )
         if law.traits.switches:
             raise ModelError(
-                f"{name} has pure phases, whose equilibria are no curve: march in time, which finds its snaps"
+                f"{name} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps"
             )
 
 
 def require_no_time(equations: Equations) -> None:
-    """Raise ModelError if a law's answer depends on how long a step takes. Collective."""
+    """Raise ModelError if the response of a law depends on the length of the step. Collective."""
     for part in equations.parts:
         if name := part.takes_time():
             raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")

@@ -1,4 +1,4 @@
-"""The files that a march resumes from, on any number of ranks."""
+"""The files from which a march is resumed, on any number of ranks."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from thinlayer.time.history import History
 Array = npt.NDArray[Any]
 TABLE = "table.csv"
 REQUIRED = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}  # columns to resume from
-MEMORY, FIELD, STORED = "memory ", "field ", "stored "  # in a state's file, before the key of a part
+MEMORY, FIELD, STORED = "memory ", "field ", "stored "  # prefixes of the keys of parts in a state's file
 
 
 def fingerprint(model: Model, **choices: Any) -> str:
-    """What must be the same for a march to be resumed."""
+    """Text of the model's identity and the choices of a march; only a march with the same text is resumed."""
     return json.dumps({**model.identity(), **choices}, sort_keys=True)
 
 
 @dataclass
 class Pace:
-    """What the length of the next steps depends on.
+    """The values from which the length of the next step follows.
 
     Attributes:
-        step: longest that the next step may be; None if nothing limits it.
-        largest: what the error of adaptive steps is measured against: the largest displacements, jumps and forces so far,
-            or, after rest, those at the end of the first step that was tried.
-        weight: of displacements in the arc length of a path; 0 before its first step.
+        step: largest length of the next step; None: no limit.
+        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative: the largest ones
+            so far or, after rest, those at the end of the first step that was tried.
+        weight: weight 1/U^2 of displacements in the arc length of a path; 0 before its first step.
     """
 
     step: float | None
@@ -52,15 +52,15 @@ class Pace:
 class Checkpoint:
     """The files of a march in a folder: march.json with the table so far and the pace, its states, and table.csv.
 
-    Values are kept by the original number of the cell, or of the facet of S, that they belong to, in an order that the
-    distribution has no part in. Files are replaced as a whole, states before the table that names them: a killed run
-    leaves what it had. Collective, as all methods are.
+    Values are ordered by the original numbers of their cells or facets of S, which do not depend on the distribution. Files
+    are replaced as a whole, states before the table that names them, so that a killed run leaves valid files. All methods
+    are collective.
 
     Args:
-        folder: where the files are.
-        equations: of the model.
-        mark: what tells the march from others, see `fingerprint`.
-        needed: number of states, the last ones, that a march resumes from.
+        folder: folder of the files.
+        equations: the equations of the model.
+        mark: fingerprint of the march, see `fingerprint`.
+        needed: number of last states that are needed to resume the march.
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: str, needed: int = 1) -> None:
@@ -91,9 +91,10 @@ class Checkpoint:
 
     # ---------------------------------------------------------------- writing
     def write(self, history: History, pace: Pace, first: int, before: State | None = None) -> None:
-        """Add the states of the rows from `first` on, and replace the table; states that the history does not keep go.
+        """Write the states of the rows from `first` on, and replace the table.
 
-        But for the one `before` the last, if it is given. With the first rows the files of an earlier march go.
+        Files of states that the history does not keep are removed, except that of the state `before` the last one. If
+        `first` is 0, the files of an earlier march are removed.
 
         Raises:
             OSError: a file could not be written; on all ranks.
@@ -108,7 +109,7 @@ class Checkpoint:
         on_root(self.comm, lambda: self._write_table(history, pace, states.keys()))
 
     def _forget(self) -> None:
-        """Remove the files of an earlier march, the table first: without march.json nobody knows what it is of."""
+        """Remove the files of an earlier march; the table first, as march.json says to which march it belongs."""
         for file in (self.folder / TABLE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
@@ -142,10 +143,10 @@ class Checkpoint:
 
     # ---------------------------------------------------------------- reading
     def read(self, keep: str, resume: bool) -> tuple[History, Pace] | None:
-        """History and pace of the march; None if there is none, or it is not to be resumed.
+        """History and pace of the march in the folder; None: there is no march, or `resume` is False.
 
         Raises:
-            ModelError: the files are of another march, or, to be resumed, damaged.
+            ModelError: the files belong to another march, or `resume` is True and they are damaged.
         """
         found = on_root(self.comm, lambda: self._content(resume))
         if found is None:
@@ -159,11 +160,11 @@ class Checkpoint:
         return History(self.model, table, states), pace
 
     def _content(self, resume: bool) -> tuple[Table, Pace] | None:
-        """What march.json says; on rank 0."""
+        """Table and pace in march.json; on rank 0."""
         if not self.path.exists():
             if (self.folder / TABLE).exists():
-                where = f"{self.folder} has a {TABLE} of something else"
-                raise ModelError(f"{where}, as there is no {self.path.name}; give another folder, or remove it")
+                found = f"{self.folder} has a {TABLE} of something else"
+                raise ModelError(f"{found}, as there is no {self.path.name}; give another folder, or remove it")
             return None
         try:
             content = json.loads(self.path.read_text(encoding="utf-8"))
@@ -191,8 +192,7 @@ class Checkpoint:
         if there != here:
             names = [k for k in {**here, **there} if here.get(k) != there.get(k)]
             other = [f"{k}: {there.get(k)} there, {here.get(k)} here" for k in names]
-            what = f"{self.path} is of another march ({'; '.join(other)}); give another folder, or remove it"
-            raise ModelError(what)
+            raise ModelError(f"{self.path} is of another march ({'; '.join(other)}); give another folder, or remove it")
         return (table, pace) if resume else None
 
     def _read_state(self, row: int, table: Table) -> State:
@@ -246,7 +246,7 @@ class Checkpoint:
                 raise ModelError(self._damaged(row, f"is of another time than row {row} of {self.path}"))
         except ModelError:
             raise
-        except Exception as error:  # whatever damage does to numpy
+        except Exception as error:  # numpy raises many kinds of errors for damaged files
             raise ModelError(self._damaged(row, f"cannot be read ({error})")) from error
         return arrays
 
@@ -254,7 +254,7 @@ class Checkpoint:
         return f"{self._file(row)} {what}; remove the folder to start anew"
 
     def _gather(self, numbers: Array, values: Array) -> Array:
-        """All ranks' rows (number, values...) on rank 0, sorted by number, each once."""
+        """The rows (number, values...) of all ranks on rank 0, sorted by number, each number once."""
         parts = self.comm.gather(np.column_stack([numbers.astype(float), values]))
         if parts is None:
             return np.empty((0, 0))
@@ -263,7 +263,7 @@ class Checkpoint:
         return rows[first]
 
     def _wanted(self, row: int, rows: Array | None, numbers: Array, width: int) -> Array:
-        """Of rows (number, values...) on rank 0 the values, `width` of them, of the numbers that each rank wants."""
+        """The values (len(numbers), width) of these numbers on each rank, from rows (number, values...) on rank 0."""
         there = self.comm.bcast(rows.shape[1] - 1 if rows is not None else None)
         if self.comm.allreduce(int(there != width)):
             raise ModelError(self._damaged(row, f"is damaged ({there} values where {width} belong)"))

@@ -1,4 +1,4 @@
-"""The error of a step of adaptive length, estimated in displacements, jumps and forces."""
+"""Estimated error of a step of adaptive length: of its displacements, jumps and forces."""
 
 from __future__ import annotations
 
@@ -11,19 +11,25 @@ from thinlayer.discretisation.state import State
 from thinlayer.solving.equations import Equations
 
 Array = npt.NDArray[np.float64]
-LEAST_JUMP = 1e-6  # of the displacements: what is left of a jump that is none lies far below, errors that matter above
+LEAST_JUMP = (
+    1e-6  # least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller
+)
 
 
 class ErrorEstimate:
-    """Compares a step with its two halves. Collective, as all methods are.
+    """Compares a step with its two halves. All methods are collective.
 
-    What is compared, in L2 norms: the displacements of nodes; the strains of the layer at its points, which on S are jumps
-    over the thickness (under a contact law the jumps at nodes); and the nodal forces of the bodies' stresses, which where
-    loads do not change are reactions of supports and tractions on the layer. A layer may relax under bodies that hardly
-    move, and a jump may be small against displacements that a body has as a whole.
+    Three quantities are compared in L2 norms:
+
+    - the displacements of nodes;
+    - the strains of the layer at its points; on S these are jumps over the thickness, under a contact law jumps at nodes;
+    - the nodal forces of the bodies' stresses, which change with reactions of supports and tractions on the layer.
+
+    Displacements are not enough: a layer may relax under bodies that hardly move, and a jump may be small compared with
+    the motion of a whole body.
 
     Args:
-        equations: of the model.
+        equations: the equations of the model.
     """
 
     def __init__(self, equations: Equations) -> None:
@@ -31,8 +37,15 @@ class ErrorEstimate:
         self._unit = self._of_unit_displacements()
 
     def error(self, whole: State, halves: State, order: int, largest: list[float]) -> float:
-        """Estimated error of the two halves' end, the largest of the three, each over the largest of its kind so far."""
-        ends = [self._seen(state.u) for state in (whole, halves)]
+        """Estimated error at the end of the two halves: the largest of the three quantities' relative errors.
+
+        Args:
+            whole: state at the end of the step.
+            halves: state at the end of the two halves.
+            order: order of the time scheme.
+            largest: norms of the three quantities to which errors are relative, at least.
+        """
+        ends = [self._quantities(state.u) for state in (whole, halves)]
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(halves.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
@@ -42,14 +55,14 @@ class ErrorEstimate:
         return float(share.max()) / (2**order - 1)
 
     def sizes(self, state: State) -> Array:
-        """Of the three in a state."""
-        return self._norms(self._seen(state.u))
+        """Norms of the three quantities in a state."""
+        return self._norms(self._quantities(state.u))
 
-    def _seen(self, u: fem.Function) -> list[Array]:
-        """What is compared, of displacements, on this rank."""
+    def _quantities(self, u: fem.Function) -> list[Array]:
+        """The three quantities for displacements u, on this rank."""
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
-        jumps = [part.seen(u, forces) for part in self._equations.parts]
+        jumps = [part.error_measure(u, forces) for part in self._equations.parts]
         of_forces = forces.array_r.copy()
         forces.destroy()
         return [u.x.petsc_vec.array_r.copy(), np.concatenate(jumps), of_forces]
@@ -58,5 +71,5 @@ class ErrorEstimate:
         return np.sqrt(self.comm.allreduce(np.array([part @ part for part in parts])))
 
     def _of_unit_displacements(self) -> float:
-        """The norm that strains or jumps may have, about, where displacements of size 1 differ by 1 across the layer."""
-        return float(np.sqrt(sum(part.seen_of_unit_jump() for part in self._equations.parts)))
+        """Estimated norm of strains or jumps for a unit jump across the layer."""
+        return float(np.sqrt(sum(part.unit_jump_measure() for part in self._equations.parts)))

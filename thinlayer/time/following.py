@@ -1,4 +1,4 @@
-"""Marching along an equilibrium path, through points where loads or supports turn back."""
+"""Marching along an equilibrium path, also where loads or supports turn back."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from thinlayer.time.journal import Journal
 from thinlayer.time.path import EquilibriumPath
 from thinlayer.time.path_equations import PathEquations
 
-WANTED = 4  # Newton steps; of one that needs fewer the next is longer
-LEAST, MOST = 0.5, 2.0  # of the change of a step
-TURN = 0.125  # part of the first step's length, below which a step that fails is taken to have a corner in it
+WANTED_ITERATIONS = 4  # number of Newton steps at which the length of the next step stays the same
+LEAST_FACTOR, MOST_FACTOR = 0.5, 2.0  # bounds of the ratio of the lengths of two steps
+CORNER_LENGTH = 0.125  # largest length, relative to the first step, of a failed step that may contain a corner
 
 
 class PathFollowing:
-    """A march along a path under way.
+    """A march along an equilibrium path in progress.
 
     Args:
-        solver: of the model, for the first state.
-        journal: of the march.
-        plan: where the path ends, and how long steps are.
+        solver: solver of the model, for the first state.
+        journal: journal of the march.
+        plan: ends of the path and lengths of steps.
         start: time of the first state.
-        options: PETSc options of the linear solver, over ours.
+        options: PETSc options of the linear solver; they override our defaults.
     """
 
     def __init__(
@@ -45,8 +45,8 @@ class PathFollowing:
         self._log = logger("march", solver.model.comm)
         balance = PathEquations(solver.equations, plan.first, (start + plan.end) / 2, options)
         self._path = EquilibriumPath(balance, plan.first)
-        self._unit = math.sqrt(2.0)  # length of the first step, which has a length of 1 in u and in t
-        self._aimed = False  # whether the path's direction is that at the last state
+        self._unit = math.sqrt(2.0)  # length of the first step: 1 in u and 1 in t
+        self._aimed = False  # whether the path knows its direction at the last state
 
     @property
     def _history(self) -> History:
@@ -57,7 +57,7 @@ class PathFollowing:
         return SAME_TIME * max(abs(self.plan.end), abs(self.start))
 
     def run(self, resume: bool) -> History:
-        """The march, or the rest of the one that is in its folder. Collective; errors as in `march`."""
+        """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
         try:
             if self._journal.read(resume):
                 if self._history.last.t > self.plan.end + self._near:
@@ -85,7 +85,7 @@ class PathFollowing:
             raise SolveError(f"the first state, at t = {self.start:g}: {error}", self._history) from error
 
     def _go_on(self) -> None:
-        """One step, shortened where need be."""
+        """Make one step, with shorter lengths until it succeeds."""
         last, before, pace = self._history.last, self._journal.before, self._journal.pace
         if len(self._history) > self.plan.steps:
             raise SolveError(
@@ -109,30 +109,33 @@ class PathFollowing:
         self._aimed = pace.weight > 0
         if not pace.weight:
             pace.weight = self._unit_of_displacements(last, state)
-        factor = math.sqrt(WANTED / max(state.report.iterations, 1))
-        pace.step = length * min(max(factor, LEAST), MOST)
+        factor = math.sqrt(WANTED_ITERATIONS / max(state.report.iterations, 1))
+        pace.step = length * min(max(factor, LEAST_FACTOR), MOST_FACTOR)
         self._journal.accept([state])
 
     def _unit_of_displacements(self, first: State, last: State) -> float:
-        """1/U^2, with the change U of nodal displacements in a first step of full length."""
+        """Weight 1/U^2, with the change U of nodal displacements in a first step of full length."""
         change = last.u.x.petsc_vec.copy()
         change.axpy(-1.0, first.u.x.petsc_vec)
         unit = change.norm() * self.plan.first / (last.t - first.t)
         change.destroy()
         if not unit:
             raise SolveError(
-                f"nothing moves from t = {first.t:g} to {last.t:g}: a path has no direction", self._history
+                f"nothing moves from t = {first.t:g} to {last.t:g}: the path has no direction", self._history
             )
         return 1 / unit**2
 
     def _try(self, last: State, length: float) -> tuple[State | None, float]:
-        """The state of a step of a length, relative to the first one's, and that length; None and half of it."""
+        """The state after a step and its length; None and half the length if the step fails.
+
+        Lengths are relative to that of the first step.
+        """
         scale = self._unit if self._path.weight else 1.0
         try:
             return self._checked(last, self._reach(last, length * scale)), length
         except SolveError as error:
             failed = error
-        if self._path.weight and length <= TURN:
+        if self._path.weight and length <= CORNER_LENGTH:
             try:
                 return self._checked(last, self._path.step(last, length * scale, turn=True)), length
             except SolveError:
@@ -143,12 +146,12 @@ class PathFollowing:
         return None, length / 2
 
     def _checked(self, last: State, state: State) -> State:
-        """A state from which the path goes on. Errors where it may not be the next one."""
+        """The state, with the path's direction found there. SolveError: it may not be the next state of the path."""
         self._path.aim(last, state, check=True)
         return state
 
     def _reach(self, last: State, length: float) -> State:
-        """The state of a step, or the one at the end of the path where that comes first."""
+        """The state after a step, or at the end of the path if that comes first."""
         end = self.plan.end
         if self._path.ahead(last, length) >= end - self._near:
             try:

@@ -16,7 +16,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
 
-SAME_TIME = 1e-9  # relative to the span of a march
+SAME_TIME = 1e-9  # largest difference of times that count as equal, relative to the span of a march
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Snap:
     """A jump of a layer and its bodies to another equilibrium at the same loads.
 
     Attributes:
-        t: when.
-        row: of the state after it; the row before it has the state just before (in `History.states` if all are kept).
-        lost: energy lost.
+        t: time of the snap.
+        row: row of the state after the snap; the row before has the state just before it (if `keep` is "all").
+        lost: energy lost in the snap.
     """
 
     t: float
@@ -40,9 +40,8 @@ class History:
 
     Attributes:
         model: the model.
-        table: a row for each accepted state: t, dt, iterations, residual, its energy balance (`Audit`),
-            and what the march was told to observe.
-        states: the states that are kept, by their row.
+        table: a row for each accepted state: t, dt, iterations, residual, energy balance (`Audit`), observed values.
+        states: row -> state, for the states that are kept.
     """
 
     model: Model
@@ -54,7 +53,7 @@ class History:
         return f"History({self.model!r}, {len(self)} steps{span}, {len(self.states)} states)"
 
     def identity(self) -> dict[str, Any]:
-        """What it was made from."""
+        """The model's identity and the times."""
         return {"history of": self.model.identity(), "t": self.t.tolist()}
 
     def __len__(self) -> int:
@@ -65,7 +64,7 @@ class History:
 
     @property
     def last(self) -> State:
-        """State of the last accepted step; raises ModelError if there is none."""
+        """State of the last accepted step. ModelError: there is none."""
         if not self.states:
             raise ModelError("the march has no accepted state: its first one failed")
         return self.states[max(self.states)]
@@ -77,9 +76,9 @@ class History:
 
     @property
     def snaps(self) -> list[Snap]:
-        """The snaps of a layer whose columns switch phase, in their order: rows after the first with dt = 0.
+        """The snaps of a layer whose columns switch phase, in order of time: rows after the first with dt = 0.
 
-        What a sudden load at the start switches is in the first row, without a state before it.
+        Switches by a sudden load at the start are no snaps; the first row is the state after them.
         """
         if not self.table.rows:
             return []
@@ -87,7 +86,7 @@ class History:
         return [Snap(float(t[k]), int(k), float(lost[k])) for k in np.flatnonzero(dt == 0) if k > 0]
 
     def at(self, t: float) -> State:
-        """The state at a time, the last of several; raises ModelError if no step ended there or its state was not kept."""
+        """The state at a time, the last of several. ModelError: no step ended there, or its state was not kept."""
         if not is_number(t) or not math.isfinite(t):
             raise ModelError(f"t is {t!r}; it must be a finite number")
         near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))

@@ -1,4 +1,4 @@
-"""The accepted steps of a march: noted in its history, observed, written and read again."""
+"""The journal of a march: it adds accepted states to the history, observes, writes and reads them."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from thinlayer.time.history import History
 
 Observe = Mapping[str, Callable[[State], float]]
 COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")
-SAME_VALUE = (
-    1e-6  # relative: what ranks compute in different orders differs by much less, what they have of their own by more
-)
-PHASE_COLUMNS = ("energy", "plus", "minus", "boundary")  # further ones, of layers with phases
+# Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
+# mesh differ by more.
+SAME_VALUE = 1e-6
+PHASE_COLUMNS = ("energy", "plus", "minus", "boundary")  # further columns for layers with phases
 
 
 class Journal:
-    """What every march does with its states. Collective, as all methods are.
+    """Keeps the accepted states of a march. All methods are collective.
 
     Args:
-        equations: of the model.
-        pace: of the first step.
+        equations: the equations of the model.
+        pace: pace of the first step.
         observe: name of a column -> function of a state.
-        keep: "all" states, or "last" alone.
-        out: folder for the table and the files to resume from, if any.
-        choices: what else must be the same for a march to be resumed.
-        directed: whether the next step depends on the direction of the last one, so that two states are kept.
+        keep: "all": keep all states; "last": keep only the last one.
+        out: folder for the table and the files from which to resume; None: no files.
+        choices: further arguments of the march that must be the same to resume it.
+        directed: True: the next step depends on the direction of the last one, so that two states are kept.
 
     Attributes:
-        history: what was accepted.
-        pace: what the length of the next steps depends on; written with the steps.
+        history: the accepted states.
+        pace: the pace of the next step; written with the states.
         before: the state before the last, if the march is directed.
     """
 
@@ -61,7 +61,7 @@ class Journal:
         directed: bool = False,
     ) -> None:
         self.model, self._equations = equations.model, equations
-        names = self.model.comm.bcast([*observe])  # of columns, in one order on all ranks
+        names = self.model.comm.bcast([*observe])  # one order of the columns on all ranks
         self._observe, self._keep, self.out = {name: observe[name] for name in names}, keep, out
         self._directed = directed
         self._log = logger("march", self.model.comm)
@@ -71,15 +71,15 @@ class Journal:
         self.history, self.pace = History(self.model), pace
 
     def _mark(self, choices: Mapping[str, Any]) -> str:
-        """What tells the march from others. Of what is observed all code counts, not what it may collect as it goes."""
+        """Fingerprint of the march. Of observing functions it contains the code, not values that they collect."""
         observed = {name: code_of(function) for name, function in self._observe.items()}
         return on_root(self.model.comm, lambda: fingerprint(self.model, observe=observed, **choices))
 
     def read(self, resume: bool) -> bool:
-        """Take over the march that is in the folder; False if there is none, or it is not to be resumed.
+        """Take over the march in the folder. False: there is no march, or `resume` is False.
 
         Raises:
-            ModelError: the folder has another march, or, to be resumed, a damaged one.
+            ModelError: the folder has another march, or `resume` is True and its files are damaged.
         """
         found = self._checkpoint.read(self._keep, resume) if self._checkpoint else None
         if not found:
@@ -94,7 +94,7 @@ class Journal:
         return True
 
     def accept(self, states: list[State]) -> None:
-        """Note states and write them."""
+        """Add states to the history and write them."""
         for state in states:
             self.note(state)
         if self._checkpoint:
@@ -103,7 +103,7 @@ class Journal:
         collect(self._equations.comms)
 
     def note(self, state: State) -> None:
-        """Add a row and a state to the history. They are written together with the next ones that are accepted."""
+        """Add a row and a state to the history; the next `accept` writes them."""
         before, report = self.history.last if self.history.states else None, state.report
         self._log.info(
             "t = %g: %s, %d steps, residual %.1e", state.t, report.method, report.iterations, report.residual
@@ -128,23 +128,23 @@ class Journal:
         return values | {name: self._observed(name, state) for name in self._observe}
 
     def _observed(self, name: str, state: State) -> float:
-        """What rank 0 observes: a function of a state has to give the same on all ranks."""
-        comm, what = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
+        """The value of an observing function on rank 0. ModelError: the function fails, or ranks find other values."""
+        comm, place = self.model.comm, f"observe[{name!r}] at t = {state.t:g}"
         try:
             with on_all(comm):
                 value = float(self._observe[name](state))
         except Exception as error:
-            raise ModelError(f"{what}: {_problem(error)}") from error
+            raise ModelError(f"{place}: {_problem(error)}") from error
         values = np.array(comm.allgather(value))
         if not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
             numbers = ", ".join(f"{value:.6g}" for value in values)
-            advice = "add up what each has of its own, or take the largest, over the ranks"
-            raise ModelError(f"{what}: the ranks find {numbers}; {advice}")
+            advice = "let the function return the sum, or the largest, of the values of all ranks"
+            raise ModelError(f"{place}: the ranks find {numbers}; {advice}")
         return float(values[0])
 
 
 def _problem(error: Exception) -> str:
-    """What went wrong in a function that observes. Errors of ours say themselves what is allowed."""
+    """Text of an error in an observing function; errors of thinlayer already say what is allowed."""
     if isinstance(error, ThinlayerError):
         return str(error)
     kind = "" if isinstance(error, (TypeError, ValueError)) else f"{type(error).__name__}: "

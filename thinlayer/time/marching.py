@@ -1,4 +1,4 @@
-"""Marching: what a march is told, checked."""
+"""`march`: checks its arguments, and runs a march in time or along a path."""
 
 from __future__ import annotations
 
@@ -43,46 +43,47 @@ def march(
 
     The loads may be sudden at `start`. If every law of the layer answers at once (elastic, Maxwell), the first accepted
     state is this response, at `start`. With a law that has a rate (Kelvin-Voigt, Norton, a stack with one of them) the
-    first state is the one at rest, and what jumps does so within the first step. A step that fails is halved. Where the
-    layer's law has a memory steps also end where `piecewise` data break, and the table has a row for it.
+    first state is at rest, and the response to sudden loads is in the first step. A step that fails is halved. If the
+    layer's law has a memory, steps also end at the breaks of `piecewise` data, and the table has rows for them.
 
-    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows the local minimum of the energy that it is in, until the
-    phase of one of its columns is that of lowest energy no more. The march stops there, and notes the state before and
-    the one after the column and all that follow it have switched, at the same t (`History.snaps`). Where loads or
-    temperatures are no linear functions of time within a step, it looks at seven times within the step: what columns pass
-    through and leave between two of them is not seen. What a sudden load at `start` switches is no snap: the first state
-    comes after it. Let loads grow from zero to see it.
+    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy until one of its columns has
+    a phase that is not the one of lowest energy. The march stops there. It keeps two states at the same t: before and after
+    this column and all columns that follow it have switched (`History.snaps`). If loads or temperatures are not linear in
+    time within a step, the march tests seven times within the step: a column may leave its phase of lowest energy and
+    return to it unnoticed between two of them. Switches by a sudden load at `start` are no snaps: the first state is the
+    one after them. Let loads grow from zero to see these snaps.
 
     Args:
         model: the model.
         times: ends of the steps, increasing, > start; or `Adaptive`; or `ArcLength`, to follow an equilibrium path, where
             t is the parameter of loads and supports alone, and may go back. It starts from the sudden load at `start`.
         start: time of the first state.
-        theta: the balance of forces holds at t + theta dt: 1 is backward Euler, order 1; 1/2 the midpoint rule, order 2
-            (from rest its first step is made of two of backward Euler, which damp what the sudden load excites). Below 1
-            for laws that creep or relax alone, those whose answer to a sudden strain, if they have one, is linear;
-            parameters that vary in time are those of t + theta dt.
+        theta: forces balance at t + theta dt: 1 is backward Euler, order 1; 1/2 is the midpoint rule, order 2 (from rest
+            its first step is made of two steps of backward Euler, which damp the oscillation after a sudden load). Values
+            below 1 are allowed for laws that creep or relax and whose response to a sudden strain, if there is one, is
+            linear. Parameters that vary in time are taken at t + theta dt.
         observe: name of a column -> function of a state that gives a number, the same on all ranks; evaluated at every
             accepted state.
-        keep: "all" states, or "last" alone.
-        out: folder for table.csv and the files to resume from, written at every accepted step. One march at a time.
-        resume: continue the march in `out`, if there is one; times may be added. The model must be the same: its numbers,
-            names and mesh, and of functions and laws the code and what it refers to. Without it the files of the same march
-            are replaced, those of another one refused.
+        keep: "all": keep all states; "last": keep only the last one.
+        out: folder for table.csv and the files from which to resume, written at every accepted step. Only one march at a
+            time may use it.
+        resume: True: continue the march in `out`, if there is one; times may be added. The model must be the same: its
+            numbers, names and mesh, and the code of functions and laws with the values that it refers to. False: the files
+            of the same march are replaced; files of another march are an error.
         options, method: of the solver, see `solve`.
 
     Warns:
-        RangeWarning: as in `solve`; of the accepted states that are kept, once, at the end. A march to be resumed has
-            passed one of the times without a step that ended there.
+        RangeWarning: as in `solve`; for the states that are kept, once, at the end. Or a resumed march has passed one of
+            the times without a step that ended there.
 
     Raises:
-        ModelError: times, theta, names or loads out of range, before anything is solved; theta < 1 with a law whose state
-            within a step says nothing of its ends (that yields, has phases, is not linear and answers at once, contact); a
-            checkpoint that does not fit; an `out` that cannot be written, or that another march writes.
+        ModelError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or a
+            law that yields, has phases, or answers at once and not linearly; files of another march in `out`; an `out` that
+            cannot be written, or that another march uses.
         OSError: a file could not be written; on all ranks.
-        SolveError: a step that fails however short; what was accepted is kept in `out` and in the error's `history`.
-        LimitLoad: the same with a layer that yields, as loads change, where displacements run away as weak springs at all
-            nodes are softened; it tells the last loads with an equilibrium.
+        SolveError: the shortest step fails, too; accepted states are in `out` and in the error's `history`.
+        LimitLoad: the same for a layer that yields, if loads change and displacements run away as weak springs at all
+            nodes are softened; the error has the last loads with an equilibrium.
     """
     with on_all(comm_of(model)):
         start, theta = _number("start", start), _number("theta", theta)
@@ -109,7 +110,7 @@ def _follow(
     model: Model, path: ArcLength, start: float, theta: float, observe: Observe | None, keep: str,
     out: str | Path | None, resume: bool, options: Mapping[str, OptionValue] | None, method: str | None,
 ) -> History:  # fmt: skip
-    """The march along a path."""
+    """Run a march along a path."""
     choices = {"start": start, "theta": theta, "tolerance": None, "first": path.first}
     folder = Path(out) if out else None
     with _folder(folder, model), Solver(model, options=options) as solver:
@@ -123,7 +124,7 @@ def _follow(
 
 
 def _planned(model: Model, times: Any, start: float, theta: float, method: Any) -> Plan | ArcLength:
-    """The path, or when steps end, of a model that can take them."""
+    """The checked path, or the plan of the steps."""
     if isinstance(times, ArcLength):
         times.check(start)
         require_path(model, theta, method)
@@ -164,7 +165,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
 
 
 def _check_switching(model: Model, plan: Plan) -> None:
-    """Raise ModelError where phases that switch at one moment are asked for something that has no such moment."""
+    """Raise ModelError for adaptive steps of a law whose phases switch."""
     names = [type(p.law).__name__ for p in model.layer_terms if p.law.traits.switches]
     if names and plan.adaptive:
         raise ModelError(
@@ -173,5 +174,5 @@ def _check_switching(model: Model, plan: Plan) -> None:
 
 
 def _folder(out: Path | None, model: Model) -> AbstractContextManager[None]:
-    """The folder of a march, if it has one, for the march alone."""
+    """A context in which no other march can use the folder, if there is one."""
     return nullcontext() if out is None else owned(out, model.comm)

@@ -1,14 +1,14 @@
 """Steps along an equilibrium path: displacements and load parameter t together, by arc length (Riks 1972, Wempner 1971).
 
-With residual R(u, t) a path has the direction (v, 1) where K v = -dR/dt, and v moves as the supports do. A step of
-length s goes to the predictor P = (u, t) + s (direction), and from there by Newton's method to the equilibrium in the
-plane through P that is normal to the direction. The scalar product is du.dv/U^2 + dt ds/T^2, with units U of displacements
-and T of t. Nothing special happens where t turns back: the tangent K is nearly singular there, and beyond it not definite,
-which is what the factorisation expects.
+With residual R(u, t) a path has the direction (v, 1), where K v = -dR/dt and v follows the supports. A step of length s
+goes to the predictor P = (u, t) + s (direction), and from there by Newton's method to the equilibrium in the plane through
+P that is normal to the direction. The scalar product is du.dv/U^2 + dt ds/T^2, with units U of displacements and T of t.
+Turning points of t need no special treatment: K is nearly singular there and indefinite beyond, and the factorisation
+allows both.
 
-Laws with kinks make paths with corners, which may be sharp: beyond a peak a steep fall leads almost all the way back. The
-plane through P then misses the path, however short the step. A step that turns takes the direction at P instead, with the
-sign that goes on into the branch which P has reached.
+Laws with kinks lead to paths with corners, which may be sharp: beyond a peak the path may fall steeply and lead almost all
+the way back. The plane through P then misses the path, however short the step. A step that turns uses the direction at P
+instead, with the sign that leads into the branch of P.
 """
 
 from __future__ import annotations
@@ -22,14 +22,17 @@ from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import SolveError
 from thinlayer.time.path_equations import PathEquations
 
-ITERATIONS = 12  # of Newton's method in a step
-TURNING = 2  # beyond a corner: of the branch at the predictor, which is nearly straight
-FAR = 0.25  # from the predictor, in lengths of the step: farther away the path may be another one
-FARTHER = 3.0  # the same beyond a corner, and, in times of it, within Newton's method
-BEYOND = 0.5  # a corner, in lengths of the step, is where a step that turns ends
-CURVED, STRAIGHT = 2.0, 0.01  # distance from the predictor of a path that bends, over the change of its direction
-NEAR = 1e-6  # of a difference quotient along the path, in lengths of the step
-SMALL = 1e-7  # change of forces in a step, over the forces, that says nothing
+ITERATIONS = 12  # largest number of Newton steps
+TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
+MOST_MISSED = (
+    0.25  # largest distance of the equilibrium from the predictor, relative to the step: else it is another path
+)
+TURN_MISSED = 3.0  # the same for a step that turns
+RUN_AWAY = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
+BEYOND_CORNER = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
+BEND_FACTOR, BEND_OFFSET = 2.0, 0.01  # bound of the relative distance from the predictor: factor * (turn) + offset
+QUOTIENT_STEP = 1e-6  # step of difference quotients along the path, relative to the step
+SMALL = 1e-7  # change of forces in a step, relative to the forces, that counts as zero
 
 
 class EquilibriumPath:
@@ -37,18 +40,18 @@ class EquilibriumPath:
 
     Args:
         balance: the equations of the model in (u, t).
-        unit: T of the arc length, a change of t > 0.
+        unit: unit T of t in the arc length, > 0.
 
     Attributes:
-        weight: 1/U^2 of the arc length; 0 until displacements have a unit: the first step is one of t.
+        weight: 1/U^2 of the arc length; 0 until U is known, so that the first step has a length in t only.
     """
 
     def __init__(self, balance: PathEquations, unit: float) -> None:
         self.balance, self.unit, self.weight = balance, unit, 0.0
         self._vectors = [balance.equations.vector() for _ in range(5)]
         self._direction, self._target, self._row, self._work, self._more = self._vectors
-        self._slope = 0.0  # of t along the path: (direction, slope) has the length 1
-        self._missed = 0.0  # distance of the last equilibrium from its predictor, in lengths of the step
+        self._slope = 0.0  # component of the direction in t: (direction, slope) has the length 1
+        self._missed = 0.0  # distance of the last equilibrium from its predictor, relative to the step
 
     def close(self) -> None:
         """Free vectors and factor."""
@@ -68,14 +71,18 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- direction
     def aim(self, before: State | None, last: State, *, check: bool = False) -> None:
-        """Find the direction in which the path goes on: along its tangent, on the side that it does not come from.
+        """Find the direction of the path at the state `last`.
 
-        The tangent is that of the step which led to the last state. Without a state before it t increases. Where the
-        tangent is singular the last increment is taken. With `check` the direction found before was that of the state
-        before, and both must fit.
+        It is tangent to the path and leads away from the state `before`. Without `before` t increases. If the tangent is
+        singular, the last increment is the direction.
+
+        Args:
+            before: the state before `last`; None: there is none.
+            last: the last state.
+            check: compare the direction with the one found at `before`.
 
         Raises:
-            SolveError: the path turns between the states, or the last one is on another path; the direction is kept.
+            SolveError: the path turns between the states, or `last` is on another path; the old direction stays.
         """
         balance, increment, dt = self.balance, self._target, 0.0
         balance.put(last, balance.x)
@@ -106,53 +113,53 @@ class EquilibriumPath:
         self._slope = slope
 
     def _check(self, last: State, direction: PETSc.Vec, slope: float, length: float) -> None:
-        """Raise SolveError unless the direction found at an equilibrium is that of the path from the last one."""
+        """Raise SolveError unless the direction at a new equilibrium fits that of the path at the state `last`."""
         if self._crossing(last, direction, slope, length) < 0:
             raise SolveError("the path turns within the step")
         direction.copy(self._work)
         self._work.axpy(-1.0, self._direction)
-        if self._missed > CURVED * self._size(self._work, slope - self._slope) + STRAIGHT:
+        if self._missed > BEND_FACTOR * self._size(self._work, slope - self._slope) + BEND_OFFSET:
             raise SolveError("the equilibrium found is beside the path: its direction is that of the predictor")
 
     def _crossing(self, last: State, direction: PETSc.Vec, slope: float, length: float) -> float:
-        """> 0 if a direction, tangent where the equations were linearised last, goes on with the one at a state.
+        """Whether the path turns back at a kink: > 0 no, < 0 yes, 0 if there is no kink.
 
-        Where a law has a kink, derivatives A = [K, dR/dt] of its two branches differ by c n', if n is the normal of their
-        boundary. Directions d_1 and d_2 cross it the same way if the changes (A_2 - A_1) d = c (n.d) have one sign.
-        0 where they are as small as their errors.
+        At a kink of a law the derivatives A = [K, dR/dt] of its two branches differ by c n', where n is the normal of the
+        boundary between them. Directions d_1 at the state `last` and d_2 at the last linearisation cross it the same way
+        if the changes (A_2 - A_1) d = c (n.d) have the same sign. Changes as small as their errors count as zero.
         """
         balance, beyond, across = self.balance, self._work, self._more
-        balance.derivative(self._direction, self._slope, beyond)  # A_2 d_1, as A_2 d_2 = 0
+        balance.derivative(self._direction, self._slope, beyond)  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0
         balance.put(last, balance.x)
         balance.residual(last, last.t)
         balance.r.copy(across)
-        short = NEAR * length
+        short = QUOTIENT_STEP * length
         balance.x.axpy(short, direction)
         balance.residual(last, last.t + short * slope)
         across.axpy(-1.0, balance.r)
-        across.scale(1 / short)  # -A_1 d_2
+        across.scale(1 / short)  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
         scale = balance.equations.scale
         small = SMALL * scale.forces / length
         rounded = [scale.rounding(float(x.norm(PETSc.NormType.INFINITY))) for x in (self._direction, balance.x)]
         if beyond.norm() < max(small, rounded[0]):
             return 0.0
-        if across.norm() < max(small, rounded[1] / short):  # of residuals; forces may have vanished
+        if across.norm() < max(small, rounded[1] / short):  # rounding of residuals; forces may be zero
             return 0.0
         return float(beyond.dot(across))
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
-        """The equilibrium a length farther on, or, with `turn`, about that far beyond a corner nearer than that.
+        """The equilibrium one step of this length farther on; with `turn`, a step through a corner within this length.
 
         Raises:
-            SolveError: there is none, or it is too far from where it was looked for.
+            SolveError: there is no equilibrium, or it is too far from the predictor.
         """
         self._predict(last, length)
         self._direction.copy(self._row)
         return self._solve(last, self.ahead(last, length), self._slope, length, turn)
 
     def land(self, last: State, beyond: State | None, t: float) -> State:
-        """The equilibrium at a time that the predictor passes, or that lies between two states. Errors as in `step`."""
+        """The equilibrium at time t, between the states `last` and `beyond` (None: the predictor). Errors as in `step`."""
         if beyond is None:
             length = (t - last.t) / self._slope
             self._predict(last, length)
@@ -174,7 +181,7 @@ class EquilibriumPath:
     def _solve(self, last: State, target: float, slope: float, length: float, turn: bool) -> State:
         """The equilibrium in the plane normal to (row, slope) through the target."""
         begin, balance, x = time.perf_counter(), self.balance, self.balance.x
-        most, far = (TURNING, FARTHER * length) if turn else (ITERATIONS, FAR * length)
+        most, far = (TURN_ITERATIONS, TURN_MISSED * length) if turn else (ITERATIONS, MOST_MISSED * length)
         t, beyond, iterations = target, 0.0, 0
         self._target.copy(x)
         while (residual := balance.residual(last, t)) is None:
@@ -192,11 +199,11 @@ class EquilibriumPath:
             x.axpy(dt, balance.change)
             t += dt
             iterations += 1
-            if not self._size(self._from_target(), t - target) <= FARTHER * FARTHER * length:
+            if not self._size(self._from_target(), t - target) <= RUN_AWAY * length:
                 raise SolveError("Newton's method for the arc length runs away")
         missed = self._size(self._from_target(), t - target)
         if missed > far:
-            raise SolveError("the equilibrium at this arc length is far from where the path was going")
+            raise SolveError("the equilibrium at this arc length is far from the predictor")
         self._missed = 0.0 if turn else missed / length
         report = Report("newton", iterations, residual, time.perf_counter() - begin)
         return balance.equations.accept(x, report)
@@ -207,7 +214,7 @@ class EquilibriumPath:
         return self._work
 
     def _turn(self, last: State, length: float) -> tuple[float, float]:
-        """Let the plane be normal to the direction at the predictor: its slope, and how far beyond the predictor it is."""
+        """Make the plane normal to the direction at the predictor; returns its slope, its distance from the predictor."""
         size = self._size(self.balance.change, 1.0)
         self.balance.change.copy(self._row)
         self._row.scale(1 / size)
@@ -220,4 +227,4 @@ class EquilibriumPath:
             self._row.scale(-1.0)
             slope = -slope
         cosine = self._product(self._row, slope, self._direction, self._slope)
-        return slope, length * (max(-cosine, 0.0) + BEYOND)
+        return slope, length * (max(-cosine, 0.0) + BEYOND_CORNER)

@@ -16,31 +16,31 @@ from thinlayer.solving.linear_solvers import direct_solver, mark, solve_linear
 from thinlayer.solving.newton import reason_name
 from thinlayer.solving.options import PREFIX, OptionValue, defaults, require_all_read, require_known_values
 
-SHORT = 1e-3  # of a difference quotient in t, in units of t
+QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
 
 
 class PathEquations:
-    """R(u, t), with loads, supports and laws at t, and linear solves with its derivatives. Collective, as all methods are.
+    """R(u, t), with loads, supports and laws at t, and linear solves with its derivatives. All methods are collective.
 
-    Laws with memory answer from a state `last`, however t changes.
+    Laws with memory start from a state `last`, whether t increases or decreases.
 
     Args:
-        equations: of the model.
-        unit: a change of t that loads and supports show, > 0.
-        middle: of the times that they are known at: difference quotients look towards it.
-        options: PETSc options of the linear solver, over ours; those of SNES are not for it.
+        equations: the equations of the model.
+        unit: unit of t, > 0.
+        middle: middle of the times at which loads and supports are known; difference quotients step towards it.
+        options: PETSc options of the linear solver, which override our defaults; options of SNES are ignored.
 
     Attributes:
-        x: unknowns, to be set before `residual`, which moves the supported ones.
-        r: their residual R, zero where supports hold.
-        step: after `linearise` -K^-1 R, a Newton step at fixed t.
-        change: likewise the change of the unknowns with t in equilibrium, -K^-1 dR/dt, with the supports' own.
+        x: unknowns; set them before `residual`, which sets the held ones.
+        r: residual R, zero at held displacements.
+        step: after `linearise` the Newton step at fixed t, -K^-1 R.
+        change: after `linearise` the derivative of the unknowns by t in equilibrium, -K^-1 dR/dt, supports included.
     """
 
     def __init__(
         self, equations: Equations, unit: float, middle: float, options: Mapping[str, OptionValue] | None
     ) -> None:
-        self.equations, self._middle, self._short = equations, middle, SHORT * unit
+        self.equations, self._middle, self._short = equations, middle, QUOTIENT_STEP * unit
         self._ours = direct_solver(equations.model)
         self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
         self._ksp: PETSc.KSP | None = None
@@ -54,14 +54,14 @@ class PathEquations:
                 thing.destroy()
 
     def put(self, state: State, x: PETSc.Vec) -> None:
-        """The unknowns of a state."""
+        """Write the unknowns of a state into x."""
         self.equations.put_state(state, x)
 
     def residual(self, last: State, t: float) -> float | None:
-        """Residual at a time; over the forces if it is as small as equilibrium asks for, else None.
+        """Compute the residual at time t; returns its size relative to the forces if x is an equilibrium, else None.
 
         Raises:
-            SolveError: a law that fails, or loads or supports that are not finite at t.
+            SolveError: a law fails, or loads or supports are not finite at t.
         """
         self._begin(last, t)
         equations, held = self.equations, self.equations.held
@@ -83,10 +83,10 @@ class PathEquations:
             raise SolveError(self.equations.failure())
 
     def linearise(self, last: State, t: float) -> None:
-        """Step and change at the unknowns of the last residual. Derivatives by t are difference quotients.
+        """Compute `step` and `change` at the unknowns of the last residual. Derivatives by t are difference quotients.
 
         Raises:
-            SolveError: as `residual`, or a matrix that cannot be factorised.
+            SolveError: as in `residual`; or the matrix cannot be factorised.
         """
         equations, held = self.equations, self.equations.held
         prescribed, short = equations.prescribed, math.copysign(self._short, self._middle - t)
@@ -106,7 +106,7 @@ class PathEquations:
         self.r.scale(-1.0)
 
     def derivative(self, x: PETSc.Vec, slope: float, out: PETSc.Vec) -> None:
-        """Derivative of R along (x, slope), where it was linearised last; supported x move with t."""
+        """Derivative of R along (x, slope) at the last linearisation; supports move with t."""
         x.copy(self._dR)
         self._dR.axpy(-slope, self.change)  # K change + dR/dt = 0
         self._dR.array[self.equations.held] = 0.0

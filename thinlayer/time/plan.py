@@ -1,4 +1,4 @@
-"""When the steps of a march end."""
+"""The times at which steps of a march end, and the lengths of steps."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from forms.temperature import real
 from thinlayer.errors import ModelError
 from thinlayer.time.history import SAME_TIME
 
-HALVINGS = 10
-SHORTENED = 1e6  # adaptive steps, at most, unless told
+HALVINGS = 10  # largest number of times that a planned step is halved
+MOST_SHORTENED = 1e6  # length of the first adaptive step relative to that of the shortest, by default
 
 
 @dataclass(frozen=True)
 class Adaptive:
     """Steps whose length follows an estimate of their error.
 
-    Each step is taken once as a whole and once as two halves; the halves are accepted if displacements, the layer's jumps
-    and the bodies' forces differ by no more than the tolerance. What happens between these three times is not seen: loads
-    that are functions and jump do so at times in `at`; those of `piecewise` loads are added to them.
+    Each step is made once as a whole and once as two halves; the halves are accepted if displacements, the layer's jumps
+    and the bodies' forces differ by no more than the tolerance. Jumps of loads between these times go unnoticed: put the
+    times at which functions jump into `at`. The breaks of `piecewise` loads are added to them.
 
     Attributes:
         end: last time.
         first: length of the first step.
-        tolerance: of the estimated error of a step, relative to the largest values so far, or, after rest, to those at the
-            end of the first step that is tried: of the displacements of nodes, of the jumps (in a meshed layer its
-            strains), and of the nodal forces of the bodies' stresses, those of tractions on the layer and of reactions
-            included; in L2 norms, the largest of the three counts.
-        at: times between start and end that a step must end at.
+        tolerance: largest estimated error of a step. The error is the largest of three relative errors in L2 norms: of
+            nodal displacements, of jumps (in a meshed layer strains), and of nodal forces of the bodies' stresses, with
+            reactions and tractions on the layer. They are relative to the largest values so far or, after rest, to those
+            at the end of the first step that is tried.
+        at: times between start and end at which a step must end.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
 
@@ -64,13 +64,19 @@ class Adaptive:
 
     @property
     def targets(self) -> list[float]:
-        """Times that a step ends at."""
+        """Times at which a step must end."""
         return sorted({*map(float, self.at), float(self.end)})
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Times to reach, and how long steps may be."""
+    """The plan of a march.
+
+    Attributes:
+        targets: times at which steps must end.
+        adaptive: settings of adaptive steps; None: each step ends at the next target.
+        smallest: length below which a step is not shortened further.
+    """
 
     targets: list[float]
     adaptive: Adaptive | None
@@ -78,7 +84,7 @@ class Plan:
 
     @classmethod
     def of(cls, times: Sequence[float] | Adaptive, start: float, breaks: set[float]) -> Plan:
-        """The plan for `times`; steps also end at breaks between them."""
+        """The plan for `times`; steps must also end at `breaks` between them."""
         adaptive = times if isinstance(times, Adaptive) else None
         if isinstance(times, str):
             raise ModelError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)")
@@ -98,32 +104,32 @@ class Plan:
         _require_steps(whole, adaptive)
         targets = _with_breaks(start, targets, breaks)
         if adaptive:
-            return cls(targets, adaptive, adaptive.smallest or adaptive.first / SHORTENED)
+            return cls(targets, adaptive, adaptive.smallest or adaptive.first / MOST_SHORTENED)
         return cls(targets, None, float(np.diff([start, *targets]).min()) / 2**HALVINGS)
 
     def lasting(self, start: float) -> list[float]:
-        """How long loads have lasted that are sudden at `start`: first, in the middle (of the logarithms), and last."""
+        """Durations, at the first, a middle (logarithmic mean) and the last time, of loads that are sudden at `start`."""
         last = self.targets[-1] - start
         first = min(self.adaptive.first if self.adaptive else last, self.targets[0] - start)
         return list(dict.fromkeys([first, math.sqrt(first * last), last]))
 
     def after(self, t: float) -> list[float]:
-        """Targets still to reach."""
+        """The targets after time t."""
         near = min(SAME_TIME * max(abs(self.targets[-1]), abs(self.targets[0])), self.smallest)
         return [target for target in self.targets if target > t + near]
 
 
 def distinct(start: float, end: float) -> bool:
-    """Whether the two halves of a step are steps: numbers have only so many digits."""
+    """Whether the two halves of a step are not lost in rounding."""
     return start < (start + end) / 2 < end
 
 
 def _require_steps(times: npt.NDArray[np.float64], adaptive: Adaptive | None) -> None:
-    """Raise ModelError where steps between times, or halves of halves of them, are lost in rounding."""
-    tiny = np.finfo(float).tiny  # below, numbers lose digits
+    """Raise ModelError if steps between times, or the shortest parts of them, are lost in rounding."""
+    tiny = np.finfo(float).tiny  # smaller numbers lose digits
     if adaptive:
         start, first = float(times[0]), min(adaptive.first, float(times[-1] - times[0]))
-        if not distinct(start, start + first) or (adaptive.smallest or first / SHORTENED) < tiny:
+        if not distinct(start, start + first) or (adaptive.smallest or first / MOST_SHORTENED) < tiny:
             raise ModelError(f"Adaptive: first is {first:g}: a step from t = {start:g} that is lost in rounding")
         if adaptive.largest < np.spacing(np.abs(times).max()) * 2:
             raise ModelError(
@@ -138,7 +144,7 @@ def _require_steps(times: npt.NDArray[np.float64], adaptive: Adaptive | None) ->
 
 
 def _with_breaks(start: float, targets: list[float], breaks: set[float]) -> list[float]:
-    """Targets and the breaks before the last; not those that differ from another one by rounding."""
+    """Targets and the breaks before the last target, without times that differ from others only by rounding."""
     near = SAME_TIME * max(abs(start), abs(targets[-1]))
     found = np.array([start, *targets])
     for t in sorted(t for t in breaks if start < t < targets[-1]):

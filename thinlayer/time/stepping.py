@@ -1,4 +1,4 @@
-"""Marching in steps of time that are planned or adapted, and halved where they fail."""
+"""Marching in time steps that are planned or adaptive, and shortened if they fail."""
 
 from __future__ import annotations
 
@@ -19,32 +19,33 @@ from thinlayer.time.journal import Journal
 from thinlayer.time.plan import HALVINGS, Plan, distinct
 from thinlayer.time.switching import steps
 
-SAME_LOADS = 1e-12  # relative change
-SAFETY, LEAST, MOST = 0.9, 0.2, 3.0  # of the change of an adaptive step
-NEARER = 8.0  # of times at which equilibria are sought beyond a step that fails
-CLOSE = 16  # adaptive steps: these may become too short well before the limit that makes displacements grow
+SAME_LOADS = 1e-12  # relative change of loads that counts as none
+SAFETY = 0.9  # factor on the length of an adaptive step that its error allows
+LEAST_FACTOR, MOST_FACTOR = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
+NEARER = 8.0  # ratio of the lengths of two steps by weak springs
+SEEK_STEPS = 16  # longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
 NO_LIMIT = (
-    "no equilibrium was found, which need not be a limit of the loads: displacements have not been seen to run away. Try "
-    "an elastic fraction h, other times, another mesh or number of sublayers, or more steps of Newton's method"
+    "no equilibrium was found, which need not be a limit of the loads: displacements did not run away. Try "
+    "an elastic fraction, other times, another mesh or number of cells through the layer, or more steps of Newton's method"
 )
 
 
 class TimeStepping:
-    """A march in time under way.
+    """A march in time in progress.
 
     Args:
-        solver: of the model.
-        journal: of the march.
-        plan: when steps end.
+        solver: solver of the model.
+        journal: journal of the march.
+        plan: ends and lengths of steps.
         start: time of the first state.
-        theta: of the balance of forces.
+        theta: forces balance at t + theta dt.
     """
 
     def __init__(self, solver: Solver, journal: Journal, plan: Plan, start: float, theta: float) -> None:
         self.solver, self.plan, self.start, self.theta = solver, plan, start, theta
         self._journal = journal
-        self._failed_at: float | None = None  # earliest end of a step that failed, still ahead
-        self._run_away = math.inf  # earliest time at which displacements were seen to run away
+        self._failed_at: float | None = None  # earliest end of a failed step that the march has not reached
+        self._run_away = math.inf  # earliest time at which displacements ran away
         self._shortest = False  # whether the step cannot be shortened further
         self._estimate = ErrorEstimate(solver.equations) if plan.adaptive else None
 
@@ -54,11 +55,11 @@ class TimeStepping:
 
     @property
     def _sudden(self) -> bool:
-        """Whether the layer answers a sudden load at once."""
+        """Whether the layer answers to a sudden load at once."""
         return not any(p.law.traits.rate for p in self.solver.model.terms)
 
     def run(self, resume: bool) -> History:
-        """The march, or the rest of the one that is in its folder. Collective; errors as in `march`."""
+        """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
         if self._journal.read(resume):
             last, end = self._history.last.t, self.plan.targets[-1]
             if last > end + SAME_TIME * max(abs(end), abs(self.start)):
@@ -76,13 +77,13 @@ class TimeStepping:
         return self._history
 
     def _passed(self) -> list[float]:
-        """Times asked for that a march to be resumed has passed without a row."""
+        """Targets that a resumed march has passed without a row for them."""
         done, end = self._history.t, self.plan.targets[-1]
         near = SAME_TIME * max(abs(end), abs(self.start))
         return [t for t in self.plan.targets if t < done[-1] - near and np.abs(done - t).min() > near]
 
     def _begin(self) -> None:
-        """The first state. One at rest is written together with the first step: until then nothing has been solved."""
+        """Find the first state. A state at rest is written later, with the first step."""
         rest = self.solver.rest(self.start)
         if not self._sudden:
             self._journal.note(rest)
@@ -97,7 +98,7 @@ class TimeStepping:
             ) from error
 
     def _reach(self, target: float) -> None:
-        """Step to a time, in shorter steps where need be."""
+        """Step to a target, in shorter steps if necessary."""
         while self._history.last.t != target:
             old = self._history.last
             left = target - old.t
@@ -119,7 +120,7 @@ class TimeStepping:
             passed = self._failed_at is None or end >= self._failed_at
             if self.plan.adaptive:
                 step = (end - old.t) * factor
-                if end == target:  # a step cut short for the target says nothing against a longer one
+                if end == target:  # a step that the target cuts short does not limit the next one
                     step = max(step, planned)
                 self._journal.pace.step = min(step, self.plan.adaptive.largest)
             elif self._journal.pace.step is not None:
@@ -130,7 +131,7 @@ class TimeStepping:
             self._accept(states)
 
     def _accept(self, states: list[State]) -> None:
-        """Note states, and how large what errors are measured against has become."""
+        """Add states to the journal, and update the norms to which errors are relative."""
         if self._estimate:
             pace = self._journal.pace
             for state in states:
@@ -143,12 +144,12 @@ class TimeStepping:
 
     @property
     def _thorough(self) -> bool:
-        """Whether a step is worth every effort: a planned one, the shortest one, one after another that took it."""
+        """Whether to try eased laws, too: for planned and shortest steps, and after a step that has used them."""
         whole = self._failed_at is None and (self._journal.pace.step is None or self.plan.adaptive is not None)
         return whole or self._shortest or self._history.last.report.eased > 0
 
     def _fail(self, old: State, end: float, error: SolveError) -> None:
-        """Shorten a step whose solve failed; the shortest one is tried again with every effort."""
+        """Shorten a step whose solve failed; the shortest step is tried again with eased laws."""
         dt, thorough = (end - old.t) / 2, self._thorough
         self._failed_at = end if self._failed_at is None else min(end, self._failed_at)
         if self.solver.yields and not thorough and dt < self._smallest:
@@ -158,8 +159,8 @@ class TimeStepping:
 
     def _shorten(self, dt: float, old: State, end: float, error: SolveError) -> None:
         if dt >= self._smallest and distinct(old.t, old.t + dt):
-            what = "step from t = %g to %g is shortened to %g: %s"
-            logger("march", self.solver.model.comm).info(what, old.t, end, dt, error)
+            message = "step from t = %g to %g is shortened to %g: %s"
+            logger("march", self.solver.model.comm).info(message, old.t, end, dt, error)
             self._journal.pace.step = dt
             return
         if self.solver.yields and self._seek(old, end, error):
@@ -171,12 +172,12 @@ class TimeStepping:
         ) from error
 
     def _farthest(self, t: float, end: float) -> float:
-        """Until when equilibria are sought: to the end of a planned step, or about as near as adaptive steps come."""
+        """The latest time at which an equilibrium is sought by weak springs."""
         target, adaptive = self.plan.after(t)[0], self.plan.adaptive
-        return min(target, t + max(CLOSE * (end - t), adaptive.first / 2**HALVINGS)) if adaptive else target
+        return min(target, t + max(SEEK_STEPS * (end - t), adaptive.first / 2**HALVINGS)) if adaptive else target
 
     def _seek(self, old: State, end: float, error: SolveError) -> bool:
-        """Take a step by other means where shorter ones have failed; whether one is found.
+        """Make a step by weak springs after the shortest step has failed. True if it succeeds.
 
         Raises:
             LimitLoad: displacements run away as loads change, at the end of the shortest step or, if adaptive, near it.
@@ -190,7 +191,7 @@ class TimeStepping:
             except NoEquilibrium as run_away:
                 sign, self._run_away = (t, run_away.growth), t
             except SolveError:
-                pass  # what was seen farther on still says that there is a limit before
+                pass  # displacements that ran away at a later time still show a limit before it
             else:
                 if self.plan.adaptive:
                     break
@@ -217,7 +218,7 @@ class TimeStepping:
         return bool(change > SAME_LOADS * size)
 
     def _resultant(self, t: float) -> list[float]:
-        """Tractions and body forces on the bodies at a time, their sum."""
+        """Sum of the tractions and body forces on the bodies at time t, (d,)."""
         model, loads = self.solver.model, self.solver.equations.history.loads_at(t)
         translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
         forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
@@ -225,7 +226,7 @@ class TimeStepping:
         return forces
 
     def _try(self, old: State, end: float) -> tuple[list[State], float]:
-        """States of a step, none if its error is too large, and by how much the next step may be longer or shorter."""
+        """States of a step ([] if its error is too large), and the ratio of the next step's length to this one's."""
         theta = 1.0 if len(self._history) == 1 and not self._sudden else self.theta
         middle = (old.t + end) / 2
         adaptive, estimate = self.plan.adaptive, self._estimate
@@ -239,15 +240,15 @@ class TimeStepping:
         order = 2 if theta == 0.5 else 1
         self._look_ahead(estimate, halves[-1])
         error = estimate.error(whole, halves[-1], order, self._journal.pace.largest)
-        ratio = (adaptive.tolerance / error) ** (1 / (order + 1)) if error else MOST
-        factor = float(np.clip(SAFETY * ratio, LEAST, MOST))
+        ratio = (adaptive.tolerance / error) ** (1 / (order + 1)) if error else MOST_FACTOR
+        factor = float(np.clip(SAFETY * ratio, LEAST_FACTOR, MOST_FACTOR))
         return (halves if error <= adaptive.tolerance else []), factor
 
     def _look_ahead(self, estimate: ErrorEstimate, end: State) -> None:
-        """Measure errors against what the first step after rest brings, even if it is too long to be taken.
+        """After rest, make errors relative to the values at the end of the first step tried, even if it is not accepted.
 
-        What grows from nothing as a power of time has, in the first step, an error that is a fixed share of it, however
-        short that step is. At rest is what the tolerance does not tell from zero next to what comes.
+        A quantity that grows from zero as a power of time has a constant relative error in its first step, however short
+        the step. A quantity is at rest if its norm is less than the tolerance times that at the end of the step.
         """
         assert self.plan.adaptive is not None
         pace, sizes = self._journal.pace, estimate.sizes(end)

@@ -1,4 +1,4 @@
-"""Steps of a layer whose columns switch their phases: cut where the first one does."""
+"""Steps of a layer whose columns switch their phases: a step ends where the first column switches."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import TIE
 from thinlayer.solving.solvers import Solver
 
-ROUNDING = 8 * 2.0**-52
-PROBES = 8  # times at which a step is looked at whose columns may be beaten for a while, and at its end are not
+TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
+PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
 
 
 def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
-    """States on the way from a state to a time: at every snap the one just before it, and the one after it, then the end.
+    """States of a step: at every snap the state just before it and the state after it, then the state at the end.
 
-    A snap has no duration: both its states have the same t. What the layer and the bodies lose in it is `dissipated`.
-    Where loads, supports and parameters are linear in time on the way, the first switch is found (the march stops where
-    piecewise ones break); where they are not, a column that is beaten for a while only may be missed, see `PROBES`.
-    Collective; errors as in `solve`.
+    A snap has no duration: both its states have the same t. The energy that layer and bodies lose in it is `dissipated`.
+    If loads, supports and parameters are linear in time within the step, the first switch is found (steps end at the breaks
+    of piecewise data). Otherwise a column may be missed whose phase is not the one of lowest energy only for a while, see
+    `PROBES`. Collective; errors as in `solve`.
 
     Raises:
-        SolveError: a law whose `excess` asks for what its `switched` does not do.
+        SolveError: the methods `excess` and `switched` of a law disagree.
     """
 
     def excess(t: float) -> float:
@@ -45,12 +45,12 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
         if t > old.t:
             old = solver.step(old, t, held=True)
             yield old
-            if excess(t) <= -TIE:  # from there Newton's method may find it smaller by what its tolerance allows
+            if excess(t) <= -TIE:  # Newton's tolerance may make the excess smaller from the new start
                 continue
         old = snapped(solver.step(old, t))
         if solver.equations.excess > 2 * TIE:
             raise SolveError(
-                f"at t = {t:g} a column is beaten and switches to no other phase: see the law's `switched`"
+                f"at t = {t:g}: excess() > 0 for a column, but switched() keeps its phase; the law's two methods disagree"
             )
         yield old
         if t == end:
@@ -58,10 +58,10 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
 
 
 def _bends_up(solver: Solver, start: float, end: float) -> bool:
-    """Whether an excess with phases held is a convex function of time: it is positive at the end if it ever is. Collective.
+    """Whether the excess, for fixed phases, is a convex function of time. Collective.
 
-    Where all is linear in time drives are, and an excess is the largest of their sizes; bodies that are not linear are
-    taken to be near enough.
+    If it is convex and positive within the step, it is positive at the end. If loads, supports and parameters are linear in
+    time, driving forces are, too, and the excess is the largest of their sizes. Bodies that are not linear are neglected.
     """
     return start == end or solver.equations.linear_in_time(start, end)
 
@@ -71,17 +71,17 @@ def _probes(start: float, end: float) -> Iterator[float]:
 
 
 def _first(excess: Callable[[float], float], start: float, end: float) -> float:
-    """The time at which an excess, positive at the end, becomes so; it is positive there, however coarse times are."""
+    """The first time at which the excess is positive, to rounding; the excess is positive at `end`."""
     if excess(start) > 0:
         return start
-    width = ROUNDING * max(abs(start), abs(end))
-    t = float(brentq(excess, start, end, xtol=width, rtol=ROUNDING))
+    width = TIME_ROUNDING * max(abs(start), abs(end))
+    t = float(brentq(excess, start, end, xtol=width, rtol=TIME_ROUNDING))
     while t < end and excess(t) <= 0:
         t, width = min(t + width, end), 2 * width
     return t
 
 
 def snapped(state: State) -> State:
-    """The state after a snap; what its time scheme is left with is energy lost."""
+    """The state after a snap, with the remainder of its energy balance counted as dissipated."""
     audit = state.audit
     return replace(state, audit=replace(audit, dissipated=audit.dissipated + audit.remainder, remainder=0.0))

@@ -1,4 +1,4 @@
-"""Pictures of contact: what the nodes of S do, the tractions and the displacements there."""
+"""Pictures of contact: status of the nodes of S, tractions and displacements there."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from thinlayer.output.contact_report import PINNED, ContactReport
 from thinlayer.output.plotting.curves import COLOURS, finish
 
 STATUS = {"separated": "#d7d7d7", "sliding": "#f0a202", "stick": "#1b6ca8", "pinned": "#222222"}
-FLAT = 1e-6  # sine of the largest angle between normals of an S that is drawn as a map
-ARROWS = 18  # along each side of a map
+FLAT = 1e-6  # sine of the largest angle between normals of an S that counts as planar
+ARROWS = 18  # number of arrows along each side of a map
 
 
 def contact(

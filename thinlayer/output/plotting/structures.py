@@ -26,10 +26,10 @@ from thinlayer.errors import ModelError
 from thinlayer.output.fields import Shape, edges, gather, surface
 from thinlayer.output.plotting.curves import put, require_name
 
-LARGEST = 0.05  # drawn displacement, in units of the structure
-VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # by dimension: where one looks from
-LIFT = 0.004  # of lines towards the viewer, in widths of the picture: surfaces would hide half of them
-PIXELS = 1400  # of the longer side of an image
+LARGEST = 0.05  # largest drawn displacement, over the size of the structure
+VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
+LIFT = 0.004  # shift of lines towards the viewer, over the picture's width, so that surfaces do not hide them
+PIXELS = 1400  # length of the longer side of an image
 RED: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
 BLACK: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
 GREY: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
@@ -121,7 +121,7 @@ class _View:
 
     @classmethod
     def of(cls, dim: int, view: Sequence[float] | None, cut: bool) -> _View:
-        """Where one looks from; raises ModelError where that cannot be chosen, or is no direction."""
+        """The projection for a direction; raises ModelError for one in 2D, or for a zero direction."""
         if dim == 2 and (view is not None or cut):
             raise ModelError("view and cut are for three-dimensional structures")
         towards = np.array(VIEWS[dim] if view is None else view, float)
@@ -145,7 +145,7 @@ def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float
     values = np.concatenate([shape.values for shape in shapes.values()])
     if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
         raise ModelError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
-    seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie amid a cell
+    seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
     limits = (float(np.nanmin(seen)), float(np.nanmax(seen)))
     panel_width, height_per_width = 4.6, (y1 - y0) / (x1 - x0)
     figure = Figure(figsize=(panel_width * len(shapes), panel_width * height_per_width + 1.3), layout="constrained")

@@ -1,1 +1,1 @@
-"""What finds equilibria under contact laws, beside plain Newton."""
+"""Finders of equilibria under contact laws: condensed, multigrid and the relaxation of the paper."""

@@ -19,20 +19,20 @@ from thinlayer.solving.contact.schur import FactorError, SchurFactor
 from thinlayer.solving.contact.side_displacements import SideDisplacements
 from thinlayer.solving.force_scale import TINY
 
-TOLERANCE = 1e-11  # of Newton's method, over the forces
-RAMP = (0.1, 0.3, 0.6, 1.0)  # of stiffness and friction, where Newton's method fails at once
+TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
+RAMP = (0.1, 0.3, 0.6, 1.0)  # factors of stiffness and friction in the last attempt, solve after solve
 
 
 class Condensed:
     """Solves contact problems, one load after the other, by Newton's method for the jumps on S. Serial.
 
-    A Cholesky factorisation condenses the bodies to their displacements at S, and algebra there to the jumps, whose
-    matrix is dense: for two dimensions and narrow S. Newton's method (SNES, with the unsymmetric tangent of friction)
-    starts from the same law on a chain with half as many nodes, which starts likewise, or from a prediction. Sweeps of
-    Gauss-Seidel, node by node, come before each of its steps. The factor is kept until `close`.
+    A Cholesky factorisation condenses the bodies to their displacements at S, and these are condensed to the jumps. The
+    matrix of the jumps is dense, so the method suits two dimensions and narrow S. Newton's method (SNES, with the
+    unsymmetric tangent of friction) starts from a prediction, or from the solution on a chain with half as many nodes,
+    found in the same way. Gauss-Seidel sweeps, node by node, precede each of its steps. The factor is kept until `close`.
 
     Args:
-        problem: its matrix is read at the first `solve`, its loads and slip at every one.
+        problem: the contact problem; its matrix is read at the first `solve`, its loads and slip at every `solve`.
 
     Raises:
         ModelError: several ranks, or no free displacement on S.
@@ -68,11 +68,11 @@ class Condensed:
             start: (n, d) jumps to start from, in the nodes' frames, a length; None: no prediction.
 
         Returns:
-            Displacements, valid until the next `solve` or `close`; number of Newton steps; the residual over the forces
-            before each step and after the last, and at the end that of the displacements in the problem itself.
+            Displacements, valid until the next `solve` or `close`; number of Newton steps; residuals relative to the
+            forces: of the condensed problem before each step and after the last, then of the whole problem.
 
         Raises:
-            SolveError: no convergence, as where there is no equilibrium; it has the residuals.
+            SolveError: no convergence, for instance without an equilibrium; the error has the residuals.
         """
         problem, sides, history = self.problem, self._sides, list[float]()
         b = problem.b.array_r
@@ -90,7 +90,7 @@ class Condensed:
         return self._u, steps, history
 
     def _find(self, system: DenseSystem, start: Array | None, history: list[float]) -> tuple[Array, int]:
-        """Jumps of the moving nodes in global axes, and the number of Newton steps to them."""
+        """Jumps of the moving nodes in global axes, and the number of Newton steps."""
         sides, problem = self._sides, self.problem
         load = Load(
             sides.forces(system.H),
@@ -99,14 +99,14 @@ class Condensed:
             max(problem.equations.scale.least, TINY),
         )
         steps = 0
-        for law, w, few in self._starts(system, load, start):
+        for law, w, few in self._trials(system, load, start):
             steps += system.newton(law, load, w, TOLERANCE, history, few=few)
             if system.converged and law is self.law:
                 return w, steps
         raise self._failure(history)
 
-    def _starts(self, system: DenseSystem, load: Load, start: Array | None) -> Iterator[tuple[ContactLaw, Array, bool]]:
-        """Laws, jumps to start from, and whether they deserve a few steps only, in turn, until the law itself converges."""
+    def _trials(self, system: DenseSystem, load: Load, start: Array | None) -> Iterator[tuple[ContactLaw, Array, bool]]:
+        """Trials in turn: a law, the jumps to start from (changed in place), and whether to stop after a few steps."""
         law = self.law
         if start is not None:
             w = np.einsum("nij,ni->nj", system.frames, start[self._sides.moving])

@@ -1,4 +1,4 @@
-"""Newton's method for the jumps on S, whose stiffness is dense, with Gauss-Seidel sweeps and coarser chains."""
+"""Newton's method for the jumps on S with a dense stiffness matrix, Gauss-Seidel sweeps and coarser chains."""
 
 from __future__ import annotations
 
@@ -24,24 +24,31 @@ Mask = npt.NDArray[np.bool_]
 
 NEWTON: dict[str, OptionValue] = {
     "snes_type": "newtonls",
-    "snes_linesearch_type": "basic",  # the residual may grow on the way to a solution: searches that want less get stuck
+    "snes_linesearch_type": "basic",  # the residual may grow on the way to a solution, which line searches prevent
     "snes_max_it": 30,
     "dense_ksp_type": "preonly",
     "dense_pc_type": "lu",
 }
-COARSE = "coarse_"  # before the options of Newton's method on coarse chains
-SWEEPS = 2  # before every Newton step
-PATIENCE = 6  # steps from a prediction; after as many the sweeps double with every step
-MOST_SWEEPS = 256
-COARSEST = 48  # nodes of chains that are not coarsened any more
-ROUGH = 1e-3  # tolerance on coarse chains, whose solution is a start
-STALLED = 1e-9  # residual over the forces with which Newton's method may end where no step makes it smaller
-SUMMED = 10.0  # rounding of the condensed stiffness, in units of one rounding of its largest entry for a node
+COARSE = "coarse_"  # prefix of the options of Newton's method on coarse chains
+SWEEPS = 2  # number of sweeps before each of the first Newton steps
+PATIENCE = 6  # number of Newton steps after which the sweeps double with every step, and a prediction is given up
+MOST_SWEEPS = 256  # largest number of sweeps before a Newton step
+COARSEST = 48  # largest number of nodes of a chain that is not coarsened
+COARSE_TOLERANCE = 1e-3  # residual of solutions on coarse chains, relative to the forces
+STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
+SUMMATION = 10.0  # rounding of the condensed stiffness, relative to the rounding of its largest entry, per sqrt(node)
 
 
 @dataclass(frozen=True)
 class Load:
-    """Forces g on the nodes (n, d), slip (n, d - 1), held components of the jump (n, d; else zero), size of the loads."""
+    """A load on the nodes.
+
+    Attributes:
+        g: (n, d) forces.
+        slip: (n, d - 1) slip at the beginning of the step.
+        held_jumps: (n, d) held components of the jump; zero for free components.
+        size: norm of the loads.
+    """
 
     g: Array
     slip: Array
@@ -54,9 +61,9 @@ class DenseSystem:
 
     Attributes:
         H: (n d, n d) stiffness, symmetric.
-        held: (n, d) components that stay.
-        chains: of each piece of S in two dimensions, the nodes along it and their arc lengths.
-        converged: what Newton's method did last.
+        held: (n, d) components that are held.
+        chains: for each piece of S in two dimensions, its nodes in order and their arc lengths.
+        converged: whether the last run of Newton's method converged.
     """
 
     def __init__(
@@ -67,13 +74,13 @@ class DenseSystem:
         self.converged = False
         self._moves: Mask = np.asarray(~held.any(axis=1))
         self._base = np.zeros((self.n, self.d))
-        self._axes = weights[:, None, None] * frames  # of forces
+        self._axes = weights[:, None, None] * frames  # from tractions to nodal forces
         nodes = np.arange(self.n * self.d).reshape(self.n, self.d)
         self._rows, self._columns = np.broadcast_arrays(nodes[:, :, None], nodes[:, None, :])
         self._prefix = prefix
         self._snes: PETSc.SNES | None = None
-        self._size = 0.0  # of the contact forces
-        self._at: Sliding | None = None  # at the last tangents
+        self._size = 0.0  # norm of the last contact forces
+        self._at: Sliding | None = None  # sliding state at the last tangents
 
     # ---------------------------------------------------------------- law
     def _forces(self, law: ContactLaw, slip: Array, w: Array) -> Array:
@@ -90,7 +97,7 @@ class DenseSystem:
         return out
 
     def residual(self, law: ContactLaw, load: Load, w: Array) -> Array:
-        """Out of balance, (n, d)."""
+        """Residual, (n, d), zero at held components."""
         out = (self.H @ w.ravel()).reshape(w.shape)
         out += self._forces(law, load.slip, w)
         out -= load.g
@@ -98,7 +105,7 @@ class DenseSystem:
         return out
 
     def bonded(self, law: ContactLaw, load: Load) -> Array:
-        """Jumps with springs that pull as well as they press, and do not slide."""
+        """Jumps with bonded springs, which neither open nor slide."""
         local = np.zeros((self.n, self.d))
         local[:, :-1], local[:, -1] = load.slip, -1.0
         D = self._stiffness(law, load.slip, local)
@@ -114,7 +121,7 @@ class DenseSystem:
     def newton(
         self, law: ContactLaw, load: Load, w: Array, tolerance: float, history: list[float], *, few: bool = False
     ) -> int:
-        """Newton's method from w on, in place; number of steps. Appends the residuals over the forces to the history."""
+        """Run Newton's method from w, in place; returns the number of steps. `history` gets the relative residuals."""
         if self._snes is None:
             self._snes = self._create()
             self._most = self._snes.getTolerances()[3]
@@ -126,7 +133,7 @@ class DenseSystem:
             snes.solve(None, x)
             self.converged = snes.getConvergedReason() > 0
         except PETSc.Error as error:  # a singular tangent
-            if error.__cause__ is not None:  # an error of what PETSc calls here
+            if error.__cause__ is not None:  # an error in one of the callbacks
                 self.destroy()
                 raise error.__cause__ from None
             self.converged = False
@@ -135,7 +142,7 @@ class DenseSystem:
         if not np.isfinite(w).all():
             self.converged = False
         if not self.converged:
-            self.destroy()  # which may be left in the middle of a step
+            self.destroy()  # the SNES may have stopped in the middle of a step
         return steps
 
     def _create(self) -> PETSc.SNES:
@@ -167,18 +174,18 @@ class DenseSystem:
         D = self._stiffness(self._law, self._load.slip, local)
         self._at = sliding(self._law, local, self._load.slip)
         self._tangent[:] = self.H
-        self._tangent[self._columns, self._rows] += D  # PETSc's matrix is the transposed one
+        self._tangent[self._columns, self._rows] += D  # the array is the transpose of PETSc's matrix
         J.assemble()
 
     def _count_sweeps(self, _: PETSc.SNES, step: int) -> None:
-        """How many sweeps come before a Newton step: the more, the longer its steps have gone in circles."""
+        """Set the number of sweeps before a Newton step; it doubles after PATIENCE steps, which often go in circles."""
         count = min(SWEEPS * 2 ** max(step - PATIENCE, 0), MOST_SWEEPS) if self._law.numbers else 0
         self._sweeps.setTolerances(max_it=count)
         if not step:
             self._at = None
 
     def _sweep(self, _: PETSc.SNES, x: PETSc.Vec, __: PETSc.Vec | None) -> None:
-        """A Gauss-Seidel sweep, in place; nodes that turn stick in all sweeps before a step."""
+        """A Gauss-Seidel sweep, in place; nodes whose slip has reversed stick in all sweeps before a step."""
         load, numbers = self._load, self._law.numbers
         assert numbers is not None
         w = x.array.reshape(self.n, self.d)
@@ -193,13 +200,13 @@ class DenseSystem:
         )
 
     def _rounding(self, x: PETSc.Vec) -> float:
-        """What rounding leaves of the residual at jumps x, over the forces: much on soft springs, or with stiff ones."""
+        """Rounding of the residual at jumps x, relative to the forces; it is large for soft or very stiff springs."""
         share = self._scale.rounding(float(np.abs(x.array_r).max(initial=0.0))) / max(self._load.size, self._size)
         return max(STALLED, min(share, ALLOWED))
 
     @cached_property
     def _scale(self) -> ForceScale:
-        return ForceScale(SUMMED * math.sqrt(self.n) * float(self.H.diagonal().max()))
+        return ForceScale(SUMMATION * math.sqrt(self.n) * float(self.H.diagonal().max()))
 
     def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
         history = self._history
@@ -215,7 +222,7 @@ class DenseSystem:
     # ---------------------------------------------------------------- coarser chains
     @cached_property
     def coarse(self) -> DenseSystem | None:
-        """The system on every second node of the chains; None where there are no chains, or few nodes."""
+        """The system on every second node of the chains; None if there are no chains or only a few nodes."""
         if not self.chains or self.n <= COARSEST:
             return None
         rows, columns, shares, kept = [], [], [], []
@@ -254,20 +261,20 @@ class DenseSystem:
         return DenseSystem(H, weights, self.frames[k], self.held[k], chains, COARSE)
 
     def nested(self, law: ContactLaw, load: Load) -> Array:
-        """Jumps to start from: those of the coarse system, which starts likewise."""
+        """Jumps to start from: the solution of the coarse system, found in the same way."""
         coarse = self.coarse
         if coarse is None:
             return self.bonded(law, load)
         g = (self._R @ load.g.ravel()).reshape(coarse.n, self.d)
         on_coarse = Load(g, load.slip[self._kept], load.held_jumps[self._kept], load.size)
         w = coarse.nested(law, on_coarse)
-        coarse.newton(law, on_coarse, w, ROUGH, [])
+        coarse.newton(law, on_coarse, w, COARSE_TOLERANCE, [])
         if not coarse.converged:
             return self.bonded(law, load)
         return np.where(self.held, load.held_jumps, (self._P @ w.ravel()).reshape(self.n, self.d))
 
     def destroy(self) -> None:
-        """Free the solver, of the coarser systems too."""
+        """Free the solver and those of the coarser systems."""
         if self._snes is not None:
             for thing in (self._snes, self._sweeps, self._J, self._x, self._f):
                 thing.destroy()

@@ -1,6 +1,6 @@
 """Gauss-Seidel for contact with friction: sweeps over the contact nodes, and the relaxation of the paper over all dofs.
 
-Arrays in, arrays out. In parallel, call `load` first: otherwise every process compiles for itself.
+Functions of numpy arrays. In parallel, call `load` first: otherwise every process compiles the C code.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 SOURCE = Path(__file__).with_name("sweeps.c")
-CHUNK = 256  # sweeps between two looks at the increments
-PATIENCE = 2048  # sweeps before a relaxation can count as stagnating
-GROWTH = 1e8  # of the changes, from the largest of the first sweeps on: divergence
-NO_PROGRESS = 0.999  # ratio of the smallest increments of the later and the earlier half of all sweeps
+CHUNK = 256  # number of sweeps between two tests of the increments
+PATIENCE = 2048  # least number of sweeps of a relaxation that stagnates
+GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
+NO_PROGRESS = 0.999  # ratio of the least increments of the later and the earlier half of all sweeps: stagnation
 
 
 def load(comm: MPI.Intracomm) -> None:
-    """Compile what this module needs, once for all processes. Collective."""
+    """Compile the C code of this module, once for all processes. Collective."""
     library(SOURCE, comm)
 
 
@@ -38,7 +38,7 @@ class BlockRows:
     """A sparse matrix of n x n blocks, row by row.
 
     Attributes:
-        indptr: (n + 1,) where the rows begin in `indices`.
+        indptr: (n + 1,) index in `indices` at which each row begins.
         indices: (nnz,) block columns.
         blocks: (nnz, d, d).
     """
@@ -50,14 +50,14 @@ class BlockRows:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """What `relax` found.
+    """The result of `relax`.
 
     Attributes:
         u: (N,) the last iterate.
         sweeps: number of sweeps over all dofs.
-        outer: number of thresholds that were held in turn; 1 when the threshold follows the pressure within the sweeps.
+        outer: number of times that fixed thresholds were computed; 1 if thresholds follow the pressure within the sweeps.
         converged: whether the increments, and the thresholds, met their tolerance.
-        increments: (sweeps,) Euclidean norm of the change of u in each sweep, over that of u.
+        increments: (sweeps,) Euclidean norm of the change of u in each sweep, relative to that of u.
     """
 
     u: Array
@@ -81,29 +81,28 @@ def sweep_nodes(
     moves: npt.NDArray[np.bool_] | None = None,
     sweeps: int = 1,
 ) -> float:
-    """Gauss-Seidel sweeps over n contact nodes, in place: the d components of a node together, exactly, the others held.
+    """Gauss-Seidel sweeps over n contact nodes, in place: each node solves exactly for its d components.
 
-    Node i solves sum_j A_ij u_j + weights_i frames_i^T t(w_i) = g_i with w_i = frames_i (u_i - base_i). Where friction is
-    so strong that there are several solutions, one without tangential traction goes before one that sticks, and that
-    before one that slides.
+    Node i solves sum_j A_ij u_j + weights_i frames_i^T t(w_i) = g_i with w_i = frames_i (u_i - base_i). If friction is so
+    strong that there are several solutions, a solution without tangential traction is preferred, then one that sticks.
 
     Args:
         matrix: stiffness of the contact dofs, force per length, (n d, n d) with the d dofs of a node next to each other
             (not copied when C-contiguous), or `BlockRows`. Its diagonal blocks are positive definite.
-        g: (n, d) forces on the nodes.
-        u: (n, d) displacements, in global axes like g and base; float64, C-contiguous.
-        base: (n, d) displacements of the other side.
-        frames: (n, d, d) orthonormal axes of S in their rows: tangents, then the normal, out of the other side.
+        g: (n, d) forces on the nodes, in global axes.
+        u: (n, d) displacements, in global axes; float64, C-contiguous.
+        base: (n, d) displacements of the other side, in global axes.
+        frames: (n, d, d) rows are orthonormal axes of S: tangents, then the normal, which points out of the other side.
         weights: (n,) areas (lengths in two dimensions) of the nodes.
         numbers: `ContactLaw.numbers`.
         slip: (n, d - 1) slip at the beginning of the step; None: zero.
-        threshold: (n,) given thresholds in place of the law's own, stress.
-        moves: (n,) the nodes that are swept; None: all.
-        sweeps: how many.
+        threshold: (n,) thresholds, stress; None: those of the law.
+        moves: (n,) whether a node is swept; None: all are.
+        sweeps: number of sweeps.
 
     Returns:
-        The largest change of a component of u in the last sweep; NaN when a node could not be solved (numbers that are
-        not finite, a diagonal block that is not positive definite), which keeps its u.
+        The largest change of a component of u in the last sweep; NaN if a node had no solution (numbers that are not
+        finite, a diagonal block that is not positive definite). Such a node keeps its u.
 
     Raises:
         ModelError: arrays of the wrong shape; u of another type or not contiguous.
@@ -148,34 +147,34 @@ def relax(
 ) -> Relaxation:
     """The relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
 
-    The normal component of a contact node becomes r / a where that opens, else r / (a + b K_N), the tangential one
-    r / (a + b K_T), or (r -+ b rho) / a where that slides, in three dimensions both tangential ones together on a disc;
-    here a is the diagonal, r the remainder of the row, b the weight and rho the threshold of the node. It differs from the
-    paper in omega = 1 at contact nodes: with one omega everywhere it fails for many meshes and stiffnesses.
+    With the diagonal a, the remainder r of the row, the weight b and the threshold rho of a node, its normal component
+    becomes r / a if that opens S, else r / (a + b K_N). Its tangential component becomes r / (a + b K_T) if it sticks, else
+    (r -+ b rho) / a; in three dimensions both tangential components are found together, on a disc. Unlike in the paper
+    omega is 1 at contact nodes: the same omega everywhere fails for many meshes and stiffnesses.
 
     Args:
-        indptr, indices, data: the stiffness matrix in rows; rows of held dofs are those of the identity. Dofs of contact
-            nodes are in the axes of S, and relative to the other side.
+        indptr, indices, data: rows of the stiffness matrix; rows of held dofs are those of the identity. Dofs of contact
+            nodes are jumps in the axes of S.
         b: (N,) forces.
-        contact: (n, d) dofs of the contact nodes: tangential ones, then the normal one, positive where S opens.
+        contact: (n, d) dofs of the contact nodes: tangential ones, then the normal one, positive if S opens.
         weights: (n,) areas (lengths in two dimensions) of the nodes.
         law: the law.
-        u: (N,) where to start, not changed; None: zero.
+        u: (N,) first iterate, not changed; None: zero.
         slip: (n, d - 1) slip at the beginning of the step; None: zero.
-        order: (N,) dofs in the order of a sweep; both tangential ones of a node come where the first of them is. None: as
-            numbered, but in contact nodes the normal component first.
-        omega: relaxation of the other dofs.
-        omega_contact: relaxation of the contact dofs.
+        order: (N,) dofs in the order of a sweep; both tangential dofs of a node are swept at the place of the first of
+            them. None: in the order of the numbers, but at contact nodes the normal component first.
+        omega: relaxation factor of the other dofs.
+        omega_contact: relaxation factor of the contact dofs.
         tolerance: of the increment of a sweep, as in `Relaxation.increments`.
-        fixed_point: hold the thresholds while the sweeps converge, then compute them from the pressures, as the paper
-            does, until their largest change over the largest is within the tolerance. False: the threshold follows the
-            pressure within the sweeps.
-        inner_tolerance: in place of `tolerance` for the increments while thresholds are held; None: the same.
-        max_sweeps: limit of all sweeps.
-        max_outer: limit of the thresholds held.
+        fixed_point: True: as in the paper thresholds are fixed until the sweeps converge and then computed from the
+            pressures, until their largest change relative to the largest one is within the tolerance. False: thresholds
+            follow the pressure within the sweeps.
+        inner_tolerance: tolerance of the increments while thresholds are fixed; None: `tolerance`.
+        max_sweeps: largest number of sweeps.
+        max_outer: largest number of times that fixed thresholds are computed.
 
     Returns:
-        Also when it does not converge: when increments are not finite or grow, stay as they are, or meet a limit.
+        The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at a largest number.
 
     Raises:
         ModelError: arrays of the wrong shape, indices out of range, a diagonal that is not positive.
@@ -237,12 +236,12 @@ def relax(
 
 
 def _diverges(changes: Array) -> bool:
-    """Whether changes are not finite or have grown out of all proportion to the first ones."""
+    """Whether changes are not finite or have grown to GROWTH times the first ones."""
     return not np.isfinite(changes[-1]) or bool(changes[-1] > GROWTH * changes[:10].max())
 
 
 def _stagnates(values: Array, patience: int) -> bool:
-    """Whether the later half of the values goes no lower than the earlier one."""
+    """Whether the later half of the values has no smaller minimum than the earlier half."""
     half = len(values) // 2
     return len(values) >= patience and bool(values[half:].min() > NO_PROGRESS * values[:half].min())
 
@@ -254,7 +253,7 @@ def _node_shape(name: str, array: npt.NDArray[Any]) -> tuple[int, int]:
 
 
 def _checked(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], kind: Any = np.float64) -> npt.NDArray[Any]:
-    """The array, contiguous and of a type that C reads."""
+    """The array as C reads it: contiguous and of a type."""
     if array.shape != shape:
         raise ModelError(f"{name} has the shape {array.shape}; it must be {shape}")
     return np.ascontiguousarray(array, kind)
@@ -269,7 +268,7 @@ def _checked_threshold(threshold: Array | None, n: int) -> Array | None:
 
 
 def _checked_rows(indptr: Indices, indices: Indices, rows: int, columns: int) -> tuple[Indices, Indices]:
-    """Beginnings and columns of rows, which C does not check."""
+    """The arrays `indptr` and `indices` of a sparse matrix, checked, as C does not check them."""
     begins = _checked("indptr", indptr, (rows + 1,), np.int32)
     entries = _checked("indices", indices, (len(indices),), np.int32)
     if begins[0] != 0 or begins[-1] != len(entries) or (np.diff(begins) < 0).any():
@@ -288,7 +287,7 @@ def _require_positive_diagonal(indptr: Indices, indices: Indices, data: Array) -
 
 
 def _steps(contact: Indices, order: Indices | None, count: int) -> Indices:
-    """What a sweep does, as sweeps.c reads it."""
+    """The steps of a sweep, coded as sweeps.c reads them."""
     if contact.size and not 0 <= contact.min() <= contact.max() < count:
         raise ModelError(f"contact must have dofs from 0 to {count - 1}; found {contact.min()} to {contact.max()}")
     if len(np.unique(contact)) != contact.size:
@@ -308,6 +307,6 @@ def _steps(contact: Indices, order: Indices | None, count: int) -> Indices:
 
 
 def _pointers(c: Any, *arrays: npt.NDArray[Any] | None) -> list[Any]:
-    """For C; None: NULL."""
+    """Pointers for C; None becomes NULL."""
     kinds = {"int32": "int32_t[]", "uint8": "uint8_t[]", "float64": "double[]"}
     return [c.ffi.NULL if a is None else c.ffi.from_buffer(kinds[a.dtype.name], a) for a in arrays]

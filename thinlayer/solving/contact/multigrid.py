@@ -21,13 +21,13 @@ from thinlayer.solving.contact.turning import Sliding, sliding, turned
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
 from thinlayer.solving.options import PREFIX, OptionError, OptionValue, defaults, is_set
 
-Shares = tuple[float, float]  # of the residual, that the first and the later linear solves leave
+Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 
-TOLERANCE = 1e-10  # of the true residual, over the forces
-LOOSE: Shares = (0.3, 0.2)  # the status is far off
-STRICT: Shares = (0.02, 0.05)  # a prediction is not; and the last attempt
-EXPECTED = 3.0  # times what the linear solve has left: the residual of a Newton step that the tangent has foreseen
-FINISH = 0.7  # share of the tolerance that the last linear solve aims at
+TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
+LOOSE: Reductions = (0.3, 0.2)  # for a start whose status is wrong at many nodes
+STRICT: Reductions = (0.02, 0.05)  # for a prediction, and in the last attempt
+EXPECTED = 3.0  # largest residual after a Newton step without sweeps, relative to the target of its linear solve
+FINISH = 0.7  # target of the last linear solve, relative to the tolerance
 
 HIERARCHY: dict[str, OptionValue] = {k: v for k, v in MULTIGRID.items() if k not in (*DIRECT, "ksp_max_it")}
 NEWTON: dict[str, OptionValue] = {
@@ -36,7 +36,7 @@ NEWTON: dict[str, OptionValue] = {
     "snes_max_it": 50,
     "snes_divergence_tolerance": -1,
     "snes_max_linear_solve_fail": 4,
-    "ksp_type": "fgmres",  # GMRES on the right has one more cycle of multigrid, to form the solution
+    "ksp_type": "fgmres",  # GMRES with a right preconditioner needs one more cycle of multigrid for the solution
     "ksp_gmres_restart": 40,
     "ksp_max_it": 120,
 }
@@ -45,25 +45,25 @@ NEWTON: dict[str, OptionValue] = {
 class MultigridContact:
     """Solves contact problems, one load after the other: SNES, FGMRES and one algebraic multigrid hierarchy. Collective.
 
-    The hierarchy is that of the bodies with springs on S, symmetric and clipped; it is built in the first solve and kept
-    until `close`. FGMRES sees the exact tangent, unsymmetric where S slides; its preconditioner is a cycle of multigrid and
-    then an exact solve of the nodes of S on a rank. Sweeps of Gauss-Seidel over the nodes of S, each rank its own, come
-    before a Newton step whose status is new.
+    The hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept until `close`.
+    FGMRES uses the exact tangent, which is not symmetric where S slides. Its preconditioner is a cycle of multigrid, then
+    an exact solve for the nodes of S on each rank. If the status of a node has changed, Gauss-Seidel sweeps over the nodes
+    of S, on each rank alone, precede a Newton step.
 
-    PETSc options are read under our prefix: snes_ and ksp_ are those of Newton's method, pc_ and mg_ those of the
-    hierarchy; the linear tolerances are ours unless ksp_rtol is set.
+    PETSc options under our prefix: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy. Tolerances of linear
+    solves are chosen here unless ksp_rtol is set.
 
     Args:
-        problem: its matrix is read here, its loads and slip at every `solve`.
-        tolerance: of the true residual of the law, over the forces.
+        problem: the contact problem; its matrix is read here, its loads and slip at every `solve`.
+        tolerance: residual of the law at which Newton's method stops, relative to the forces.
 
     Raises:
-        LawError: a law that sweeps do not know.
+        LawError: a law that the sweeps cannot evaluate.
     """
 
     def __init__(self, problem: ContactProblem, tolerance: float = TOLERANCE) -> None:
         if problem.law.numbers is None:
-            raise LawError(f"{type(problem.law).__name__} is not among the laws that Gauss-Seidel sweeps know")
+            raise LawError(f"{type(problem.law).__name__} is not one of the laws that Gauss-Seidel sweeps can evaluate")
         load(problem.comm)
         self.given, self.tolerance = problem, tolerance
         self.problem = _from_softer_side(problem)
@@ -76,15 +76,15 @@ class MultigridContact:
         """Displacements that balance the loads.
 
         Args:
-            start: (n, d) expected jumps in the nodes' frames, lengths: those of the last load or of a similar model. With
-                them Newton's method goes on from the last solution, without them from bonded nodes and no displacement.
+            start: (n, d) expected jumps in the nodes' frames, lengths, as those of the last load or of a similar model;
+                Newton's method then starts from the last solution. None: it starts from zero with bonded nodes.
 
         Returns:
-            Displacements, valid until the next `solve` or `close`; number of Newton steps; residual over the forces at
-            first and after each step.
+            Displacements, valid until the next `solve` or `close`; number of Newton steps; residuals relative to the
+            forces, before the first and after each step.
 
         Raises:
-            SolveError: no convergence, as when there is no equilibrium.
+            SolveError: no convergence, for instance without an equilibrium.
         """
         history: list[float] = []
         start = self._take_load(start)
@@ -94,8 +94,8 @@ class MultigridContact:
             else:
                 _count_as_read(("pc_", "mg_"))
             attempts = [(None, LOOSE), (None, STRICT)] if start is None else [(start, STRICT), (None, LOOSE)]
-            for guess, shares in attempts:
-                newton = _Newton(self._tangent, self.tolerance, shares)
+            for guess, reductions in attempts:
+                newton = _Newton(self._tangent, self.tolerance, reductions)
                 if guess is None or not self._solved:
                     self._u.set(0.0)
                 reason = newton.run(self._u, guess)
@@ -117,7 +117,7 @@ class MultigridContact:
         )
 
     def _take_load(self, start: Array | None) -> Array | None:
-        """The given problem's load and slip, and the jumps to start from, at the nodes as they are seen here."""
+        """Take over load and slip of the given problem; returns the jumps to start from, at the nodes used here."""
         given, here = self.given, self.problem
         if here is given:
             return start
@@ -138,7 +138,7 @@ class MultigridContact:
 
 
 def _from_softer_side(problem: ContactProblem) -> ContactProblem:
-    """The problem with nodes whose upper side is on the softer bodies: block solves move that side alone."""
+    """Swap the two sides of S if the lower bodies are softer: the preconditioner moves the upper side only."""
     nodes = problem.nodes
     if nodes.lower is None:
         return problem
@@ -158,22 +158,22 @@ class _Newton:
     """One run of SNES.
 
     Attributes:
-        residuals: over the forces, at first and after each step.
-        iterations: of FGMRES in each step.
+        residuals: relative to the forces, before the first and after each step.
+        iterations: number of FGMRES iterations in each step.
     """
 
-    def __init__(self, tangent: Tangent, tolerance: float, shares: Shares) -> None:
+    def __init__(self, tangent: Tangent, tolerance: float, reductions: Reductions) -> None:
         self.tangent, self.surface, self.problem = tangent, tangent.surface, tangent.problem
-        self.nodes, self.tolerance, self.shares = self.problem.nodes, tolerance, shares
+        self.nodes, self.tolerance, self.reductions = self.problem.nodes, tolerance, reductions
         self.residuals: list[float] = []
         self.iterations: list[int] = []
-        self._target = shares[0]
-        self._known = False  # whether the next residual that is asked for is that of the outer solver
-        self._at: Sliding | None = None  # at the last tangents
+        self._target = reductions[0]
+        self._known = False  # whether the next call of `_residual` repeats the last one
+        self._at: Sliding | None = None  # sliding state at the last tangents
         self._set_rtol = not is_set("ksp_rtol", {})
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
-        """Go on from u, in place, with the tangent at the jumps `start` (None: bonded); PETSc's reason for the end."""
+        """Solve from u, in place, first with the tangent at the jumps `start` (None: bonded); returns PETSc's reason."""
         problem, self._start = self.problem, start
         u.array[problem.held] = problem.prescribed.array_r[problem.held]
         f = self._f = u.duplicate()
@@ -192,7 +192,7 @@ class _Newton:
             sweeps.setType("ngs")
             sweeps.setTolerances(max_it=1)
             sweeps.setNormSchedule(PETSc.SNES.NormSchedule.FINAL_ONLY)
-            sweeps.destroy()  # this reference to it
+            sweeps.destroy()  # drops this reference
             snes.setFromOptions()
             pc = snes.getKSP().getPC()
             pc.setType("python")
@@ -204,7 +204,7 @@ class _Newton:
                 item.destroy()
 
     def _residual(self, _: PETSc.SNES, u: PETSc.Vec, f: PETSc.Vec) -> None:
-        if self._known:  # without a sweep PETSc asks for it again
+        if self._known:  # without a sweep PETSc asks again for the same residual
             self._known = False
             self._f.copy(f)
             return
@@ -220,7 +220,7 @@ class _Newton:
         return reason.CONVERGED_FNORM_ABS if self._h <= self.tolerance else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
-        """Before a Newton step: sweeps are due if the last one has gone another way than its tangents said."""
+        """Before a Newton step: sweep if the last step has changed the status or not reduced the residual as expected."""
         self._swept = False
         if step:
             w = self.nodes.jump(snes.getSolution())
@@ -230,23 +230,23 @@ class _Newton:
             self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
-        """Gauss-Seidel sweeps over the nodes of S, each rank its own, if they are due; the residual of u is there."""
+        """Gauss-Seidel sweeps over the nodes of S, on each rank alone, if they are due. `_f` is the residual at u."""
         self._known = not self._swept
         if self._swept:
             self.surface.sweep(u, self._f, self._turn)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
-        """Tangents of a step, and the tolerance of its linear solve."""
+        """Set the tangents of a step, and the tolerance of its linear solve."""
         first = not snes.getIterationNumber()
         tangents = self._begin(u, self._f) if first else self._go_on(u)
-        share = self.shares[0] if first else min(0.5, self._target / self._h)
+        share = self.reductions[0] if first else min(0.5, self._target / self._h)
         self._before = self._h
         self.tangent.linearise(tangents)
         if self._set_rtol:
             snes.getKSP().setTolerances(rtol=share)
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
-        """Tangents of the first step; its residual is that of the law made linear there."""
+        """Tangents of the first step; f becomes the residual of the law linearised at the jumps to start from."""
         law, slip, w, s = self.problem.law, self.problem.slip, self.nodes.jump(u), self._start
         if s is None:
             tangents = law.bonded(len(w), self.nodes.dim)
@@ -254,37 +254,37 @@ class _Newton:
         else:
             tangents = law.tangent(s, slip)
             t = law.traction(s, slip) + np.einsum("nij,nj->ni", tangents, w - s)
-            self._note(s)
+            self._remember(s)
         self.nodes.add_forces(t - law.traction(w, slip), f)
         f.array[self.problem.held] = 0.0
         return tangents
 
     def _go_on(self, u: PETSc.Vec) -> Array:
-        """Tangents of a later step, and what its linear solve shall leave."""
+        """Tangents of a later step; sets the target of its linear solve."""
         if self._swept:
-            self._target = self.shares[1] * min(self._h, self._target)
+            self._target = self.reductions[1] * min(self._h, self._target)
         else:
-            # what the law's curvature leaves goes down with the square of the steps
-            curved = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
-            self._target = min(self.shares[1] * self._h, curved)
+            # the residual that the law's non-linearity leaves is quadratic in the size of the step
+            nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
+            self._target = min(self.reductions[1] * self._h, nonlinear)
         self._target = max(self._target, FINISH * self.tolerance)
         w = self.nodes.jump(u)
-        self._note(w)
+        self._remember(w)
         return self.problem.law.tangent(w, self.problem.slip)
 
     # ---------------------------------------------------------------- status
-    def _note(self, w: Array) -> None:
-        """Remember the jumps of tangents."""
+    def _remember(self, w: Array) -> None:
+        """Remember the sliding state at the jumps of the tangents."""
         self._at = sliding(self.problem.law, w, self.problem.slip)
 
     def _is_new(self, w: Array, turn: Array) -> bool:
-        """Whether on some rank the status is not that of the last tangents."""
+        """Whether the status of a node on any rank has changed since the last tangents."""
         other = self._at is None or bool((self.problem.law.status(w, self.problem.slip) != self._at[0]).any())
         return bool(self.problem.comm.allreduce(int(other or bool(turn.any()))))
 
 
 def _count_as_read(beginnings: tuple[str, ...]) -> None:
-    """Options that only the first solve reads shall not count as unread in later ones."""
+    """Mark options as read that only the first solve reads, so that later solves do not refuse them."""
     database = PETSc.Options()
     for name in database.getAll():
         if name.startswith(tuple(PREFIX + beginning for beginning in beginnings)):

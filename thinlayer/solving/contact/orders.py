@@ -13,12 +13,12 @@ from thinlayer.solving.contact.problem import ContactProblem
 
 Indices = npt.NDArray[Any]
 
-SLOPE = 1.2  # against S of the front that sweeps over the nodes in the order of their numbers
-SAMPLE = 64  # nodes whose edges are looked at
+SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
+SAMPLE = 64  # number of nodes whose edges show the diagonals of the cells
 
 
 def chains_of(nodes: ContactNodes, moving: Indices) -> list[tuple[Indices, Array]]:
-    """The moving nodes along each piece of S, with their arc lengths; none in three dimensions."""
+    """For each piece of S, its moving nodes in order and their arc lengths; [] in three dimensions."""
     if nodes.dim != 2:
         return []
     joint = nodes.model.joint
@@ -48,11 +48,10 @@ def chains_of(nodes: ContactNodes, moving: Indices) -> list[tuple[Indices, Array
 
 
 def oblique_order(problem: ContactProblem) -> Indices:
-    """Nodes of the bodies in an order whose numbers follow a front oblique to S, away from it.
+    """Nodes of the bodies in the order of a front that is oblique to S and moves away from it.
 
-    MUMPS's minimum degree, its ordering beside a Schur complement, decides between equals by their numbers: on grids a bad
-    order costs twice the work, and this one comes close to the best ordering without a complement. The front goes along
-    the diagonals of the cells.
+    With a Schur complement MUMPS orders by minimum degree and decides ties by the numbers. On grids bad numbers cost twice
+    the work; these come close to the best ordering without a complement. The front follows the diagonals of the cells.
     """
     nodes = problem.nodes
     n = problem.A.getSize()[0] // nodes.dim

@@ -1,4 +1,4 @@
-"""The contact problem of a time step as solvers with sweeps see it: linear bodies, and a contact law at the nodes of S."""
+"""The contact problem of a time step for solvers with sweeps: linear bodies, and a contact law at the nodes of S."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.force_scale import AIM, TINY
 from thinlayer.solving.linear_solvers import rigid_modes
 
-LARGE = 3e-5  # share of the forces before, or of the loads: above it no residual is small
+LARGE = 3e-5  # residual, relative to `largest`, above which the rounding of a body far away is no force
 
 
 class ContactProblem:
-    """Find u with A u + (nodal forces of law.traction(jump(u), slip)) = b: a view of the step that equations have begun.
+    """Find u with A u + (nodal forces of law.traction(jump(u), slip)) = b, for the step that equations have begun.
 
-    Collective.
+    All methods are collective.
 
     Attributes:
         equations: the balance of forces of a model with linear bodies and a contact law.
-        A: stiffness of the bodies, symmetric; rows and columns of held displacements are zero but for the diagonal. Without
-            contact it may be singular: S may be all that holds a body.
+        A: stiffness of the bodies, symmetric; rows and columns of held displacements are zero but for the diagonal. It is
+            singular if only S resists a motion of a body.
         nodes: the nodes of S.
         law: the contact law.
-        near: the rigid motions, for multigrid.
+        near: the rigid motions, as near null space for multigrid.
         loads: nodal forces of the loads; zero at held displacements.
-        prescribed: held displacements; zero elsewhere.
-        b: loads, less what held displacements exert; at held displacements the diagonal times the prescribed value.
+        prescribed: prescribed values at held displacements; zero at the others.
+        b: loads less the forces of prescribed displacements; at held displacements the diagonal times the prescribed value.
         slip: (n, d - 1) slip at the beginning of the step.
-        held: local held displacements of this rank.
-        largest: norm of b, or of the forces before: a residual that is not small against it is no equilibrium.
+        held: local numbers of the held displacements of this rank.
+        largest: the larger norm of b and of the bodies' forces before the step.
     """
 
     def __init__(self, equations: Equations) -> None:
@@ -45,7 +45,7 @@ class ContactProblem:
 
     @cached_property
     def diagonal(self) -> float:
-        """Mean diagonal entry of the stiffness, put on held diagonals."""
+        """Mean diagonal entry of the stiffness: the diagonal entry of held displacements."""
         d = self.K.getDiagonal()
         mean = float(d.sum() / d.getSize())
         d.destroy()
@@ -53,7 +53,7 @@ class ContactProblem:
 
     @cached_property
     def A(self) -> PETSc.Mat:
-        """The stiffness with supports taken in."""
+        """The stiffness with supports."""
         A = self.K.copy()
         first = A.getOwnershipRange()[0]
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -78,10 +78,10 @@ class ContactProblem:
         self.largest = max(float(self.b.norm()), float(self._forces.norm()))
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """A u + contact forces - b in out, zero at held displacements, and its norm over the forces.
+        """Write A u + contact forces - b, zero at held displacements; returns its norm relative to the forces.
 
-        Nothing in it is linearised: it is the residual of the law itself. What `ForceScale` lets rounding leave counts as
-        no more than the share that solvers aim at.
+        It is the residual of the law itself, not a linearised one. The norm is scaled so that AIM is the residual at which
+        `ForceScale` lets solvers stop.
         """
         scale = self.equations.scale
         self.A.mult(u, out)
@@ -94,7 +94,7 @@ class ContactProblem:
         out.array[self.held] = 0.0
         norm = float(out.norm())
         forces = max(scale.aim(float(u.norm(PETSc.NormType.INFINITY))) / AIM, TINY)
-        if norm > LARGE * self.largest:  # a body that has gone away has large forces, of rounding alone
+        if norm > LARGE * self.largest:  # the large forces of a body far away are only rounding
             forces = min(forces, max(self.largest, TINY))
         return norm / forces
 

@@ -15,13 +15,13 @@ from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.force_scale import ALLOWED
 from thinlayer.solving.options import PREFIX, OptionError
 
-SLOW = 1e5  # residual over the tolerance of the increments that slow convergence may leave
-FIXED = 1e20  # times the mean stiffness, on the diagonal of held components of contact nodes
-ALIGNED = 1e-9
+SLOW = 1e5  # largest residual, relative to the tolerance of the increments: slow convergence has small increments
+FIXED = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness
+ALIGNED = 1e-9  # largest difference of the axes of S from coordinate axes
 
 
 def _options() -> dict[str, Any]:
-    """What PETSc's database says of the relaxation; OptionError if it is out of range."""
+    """The options of the relaxation in PETSc's database. OptionError: a value is out of range."""
     options = PETSc.Options(PREFIX + "relaxation_")
     chosen: dict[str, Any] = {
         "omega": options.getReal("omega", 1.7),
@@ -38,12 +38,12 @@ def _options() -> dict[str, Any]:
 
 
 class ContactRelaxation:
-    """Over-relaxed Gauss-Seidel over all displacements, as section 8 of the paper has it; on one rank.
+    """Over-relaxed Gauss-Seidel over all displacements, as in section 8 of the paper; on one rank.
 
-    The unknowns are changed so that contact nodes have their jumps, in the axes of S, in place of the upper side's
-    displacements. PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments
-    (1e-12), max_sweeps (200000), fixed_point (false: thresholds follow the pressure within the sweeps; true: the paper's
-    outer fixed point).
+    At contact nodes the unknowns are the jumps in the axes of S instead of the upper side's displacements.
+
+    PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments (1e-12), max_sweeps
+    (200000), fixed_point (false: thresholds follow the pressure within the sweeps; true: the paper's outer fixed point).
     """
 
     def __init__(self, problem: ContactProblem) -> None:
@@ -68,7 +68,7 @@ class ContactRelaxation:
         self._u = problem.b.duplicate()
 
     def _row_by_row(self) -> npt.NDArray[np.int32]:
-        """Unknowns in the order of the nodes' places, along x first; convergence depends on the order of sweeps."""
+        """Unknowns in the order of the nodes' places, along x first: convergence depends on the order of sweeps."""
         nodes = self.problem.nodes
         d, x = nodes.dim, nodes.model.V.tabulate_dof_coordinates()
         close = 1e-9 * np.ptp(nodes.model.joint.points, axis=0).max()
@@ -76,7 +76,7 @@ class ContactRelaxation:
         return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
 
     def _lower_dofs(self) -> npt.NDArray[np.int64] | None:
-        """Displacements of the lower side, (n, d); None on a rigid base."""
+        """Numbers of the displacements of the lower side, (n, d); None on a rigid base."""
         nodes = self.problem.nodes
         return None if nodes.lower is None else nodes.lower.getValuesCSR()[1].reshape(-1, nodes.dim)
 
@@ -89,7 +89,7 @@ class ContactRelaxation:
         return np.asarray(np.einsum("nij,nj->ni", along > 0.5, held) > 0)
 
     def _change(self) -> PETSc.Mat:
-        """Displacements from jumps and the others."""
+        """Matrix from the unknowns (jumps and other displacements) to all displacements."""
         nodes, n = self.problem.nodes, self.problem.b.getLocalSize()
         d, slots = nodes.dim, nodes.dofs
         T = PETSc.Mat().createAIJ((n, n), nnz=2 * d, comm=self.problem.comm)
@@ -104,10 +104,10 @@ class ContactRelaxation:
         return T
 
     def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
-        """Displacements, number of sweeps, the residual; the relaxation starts from zero.
+        """Displacements, number of sweeps, residual relative to the forces; `start` is not used.
 
         Raises:
-            SolveError: it does not converge; with the increments of its sweeps as residuals.
+            SolveError: no convergence; its residuals are the increments of the sweeps.
         """
         problem, nodes = self.problem, self.problem.nodes
         chosen = _options()

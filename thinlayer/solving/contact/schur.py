@@ -1,8 +1,8 @@
 """A sparse symmetric matrix condensed to a few unknowns: MUMPS's Cholesky factor with Schur complement, through PETSc.
 
-What was measured on the bar of `performance`, over the time of a contact solve: the triangle copied in C saves 13 %
-against scipy.sparse and 10 % against PETSc's own permutation, 3 % of them by reading ahead; right-hand sides declared as
-sparse save 6 %, the order of nodes 10 % with 128 squares and 30 % with 256.
+Savings of time of a contact solve, measured on the bar of `performance`: copying the triangle in C saves 13 % against
+scipy.sparse and 10 % against PETSc's own permutation, 3 % of them by reading ahead; sparse right-hand sides save 6 %, the
+order of nodes 10 % with 128 squares and 30 % with 256.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
 SOURCE = Path(__file__).with_name("schur.c")
-SPARSE = 0.05  # share of non-zeros up to which a right-hand side is sparse
+SPARSE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
 OPTIONS: dict[str, OptionValue] = {
-    "mat_mumps_icntl_7": 0,  # minimum degree: beside a Schur complement MUMPS has no other ordering but METIS's
-    "mat_mumps_icntl_8": 0,  # no scaling: that takes time and changes nothing here
+    "mat_mumps_icntl_7": 0,  # minimum degree: with a Schur complement MUMPS offers only this and METIS
+    "mat_mumps_icntl_8": 0,  # no scaling: it takes time and changes nothing here
 }
 
 
 class FactorError(ThinlayerError, RuntimeError):
-    """A matrix that is not positive definite, or that MUMPS could not factorise for another reason."""
+    """MUMPS could not factorise a matrix, for instance because it is not positive definite."""
 
 
 class SchurFactor:
@@ -42,10 +42,10 @@ class SchurFactor:
 
     Args:
         A: sparse matrix (AIJ) of n nodes with d rows each, in d x d blocks; only read.
-        d: rows of a node.
-        kept: (c,) the unknowns to condense to.
-        springs: (c,) what makes A definite there, > 0.
-        order: (n,) nodes in the order that MUMPS sees them in.
+        d: number of rows of a node.
+        kept: (c,) the unknowns that stay after condensation.
+        springs: (c,) stiffness added to these unknowns, > 0, so that the factorised matrix is definite.
+        order: (n,) nodes in the order in which MUMPS gets them.
 
     Raises:
         FactorError: MUMPS failed.
@@ -88,29 +88,29 @@ class SchurFactor:
         return out
 
     def _forces(self, kept: Array) -> Array:
-        """Forces (c,) that the complement, springs included, answers displacements of the kept unknowns with."""
+        """Forces (c,) of the complement, springs included, for values of the kept unknowns."""
         return np.asarray(self.complement @ kept + self._springs * kept)
 
     def condense(self, b: Array) -> Array:
         """Right-hand side (c,) of the condensed system for a right-hand side of A."""
-        self._factor.setMumpsIcntl(26, 1)  # forward elimination and the complement's own solve: no other unknowns
+        self._factor.setMumpsIcntl(26, 1)  # solve for the kept unknowns only
         try:
             return self._forces(self._solve(b[self._order])[self._kept])
         finally:
             self._factor.setMumpsIcntl(26, -1)
 
     def expand(self, b: Array, condensed: Array, kept: Array) -> Array:
-        """All unknowns, from the right-hand side, what `condense` made of it, and the kept unknowns (c,)."""
+        """All unknowns, from the right-hand side b, the result of `condense` for b, and the kept unknowns (c,)."""
         moved = b[self._order]
         moved[self._kept] += self._forces(kept) - condensed
         out = self._solve(moved)
-        out[self._kept] = kept  # without the rounding, which a stiff layer makes much of
+        out[self._kept] = kept  # a stiff layer would magnify their rounding
         return out[self._place]
 
     def _solve(self, b: Array) -> Array:
-        """MUMPS's solution in its order, which is faster for a right-hand side declared to be sparse."""
+        """MUMPS's solution in its order; a sparse right-hand side is declared as such, which is faster."""
         places = np.flatnonzero(b)
-        if not len(places):  # which MUMPS takes for an error
+        if not len(places):  # MUMPS fails for an empty sparse right-hand side
             return np.zeros_like(b)
         if len(places) > SPARSE * len(b):
             given, found = PETSc.Vec().createWithArray(b, comm=PETSc.COMM_SELF), np.empty_like(b)
@@ -136,7 +136,7 @@ class SchurFactor:
 
 
 def _upper_triangle(A: PETSc.Mat, d: int, order: npt.NDArray[Any], kept: Indices, springs: Array) -> PETSc.Mat:
-    """Matrix with the upper triangle of A + springs, nodes renumbered; all that MUMPS reads of a symmetric one.
+    """The upper triangle of A + springs with renumbered nodes; MUMPS does not read the rest of a symmetric matrix.
 
     `kept` has the new numbers of the springs' unknowns.
     """
@@ -153,7 +153,9 @@ def _upper_triangle(A: PETSc.Mat, d: int, order: npt.NDArray[Any], kept: Indices
     pointers = (c.ffi.from_buffer(kinds[a.dtype.name], a) for a in (*given, rows, columns, entries))
     filled = c.lib.upper_triangle(n, d, size, *pointers)
     if filled != size:
-        raise FactorError("the pattern of the stiffness matrix is not symmetric, or not one of nodes")
+        raise FactorError(
+            "the nonzero pattern of the stiffness matrix is not symmetric, or not made of blocks of nodes"
+        )
     entries[rows[kept]] += springs  # the first entry of a row is its diagonal
     csr = rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
     out = PETSc.Mat().createAIJWithArrays((n * d, n * d), csr, comm=PETSc.COMM_SELF)

@@ -12,12 +12,12 @@ from thinlayer.solving.contact.problem import ContactProblem
 class SideDisplacements:
     """Free displacements on both sides of S, and jumps; global axes.
 
-    Where a component of the jump has a side that is held, the displacement of the other one stands for it.
+    If supports hold a component on one side, the displacement of the other side is the unknown of this jump component.
 
     Attributes:
-        dofs: (c,) the free displacements, local.
-        moving: the nodes that have a free component of the jump.
-        held_jumps: (moving nodes, d) the jump where both sides are held, else zero.
+        dofs: (c,) local numbers of the free displacements.
+        moving: the nodes with a free component of the jump.
+        held_jumps: (moving nodes, d) jump components held on both sides; zero for free components.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
@@ -40,13 +40,15 @@ class SideDisplacements:
         self._two = np.flatnonzero(top & bottom)
 
     def to_jumps(self, S: Array) -> Array:
-        """Stiffness of the jumps, (n d, n d), from that of the free displacements; held components are left out: only the
-        diagonal of their rows and columns is not zero."""
+        """Stiffness (n d, n d) of the jumps, from the stiffness S of the free displacements.
+
+        In rows and columns of held components only the diagonal is not zero.
+        """
         carrier, sign = self._carrier, self._sign
         H = S
         if not (np.array_equal(carrier, np.arange(len(S))) and (sign > 0).all()):
             H = S[np.ix_(carrier, carrier)] * np.outer(sign, sign)
-        if len(self._two):  # with the jump kept, both sides move by what the lower one does
+        if len(self._two):  # eliminate common motions of both sides, which do not change the jump
             rows = S[self._upper] + S[self._lower]
             self._coupling = rows[:, carrier] * sign
             self._together = linalg.cho_factor(rows[:, self._upper] + rows[:, self._lower], lower=True)
@@ -67,7 +69,7 @@ class SideDisplacements:
         if self._on_rigid:
             lower = np.zeros_like(upper)
         self.held_jumps = np.where(self._free, 0.0, upper - lower)
-        self._shift = (lower - upper)[self._free]  # from a jump to the displacement that stands for it, signed
+        self._shift = (lower - upper)[self._free]  # the unknown displacement, times its sign, less the jump
         self._shift[self._two] = 0.0
 
     def _lower_forces(self) -> Array:

@@ -1,4 +1,4 @@
-"""Which finder a contact problem gets: Newton's method with sweeps, condensed to S or with multigrid, or the paper's."""
+"""The finder for contact problems with linear bodies, and its schemes: condensed, multigrid, the paper's relaxation."""
 
 from __future__ import annotations
 
@@ -24,18 +24,25 @@ SCHEMES: dict[str, type[Scheme]] = {
     "relaxation": ContactRelaxation,
 }
 METHODS = tuple(SCHEMES)
-CONDENSED_UP_TO = {2: 4000, 3: 1200}  # displacements at S, of a dense system on one rank
+CONDENSED_UP_TO = {
+    2: 4000,
+    3: 1200,
+}  # dimension -> largest number of displacements at S for which "condensed" is chosen
 
 
 class Scheme(Protocol):
-    """What solves a contact problem, one load after the other."""
+    """A solver of contact problems, one load after the other."""
 
     def __init__(self, problem: ContactProblem) -> None: ...
 
     def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
-        """Displacements, number of steps, residual at each of them; start: (n, d) expected jumps in the nodes' frames.
+        """Displacements, number of steps, residuals relative to the forces.
 
-        The displacements belong to the scheme, and stay as they are until the next `solve` or `close`.
+        Args:
+            start: (n, d) expected jumps in the nodes' frames; None: no prediction.
+
+        Returns:
+            The displacements belong to the scheme and are valid until the next `solve` or `close`.
         """
 
     def close(self) -> None:
@@ -43,9 +50,10 @@ class Scheme(Protocol):
 
 
 def default_method(model: Model) -> str:
-    """The solver that suits a contact model: plain Newton for bodies that are not linear and laws without sweeps.
+    """The default method for a contact model.
 
-    Otherwise condensed to S on one rank while its matrix is small, else multigrid.
+    "newton" for bodies that are not linear and laws without sweeps; "condensed" on one rank if S has few displacements;
+    else "multigrid".
     """
     if model.contact is None or model.contact.numbers is None or not _linear_bodies(model):
         return "newton"
@@ -56,7 +64,7 @@ def default_method(model: Model) -> str:
 
 
 def _linear_bodies(model: Model) -> bool:
-    """Whether all but the contact law is one constant, symmetric matrix."""
+    """Whether bodies and additions have a constant, symmetric stiffness matrix."""
     added = all(part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
     return added and all(p.proportional for p in model.bodies)
 
@@ -65,9 +73,9 @@ class ContactFinder:
     """Steps of a contact model with linear bodies: a `Finder`. Collective.
 
     Args:
-        equations: of the model.
+        equations: the equations of the model.
         method: one of METHODS.
-        like: a state of a model of the same joint whose contact status is close to the one to be found.
+        like: a state of a model of the same joint with a similar contact status.
     """
 
     def __init__(self, equations: Equations, method: str, like: State | None) -> None:
@@ -82,7 +90,7 @@ class ContactFinder:
         return self.problem.nodes.jump(u.x.petsc_vec)
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
-        """Displacements at the end of the step; those to start from are used for their jumps alone."""
+        """Displacements at the end of the step; only the jumps of `start` are used."""
         problem = self.problem
         problem.begin()
         if start is not None:
@@ -96,7 +104,7 @@ class ContactFinder:
         return Found(u, steps, residuals[-1])
 
     def forget(self) -> bool:
-        """Nothing: matrices and factors stay what they are from step to step."""
+        """False: matrices and factors do not depend on the step, so nothing is dropped."""
         return False
 
     def close(self) -> None:
@@ -106,7 +114,7 @@ class ContactFinder:
 
 
 def check_method(model: Model, method: Any) -> None:
-    """Raise ModelError if a method is for contact and the model has none, or bodies that are not linear."""
+    """Raise ModelError if a method is for contact and does not suit the model."""
     if method in METHODS and model.contact is None:
         raise ModelError(f"method={method!r} is for contact laws; the model has none")
     if method in ("condensed", "relaxation") and model.comm.size > 1:

@@ -10,19 +10,19 @@ from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.solving.contact.gauss_seidel import BlockRows, sweep_nodes
 from thinlayer.solving.contact.problem import ContactProblem
 
-SWEEPS = 4  # of Gauss-Seidel, before a Newton step that goes on from what the tangent has not foreseen
-DIAGONAL = 3.0  # of the stiffness at a node of S over its area times E/h, at most about
-STOP = 1e6  # stiffness that keeps held components in place during sweeps, over that of the node
+SWEEPS = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
+DIAGONAL = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
+STOP = 1e6  # stiffness that fixes held components during sweeps, relative to the node's stiffness
 
 
 class SurfaceStiffness:
     """The stiffness at this rank's nodes of S, upper side.
 
     Attributes:
-        rows: its rows there, (n d, all).
-        blocks: between these nodes; held components are decoupled.
-        diagonal: (n,) which of the blocks are a node's own.
-        scale: (n,) E/h, about: Young's modulus over the size of the cells.
+        rows: (n d, all) rows of the stiffness matrix.
+        blocks: blocks between these nodes; held components are decoupled.
+        diagonal: (n,) indices of the diagonal blocks.
+        scale: (n,) estimate of E/h, Young's modulus over the size of the cells.
         free: (n, d) components that are not held.
     """
 
@@ -51,22 +51,22 @@ class SurfaceStiffness:
         own = np.einsum("nii->n", blocks.data[self.diagonal]) / d
         self.scale = own / (DIAGONAL * self.nodes.weights)
         self.free = ~self.nodes.held_upper
-        # sweeps move whole nodes
+        # sweeps move whole nodes, so held components need a stop
         self._stop = np.where(self.free, 0.0, STOP * (own + problem.law.K_N * self.nodes.weights)[:, None])
         self._swept = self.with_diagonal(self._stop[:, :, None] * np.eye(d))
 
     def with_diagonal(self, more: Array) -> BlockRows:
-        """The blocks with (n, d, d) added to the nodes' own."""
+        """The blocks with (n, d, d) added to the diagonal ones."""
         blocks = self.blocks.blocks.copy()
         blocks[self.diagonal] += more
         return BlockRows(self.blocks.indptr, self.blocks.indices, blocks)
 
     def of(self, x: PETSc.Vec) -> Array:
-        """Displacements or forces there, (n, d)."""
+        """Values (n, d) of a vector of displacements or forces at these nodes."""
         return np.asarray(x.array_r.reshape(-1, self.nodes.dim)[self.nodes.upper])
 
     def add(self, values: Array, x: PETSc.Vec) -> None:
-        """Add displacements or forces (n, d)."""
+        """Add values (n, d) to a vector at these nodes."""
         x.array.reshape(-1, self.nodes.dim)[self.nodes.upper] += values
 
     def forces(self, x: PETSc.Vec) -> Array:
@@ -79,8 +79,8 @@ class SurfaceStiffness:
 
         Args:
             u: displacements.
-            residual: the true one at u.
-            turned: (n, d) changes of the jumps that make nodes stick; these nodes are not swept.
+            residual: residual of the law at u.
+            turned: (n, d) changes of the jumps of nodes that shall stick; these nodes are not swept.
         """
         law, nodes, slip = self.problem.law, self.nodes, self.problem.slip
         lower, old = nodes.lower_side(u), self.of(u)

@@ -1,4 +1,4 @@
-"""The tangent of a contact problem, and what approximates its inverse: a multigrid hierarchy and the nodes of S."""
+"""The tangent of a contact problem, and its preconditioner: a multigrid hierarchy and the nodes of S."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from thinlayer.solving.contact.blocks import faster_products, in_blocks, smooth_
 from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
 from thinlayer.solving.options import PREFIX
 
-CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # stiffest springs in the hierarchy, times E/h
-FLOOR = 1e-3  # softest springs in the hierarchy, times E/h: they hold a body that nothing else holds
+CLIP_NORMAL, CLIP_TANGENTIAL = 30.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
+FLOOR = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, for bodies that nothing else holds
 
 
 class Tangent:
-    """The tangent of a contact problem and its preconditioner: contexts of a matrix and a PC of PETSc.
+    """The tangent of a contact problem and its preconditioner, as contexts of a PETSc matrix and a PETSc PC.
 
-    Both live on displacements that are zero where supports hold. The matrix of the hierarchy, in blocks, multiplies for
-    both; what the tangents of S differ from its springs is added.
+    Both act on vectors that are zero at held displacements. Both multiply with the hierarchy's matrix in blocks; the
+    tangent adds the difference between the tangents of S and the springs of the hierarchy.
 
     Args:
-        surface: the nodes.
-        start: expected jumps, for the springs of the hierarchy; None: bonded.
+        surface: the nodes of S.
+        start: expected jumps, which choose the springs of the hierarchy; None: bonded.
     """
 
     def __init__(self, surface: SurfaceStiffness, start: Array | None) -> None:
@@ -35,7 +35,7 @@ class Tangent:
             self._vectors += [self.nodes.lower.createVecLeft(), self._matrix.createVecLeft()]
 
     def _springs(self, start: Array | None) -> Array:
-        """Tangents of S without friction's coupling, clipped, (n, d, d)."""
+        """Clipped tangents (n, d, d) of S without the coupling by friction."""
         law, scale = self.problem.law, self.surface.scale
         D = law.bonded(len(scale), self.nodes.dim) if start is None else law.tangent(start, self.problem.slip)
         i = np.arange(self.nodes.dim)
@@ -46,7 +46,7 @@ class Tangent:
         return out
 
     def _build(self, springs: Array) -> None:
-        """The hierarchy."""
+        """Build the hierarchy."""
         problem, nodes = self.problem, self.nodes
         self._built_with = nodes.blocks(springs)
         added = nodes.stiffness(springs)
@@ -72,7 +72,7 @@ class Tangent:
         M.destroy()
 
     def linearise(self, tangents: Array) -> None:
-        """Take over tangents of S, (n, d, d)."""
+        """Use these tangents (n, d, d) of the law from now on."""
         self._of_contact = self.nodes.blocks(tangents)
         self._more = self._of_contact - self._built_with
         free = self.surface.free
@@ -112,7 +112,7 @@ class Tangent:
         y.array[self.problem.held] = 0.0
 
     def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """z = a cycle of multigrid, then the nodes of S with all else in place."""
+        """z = a cycle of multigrid, then a solve for the nodes of S with all other displacements fixed."""
         self._cycle.apply(r, z)
         z.array[self.problem.held] = 0.0
         contact = np.einsum("nij,nj->ni", self._of_contact, self._jumps(z))

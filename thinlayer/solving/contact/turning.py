@@ -1,4 +1,4 @@
-"""Nodes that slide the other way than at the last tangents."""
+"""Nodes whose slip direction has reversed since the last tangents."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their 
 
 
 def sliding(law: ContactLaw, w: Array, slip: Array) -> Sliding:
-    """What `turned` has to know of the jumps (n, d) of tangents."""
+    """Sliding state at jumps (n, d), for a later `turned`."""
     return law.status(w, slip), w[:, :-1] - slip
 
 
 def turned(law: ContactLaw, w: Array, slip: Array, at: Sliding | None) -> Array:
-    """What makes nodes stick that slide, but the other way than at the last tangents: change of the jumps (n, d).
+    """Changes (n, d) of the jumps that make nodes stick whose slip direction has reversed since the last tangents.
 
-    Along its slip a sliding node has no stiffness of its own. If it should stick, Newton's method can throw it to and
-    fro for ever, and sweeps follow.
+    A sliding node has no stiffness of its own along its slip. If it should stick, Newton's method can move it to and fro
+    for ever, and sweeps do not stop that.
     """
     out = np.zeros_like(w)
     if at is None:

@@ -1,0 +1,48 @@
+"""What a solve or a march warns of, and the pressure in excess in a layer whose faces are moved."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import numpy as np
+from dolfinx import fem
+
+from forms import LinearElastic
+from thinlayer.discretisation.state import Report, State
+from thinlayer.errors import RangeWarning
+from thinlayer.solving.ranges import _Faces, _strata, pressure_excess
+
+STIFF = LinearElastic.young(1e5, 0.3)
+
+
+def told(action):
+    """What it returns, and the messages of its RangeWarnings."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        result = action()
+    return result, [str(w.message) for w in found if issubclass(w.category, RangeWarning)]
+
+
+def opened(model, upper):
+    """A state whose upper body (y > 0, or all of it on a rigid base) is moved as told, the other one at rest."""
+    u = fem.Function(model.V)
+    cells = np.flatnonzero(model.sides_of_cells > 0).astype(np.int32)
+    u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
+    u.x.scatter_forward()
+    return _Faces.of(State(model, u, 0.0, Report("none", 0, 0.0, 0.0)), model.thin_layer)
+
+
+def excess(model, upper):
+    (layer,) = _strata(model)
+    return pressure_excess(opened(model, upper), layer)
+
+
+def strip_excess(x):
+    """Of a strip between rigid faces, x half-widths over the length of the pressure."""
+    return 1 / (1 - np.tanh(x) / x) - 1
+
+
+def times_too_stiff(message):
+    """How many times the law is too stiff."""
+    return float(re.search(r"([0-9.e+]+) times too stiff", message)[1])

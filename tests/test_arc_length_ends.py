@@ -1,0 +1,128 @@
+"""Where equilibrium paths end: steps and their lengths, the way back, failures, runs that are killed and resumed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+
+from forms.traction import TractionLaw
+from tests.arc_length_run import Trilinear, across_and_along, bar, chosen
+from tests.ranks import CLEAN, CLONE, mpirun
+from tests.snapping_bars import FAR, STEEP, C, openings, sigma
+from thinlayer import ArcLength, ModelError, SolveError, march
+
+
+# ---------------------------------------------------------------- where it ends
+def test_steps_and_their_lengths():
+    few = ArcLength(end=FAR, first=0.05, steps=7)
+    with pytest.raises(SolveError, match=r"at t = 0\.35 after 7 steps, not at end = 1\.5; give more steps") as caught:
+        march(bar(STEEP), few)
+    assert len(caught.value.history) == 8
+    linear = bar(Trilinear(k=7.0, fall=5.0, w_1=9.0, w_2=10.0, k_T=1.9))
+    assert march(linear, ArcLength(end=1.0, first=0.3)).t == pytest.approx([0.0, 0.3, 0.6, 0.9, 1.0])
+    longer = march(linear, ArcLength(end=1.0, first=0.1, largest=3.0))
+    assert longer.t == pytest.approx([0.0, 0.1, 0.3, 0.6, 0.9, 1.0])
+    assert march(linear, ArcLength(end=1.0, first=1.0)).t == pytest.approx([0.0, 1.0])
+    assert march(linear, ArcLength(end=2.5, first=1.0), start=0.7).t == pytest.approx([0.7, 1.7, 2.5])
+
+
+def test_back():
+    """Without a residual branch the bar comes back to where it was stress-free, and beyond."""
+    falling = Trilinear(k=7.0, fall=5.0, w_1=0.11, w_2=9.0, k_T=1.9)
+    history = march(bar(falling), ArcLength(end=1.0, first=0.05, back=-0.2))
+    assert history.t[-1] < -0.2 <= history.t[:-1].min()
+    w = openings(history)
+    assert history.t == pytest.approx(w + C * sigma(falling, w), abs=1e-10)
+    twice = history.t[np.flatnonzero(np.diff(np.sign(history.t - 0.3)))]
+    assert len(twice) == 2
+    with pytest.raises(
+        SolveError, match=r"has come back to t = -\S+ and has not reached end = 1; give back="
+    ) as caught:
+        march(bar(falling), ArcLength(end=1.0, first=0.05))
+    assert caught.value.history.t[-1] < -1 <= caught.value.history.t[:-1].min()
+
+
+def test_the_last_state_at_a_time_is_found():
+    history = march(bar(STEEP), ArcLength(end=FAR, first=0.05))
+    history.states = {k: s for k, s in history.states.items() if k in (2, len(history) - 1)}
+    assert history.at(0.1).t == pytest.approx(0.1)
+    assert history.at(FAR) is history.last
+
+
+@pytest.mark.filterwarnings("ignore:Value error in evaluation of function sqrt")
+def test_no_step_leads_on():
+    """A law that is not defined beyond an opening."""
+    with pytest.raises(
+        SolveError, match=r"step \d+ of the path, from t = 0\.\d+, failed, and so did longer ones"
+    ) as caught:
+        march(bar(Torn(k=7.0, k_T=1.9)), ArcLength(end=1.0, first=0.1, smallest=1e-2))
+    t = caught.value.history.last.t
+    assert 0.1 * (1 + C * 7.0) - 0.002 < t < 0.1 * (1 + C * 7.0)
+    with pytest.raises(SolveError, match=r"nothing moves from t = 0 to 0\.1: a path has no direction"):
+        march(bar(STEEP, lambda x, t: 0.0), ArcLength(end=1.0, first=0.1))
+    with pytest.raises(SolveError, match=r"the first state, at t = 0: .*law failed"):
+        march(bar(Torn(k=7.0, k_T=1.9), lambda x, t: 2 + t), ArcLength(end=1.0, first=0.1))
+
+
+@dataclass(frozen=True)
+class Torn(TractionLaw):
+    k: float
+    k_T: float
+
+    def traction(self, step):
+        w = ufl.dot(step.mid, step.n)
+        return across_and_along(w, chosen(w, 0.1, self.k * w, ufl.sqrt(-1 - w**2)), self.k_T, step)
+
+
+# ---------------------------------------------------------------- resumed, on two ranks
+def run(ranks: int, *words: str) -> subprocess.CompletedProcess:
+    if ranks > 1:
+        return mpirun(ranks, "-m", "tests.arc_length_run", *words)
+    command = [sys.executable, "-m", "tests.arc_length_run", *words]
+    return subprocess.run(command, env=CLEAN | {"PYTHONPATH": str(CLONE)}, cwd=CLONE, capture_output=True, timeout=240)
+
+
+def rows(out):
+    found = {name: np.genfromtxt(out / name / "table.csv", delimiter=",", names=True) for name in ("kinked", "damaged")}
+    return {name: np.array([table[c] for c in ("t", "dt", "stored", "size")]) for name, table in found.items()}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole")
+    done = run(1, str(out))
+    assert done.returncode == 0, done.stderr
+    return rows(out)
+
+
+def test_killed_and_resumed(undisturbed, tmp_path):
+    """On two ranks, then on one, with the last state kept or all of them, inside a loop: as if nothing had happened."""
+    done = run(2, str(tmp_path), "--kill", "34")
+    assert done.returncode != 0
+    done = run(1, str(tmp_path), "--resume")
+    assert done.returncode == 0, done.stderr
+    found = rows(tmp_path)
+    for name, table in undisturbed.items():
+        assert found[name] == pytest.approx(table, rel=1e-7, abs=1e-9), name
+
+
+def test_only_the_same_path_is_resumed(tmp_path):
+    """More steps may follow; the unit of the arc length is part of the path, and a path is no march in time."""
+    whole = march(bar(STEEP), ArcLength(end=FAR, first=0.1))
+    with pytest.raises(SolveError, match="after 9 steps"):
+        march(bar(STEEP), ArcLength(end=FAR, first=0.1, steps=9), out=tmp_path, keep="last")
+    for other in (ArcLength(end=FAR, first=0.05), [0.1, FAR]):
+        with pytest.raises(ModelError, match=r"is of another march \(first: 0\.1 there"):
+            march(bar(STEEP), other, out=tmp_path, resume=True)
+    resumed = march(bar(STEEP), ArcLength(end=FAR, first=0.1), out=tmp_path, keep="last", resume=True)
+    assert resumed.t == pytest.approx(whole.t, abs=1e-12)
+    assert list(resumed.states) == [len(whole) - 1]
+    assert sorted(file.stem for file in (tmp_path / "states").iterdir()) == [f"{len(whole) + k:06d}" for k in (-2, -1)]
+    assert len(march(bar(STEEP), ArcLength(end=FAR, first=0.1), out=tmp_path, resume=True)) == len(whole)
+    with pytest.raises(ModelError, match=r"is at t = 1\.5; the path is to end before"):
+        march(bar(STEEP), ArcLength(end=1.0, first=0.1), out=tmp_path, resume=True)

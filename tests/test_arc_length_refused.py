@@ -1,0 +1,100 @@
+"""Values, options, laws and models that have no equilibrium path by arc length are refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pytest
+
+from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb
+from forms.traction import TractionLaw
+from geometry import block
+from tests.arc_length_run import HEIGHT, WIDTH, E, bar
+from tests.snapping_bars import STEEP
+from thinlayer import ArcLength, ModelError, OptionError, Structure, ThinLayer, march
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"end": math.inf}, "end is inf; allowed: a number$"),
+        ({"first": 0.0}, "first is 0.0; allowed: a number > 0"),
+        ({"first": "short"}, "first is 'short'"),
+        ({"smallest": -1e-3}, "smallest is -0.001; allowed: a number > 0"),
+        ({"largest": math.nan}, "largest is nan"),
+        ({"largest": 0.1, "smallest": 0.2}, "largest is 0.1; allowed: >= smallest = 0.2"),
+        ({"steps": 0}, "steps is 0; allowed: a whole number > 0"),
+        ({"steps": 1.5}, "steps is 1.5"),
+        ({"back": math.nan}, "back is nan"),
+    ],
+)
+def test_bad_values(values, message):
+    with pytest.raises(ModelError, match=f"ArcLength: {message}"):
+        ArcLength(**({"end": 1.0, "first": 0.1} | values))
+
+
+@pytest.mark.parametrize(
+    ("path", "options", "message"),
+    [
+        (ArcLength(0.0, 0.1), {}, "end is 0; it must come after start = 0"),
+        (ArcLength(1.0, 0.1), {"start": math.nan}, "it must come after start = nan"),
+        (ArcLength(1.0, 2.0), {}, "first is 2; end - start is 1"),
+        (ArcLength(1.0, 0.1, back=0.5), {}, "back is 0.5; it must be less than start = 0"),
+        (ArcLength(1.0, 0.1), {"theta": 0.5}, "theta = 1"),
+        (ArcLength(1.0, 0.1), {"method": "linear"}, "method is 'linear'; a path is followed by Newton's method"),
+        (ArcLength(1.0, 0.1), {"options": {"ksp_nonsense": 1}}, "not read"),
+        (ArcLength(1.0, 0.1), {"options": {"pc_type": "nonsense"}}, "pc_type nonsense"),
+    ],
+)
+def test_bad_paths(path, options, message, tmp_path):
+    with pytest.raises((ModelError, OptionError), match=message):
+        march(bar(STEEP), path, out=tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+@dataclass(frozen=True)
+class Creeping(TractionLaw):
+    """A spring and a dashpot in series, which declares no rate."""
+
+    k: float
+    tau: float
+    internal: ClassVar = {"flow": (3,)}
+
+    def evolve(self, step):
+        x = step.dt / self.tau
+        return {"flow": (step.q["flow"] + x * step.w) / (1 + x)}
+
+    def traction(self, step):
+        return self.k * (step.mid - self.evolve(step)["flow"])
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on the strain rate, and t is no time on a path"),
+        (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
+        (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
+        (
+            MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0),
+            "MohrCoulomb bounds stresses: on a path loads stay at their limit",
+        ),
+    ],
+)
+def test_laws_that_have_no_path(law, message):
+    with pytest.raises(ModelError, match=message):
+        march(bar(law), ArcLength(1.0, 0.1))
+
+
+def test_models_that_have_no_path():
+    from forms import HolonomicCoulomb
+
+    strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
+    setup = {"body": LinearElastic.young(E, 0.2), "supports": {"TOP": 0.0}}
+    soft = Structure(strip, **setup).interface(ThinLayer(Incompressible(40.0), 0.1))
+    with pytest.raises(ModelError, match="Incompressible is incompressible: paths have displacements alone"):
+        march(soft, ArcLength(1.0, 0.1))
+    contact = Structure(strip, element="Q1", **setup).interface(HolonomicCoulomb(7.0, 3.0, friction=0.4))
+    with pytest.raises(ModelError, match="HolonomicCoulomb is a contact law: march in time"):
+        march(contact, ArcLength(1.0, 0.1))

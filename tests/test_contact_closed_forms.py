@@ -1,0 +1,196 @@
+"""Friction cycles, uniform stresses and bonded columns in contact have closed forms; what has no equilibrium raises."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import BulkLaw, ContactLaw, HolonomicCoulomb, IncrementalCoulomb, LinearElastic, Tresca
+from forms.elastic import lame
+from geometry import block, sandwich
+from studies.problems import sliding_bar
+from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
+from tests.contact_run import to_and_fro
+from thinlayer import SolveError, Structure, ThinLayer, compare, march, piecewise, solve
+from thinlayer.output.contact_report import ContactReport
+
+
+# ------------------------------------------------------------------------ closed forms
+def rigid_block(law, supports, tractions, **choices):
+    joint = block(3.0, 1.0, 0.5, structured=True)
+    setup = {"body": LinearElastic.young(1e9, 0.3), "supports": supports, "element": "P1", "tractions": tractions}
+    return Structure(joint, **setup).interface(law)
+
+
+def test_friction_cycle_of_a_rigid_block():
+    """Pressed by d, moved to and fro: the loop of an elastic-plastic spring, and the energy in it."""
+    K_N, K_T, f, d = 300.0, 80.0, 0.4, 0.02
+    law = IncrementalCoulomb(K_N, K_T, f)
+    path = {0: 0.0, 1: 0.06, 3: -0.06, 5: 0.06}
+
+    supports = {"TOP": {"x": piecewise(path), "y": -d}}
+    model = rigid_block(law, supports, {})
+    times = [0.25 * k for k in range(1, 21)]
+    history = march(model, times, observe={"t_T": lambda s: ContactReport(s).friction_force[0] / 3.0})
+    p, bound = K_N * d, f * K_N * d
+    slip, expected, dissipated = 0.0, [], []
+    for t in [0.0, *times]:
+        g = np.interp(t, list(path), list(path.values()))
+        trial = K_T * (g - slip)
+        found = np.clip(trial, -bound, bound)
+        dissipated.append(3.0 * found * (g - found / K_T - slip))
+        slip = g - found / K_T
+        expected.append(found)
+    assert history.table["t_T"] == pytest.approx(np.array(expected), abs=1e-5)
+    assert history.table["dissipated"] == pytest.approx(np.array(dissipated), abs=1e-5)
+    assert max(dissipated) > 0.05
+    assert ContactReport(history.last).p == pytest.approx(p, rel=1e-5)
+    holonomic = march(rigid_block(HolonomicCoulomb(K_N, K_T, f), supports, {}), times)
+    unloading = history.at(1.5), holonomic.at(1.5)
+    reports = [ContactReport(s).friction_force[0] / 3.0 for s in unloading]
+    assert abs(reports[0] - reports[1]) > 0.5 * bound  # the laws differ where slip turns
+
+
+def test_solvers_agree_on_a_march_that_turns():
+    histories = [to_and_fro(method=method) for method in (*SOLVERS, "relaxation")]
+    for one in histories[1:]:
+        for state, other in zip(one, histories[0], strict=True):
+            size = np.abs(other.u.x.array).max()
+            assert state.u.x.array == pytest.approx(other.u.x.array, rel=1e-7, abs=1e-7 * size)
+            assert state.memory["contact"] == pytest.approx(other.memory["contact"], rel=1e-5, abs=1e-6)
+        assert np.abs(one.table["imbalance"]).max() < 1e-6
+    assert (np.array(histories[0].table["dissipated"])[-3:] > 1e-3).all()
+
+
+def test_a_march_over_a_softer_body():
+    """Multigrid takes S from its softer side, here the lower one: slip of the steps before comes along."""
+    joint, setup = stacked()
+    law = IncrementalCoulomb(7e4, 2e4, 0.5)
+    setup["tractions"] = {"TOP": lift, "LEFT/UPPER": lambda x, t: (60.0 * (1 - (t - 1) ** 2), 0.0)}
+    one, two = (march(Structure(joint, **setup).interface(law), [1.0, 2.0, 3.0], method=m) for m in SOLVERS[:2])
+    slip = one.at(1.0).memory["contact"]
+    assert np.abs(slip).max() > 1e-4
+    for state, other in zip(one, two, strict=True):
+        assert state.u.x.array == pytest.approx(other.u.x.array, rel=1e-7, abs=1e-7 * np.abs(one.last.u.x.array).max())
+        assert state.memory["contact"] == pytest.approx(
+            other.memory["contact"], rel=1e-5, abs=1e-6 * np.abs(slip).max()
+        )
+
+
+def test_uniform_stress_without_any_support():
+    """Pressure and shear that S alone carries: the stiffness of the body is singular, the answer is not."""
+    law = HolonomicCoulomb(300.0, 80.0, 0.4, 0.2)
+    p, q = 5.0, 2.1  # q < f p + C
+    loads = {"TOP": (q, -p), "LEFT": (0.0, -q), "RIGHT": (0.0, q)}
+    for method in SOLVERS:
+        joint = block(3.0, 1.0, 0.5, structured=True)
+        data = {"body": LinearElastic.young(1e4, 0.0), "supports": {}, "element": "P1", "tractions": loads}
+        report = solved(joint, law, data, method=method)
+        assert report.p == pytest.approx(p, rel=1e-7)
+        assert report.t_T == pytest.approx(q, rel=1e-7)
+        assert report.u_T == pytest.approx(q / 80.0, rel=1e-7)
+        assert set(report.status) == {"stick"}
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+def test_more_shear_than_friction_carries_raises(method):
+    law = HolonomicCoulomb(300.0, 80.0, 0.4, 0.2)
+    p, q = 5.0, 2.3  # q > f p + C
+    joint = block(3.0, 1.0, 0.5, structured=True)
+    loads = {"TOP": (q, -p), "LEFT": (0.0, -q), "RIGHT": (0.0, q)}
+    data = {"body": LinearElastic.young(1e4, 0.0), "supports": {}, "element": "P1", "tractions": loads}
+    with pytest.raises(SolveError) as error:
+        solved(joint, law, data, method=method)
+    assert "support" in str(error.value) or "load" in str(error.value)
+    assert len(error.value.residuals) > 1
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+def test_a_body_pulled_off(method):
+    joint, setup = sliding_bar(12)
+    pulled = setup | {"tractions": {"TOP": (0.0, 50.0)}}
+    held = solved(joint, coulomb("middle"), pulled, method=method)
+    assert held.counts["separated"] >= 11
+    assert held.counts["stick"] == held.counts["sliding"] == 0
+    assert not held.p.any()
+    with pytest.raises(SolveError):
+        solved(joint, coulomb("middle"), pulled | {"supports": {"RIGHT": {"x": 0.0}}}, method=method)
+
+
+def test_tresca_is_the_inner_problem():
+    """With the thresholds of the Coulomb solution at hand, uniform ones here, both laws give the same."""
+    p, q = 5.0, 1.7
+    joint = block(3.0, 1.0, 0.5, structured=True)
+    loads = {"TOP": (q, -p), "LEFT": (0.0, -q), "RIGHT": (0.0, q)}
+    data = {"body": LinearElastic.young(1e4, 0.0), "supports": {}, "element": "P1", "tractions": loads}
+    for method in SOLVERS:
+        one = solved(joint, Tresca(300.0, 80.0, 2.0), data, method=method)
+        assert one.u_T == pytest.approx(q / 80.0, rel=1e-7)
+    sliding = bar(12, Tresca(4e5, 6e4, 10.0))
+    assert np.abs(sliding.t_T).max() == pytest.approx(10.0)
+
+
+# ------------------------------------------------------------------------ laws and bodies of one's own
+@dataclass(frozen=True)
+class Saturating(ContactLaw):
+    """Friction that grows more and more slowly with the pressure."""
+
+    f: float
+    largest: float
+
+    def threshold(self, p):
+        return self.largest * np.tanh(self.f * p / self.largest)
+
+    def threshold_rate(self, p):
+        return self.f / np.cosh(self.f * p / self.largest) ** 2
+
+
+@dataclass(frozen=True)
+class Stiffening(BulkLaw):
+    """A body that stiffens with its strain."""
+
+    E: float
+
+    def stress(self, step):
+        linear = lame(0.5 * self.E, 0.4 * self.E, step.e)
+        return linear * (1 + 1e3 / self.E * ufl.inner(linear, step.e))
+
+
+def test_a_law_of_ones_own():
+    report = bar(12, Saturating(4e5, 6e4, 1.0, 25.0))
+    assert np.abs(report.t_T).max() == pytest.approx(25.0 * np.tanh(report.p / 25.0)[report.status == "sliding"].max())
+    assert report.clapeyron < 1e-9
+    with pytest.raises(ValueError, match="method='newton'"):
+        bar(12, Saturating(4e5, 6e4, 1.0, 25.0), method="condensed")
+
+
+def test_bodies_that_are_not_linear():
+    joint, setup = sliding_bar(8)
+    state = solve(Structure(joint, **setup | {"body": Stiffening(1e4)}).interface(coulomb("middle")))
+    assert state.report.method == "newton"
+    assert ContactReport(state).equilibrium < 1e-9
+
+
+# ------------------------------------------------------------------------ against the meshed layer
+def test_pressed_column_against_its_meshed_layer():
+    """Where nothing opens or slides the contact law with the stiffness of a layer is that layer's interface law."""
+    glue, eps = LinearElastic(60.0, 40.0), 0.05
+    joint = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
+    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    setup = {
+        "body": LinearElastic.young(100.0, 0.3),
+        "supports": {"BOTTOM": 0.0, **sides},
+        "tractions": {"TOP": (0.0, -0.7)},
+        "element": "P1",
+    }
+    full = solve(Structure(joint, **setup).full(ThinLayer(glue, eps)))
+    law = HolonomicCoulomb.of_layer(glue.lmbda, glue.mu, friction=0.3)
+    row = compare(full, solve(Structure(joint, **setup).interface(law)))
+    assert row["error_traction"] < 1e-8
+    assert row["error_jump"] < 1e-8
+    soft = HolonomicCoulomb(glue.lmbda + glue.mu, glue.mu, 0.3)
+    wrong = compare(full, solve(Structure(joint, **setup).interface(soft)))
+    assert wrong["error_jump"] > 0.1

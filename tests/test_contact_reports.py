@@ -1,0 +1,149 @@
+"""Reports of contact give zones, forces, tractions and pictures; a similar state saves steps; bad models are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dolfinx import fem
+from scipy.spatial.transform import Rotation
+
+from forms import LawError, LinearElastic
+from studies.problems import sliding_bar
+from tests.contact_bars import bar, coulomb, solved, stacked
+from thinlayer import ModelError, OptionError, Structure, Surface, ThinLayer, march, plotting, solve
+from thinlayer.discretisation import contact_nodes as nodes_module
+from thinlayer.discretisation.contact_nodes import ContactNodes
+from thinlayer.output.contact_report import ContactReport
+from thinlayer.solving.contact import dense
+
+
+# ------------------------------------------------------------------------ reports and pictures
+def test_report():
+    report = bar(31, coulomb("stiff"))
+    assert [z.status for z in report.zones] == ["separated", "sliding", "stick", "pinned"]
+    assert sum(z.size for z in report.zones) == pytest.approx(40.0)
+    assert report.zones[1].size == pytest.approx(15 * 40 / 31)
+    assert report.normal_force == pytest.approx(1954.37527, rel=1e-7)  # independent code
+    assert report.friction_force[0] == pytest.approx(1080.22163, rel=1e-7)
+    assert report.force == pytest.approx([-1080.22163, 1954.37527], rel=1e-7)
+    assert report.table.columns == ["x", "y", "u_T", "u_N", "p", "t_T", "status"]
+    assert "3 separated, 15 sliding, 13 stick, 1 pinned" in str(report)
+    assert report.along[-1] == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize("make", [lambda: sliding_bar(12), stacked], ids=["base", "bodies"])
+def test_traction_of_the_surface_is_that_of_the_nodes(make):
+    joint, setup = make()
+    state = solve(Structure(joint, **setup).interface(coulomb("middle")))
+    surface, report = Surface(state.model), ContactReport(state)
+    x, t = surface.profile(surface.frame(surface.traction(state)))
+    assert x == pytest.approx(report.x, abs=1e-9)
+    assert -t[:, 1] == pytest.approx(report.p, rel=1e-7, abs=1e-7)
+    assert t[:, 0] == pytest.approx(report.t_T[:, 0], rel=1e-7, abs=1e-7)  # at the last node, that a support holds, too
+
+
+def test_frames_in_three_dimensions():
+    """The smallest rotation that takes e_2 to the normal, and a half turn where there is none."""
+    normals = np.random.default_rng(5).normal(size=(50, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    for n, frame in zip(normals, nodes_module._frames(normals), strict=True):
+        axis = np.cross((0.0, 1.0, 0.0), n)
+        turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(n[1])).as_matrix()
+        assert frame == pytest.approx(turn[:, [0, 2, 1]].T, abs=1e-12)
+    assert nodes_module._frames(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(
+        np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)])
+    )
+
+
+def test_nodes_of_two_bodies_see_the_jump():
+    joint, setup = stacked()
+    model = Structure(joint, **setup).interface(coulomb("soft"))
+    nodes = ContactNodes(model, model.supports.held(model.V))
+    u = fem.Function(model.V)
+    for body, sign in (("LOWER", -1.0), ("UPPER", 2.0)):
+        cells = model.domain.cell_tags.find(model.domain.cell_values(body)[0])
+        u.interpolate(lambda x, sign=sign: np.array([sign * x[0], sign * (1 + 3 * x[0])]), cells0=cells)
+    w = nodes.jump(u.x.petsc_vec)
+    assert w == pytest.approx(np.column_stack([3 * nodes.x[:, 0], 3 + 9 * nodes.x[:, 0]]), abs=1e-12)
+    nodes.destroy()
+
+
+def test_pictures(tmp_path):
+    one, two = bar(12, coulomb("middle")), bar(12, coulomb("soft"))
+    plotting.contact({"a": one, "b": two}, save=tmp_path / "two.png", length="mm", stress="MPa", title="contact")
+    joint, setup = sliding_bar(4, depth=True)
+    solid = solved(joint, coulomb("middle"), setup)
+    plotting.contact(solid, save=tmp_path / "solid.png", length="mm", stress="MPa")
+    for name in ("two", "solid"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    with pytest.raises(ValueError, match="one dimension"):
+        plotting.contact({"a": one, "b": solid})
+    with pytest.raises(ValueError, match="one report"):
+        plotting.contact({})
+
+
+# ------------------------------------------------------------------------ status known before
+def test_an_error_within_newtons_method_is_no_lack_of_equilibrium(monkeypatch):
+    """Such as a compiled source that cannot be loaded."""
+
+    def broken(*_, **__):
+        raise ImportError("no such library")
+
+    monkeypatch.setattr(dense, "sweep_nodes", broken)
+    with pytest.raises(ImportError, match="no such library"):
+        bar(4, coulomb("middle"), method="condensed")
+
+
+@pytest.mark.parametrize("method", ["condensed", "multigrid"])
+def test_a_similar_state_saves_steps(method):
+    joint, setup = sliding_bar(31)
+    near = setup | {"tractions": {"LEFT": (97.0, 0.0), "TOP": (0.0, -50.0)}}
+    like = solve(Structure(joint, **near).interface(coulomb("stiff")), method=method)
+    model = Structure(joint, **setup).interface(coulomb("stiff"))
+    cold, warm = solve(model, method=method), solve(model, method=method, like=like)
+    assert warm.report.iterations <= cold.report.iterations
+    assert warm.u.x.array == pytest.approx(cold.u.x.array, rel=1e-8, abs=1e-10)
+
+
+# ------------------------------------------------------------------------ bad input
+def test_refused_models():
+    joint, setup = sliding_bar(4)
+    law = coulomb("middle")
+    with pytest.raises(ModelError, match="element='P1'"):
+        Structure(joint, **setup | {"element": "P2"}).interface(law)
+    with pytest.raises(LawError, match="has no thickness: give it alone"):
+        ThinLayer(law, 0.1, profile=lambda x: 1 + x[0])
+    with pytest.raises(ModelError, match="no meshed layer"):
+        Structure(joint, **setup).full(law)
+    with pytest.raises(ModelError, match="is for layers"):
+        Structure(joint, **setup | {"body": law}).interface(law)
+    with pytest.raises(ModelError, match="contact law"):
+        ContactReport(solve(Structure(joint, **setup).bonded()))
+    two, data = stacked()
+    with pytest.raises(ModelError, match="rigid motion"):
+        Structure(two, **data | {"supports": {}}).interface(law)
+
+
+def test_refused_solves():
+    joint, setup = sliding_bar(4)
+    model = Structure(joint, **setup).interface(coulomb("middle"))
+    elastic = Structure(joint, **setup).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1))
+    with pytest.raises(ValueError, match="condensed"):
+        solve(model, method="linear")
+    with pytest.raises(ValueError, match="has none"):
+        solve(elastic, method="condensed")
+    for name, value in {"relaxation_omega": 2.5, "relaxation_tolerance": 0.0, "relaxation_max_sweeps": 0}.items():
+        with pytest.raises(OptionError, match="allowed"):
+            solve(model, method="relaxation", options={name: value})
+    for options in ({"snes_type": "nonsense"}, {"snes_max_it": "many"}, {"relaxation_omga": 1.5}, {"ksp_type": "cg"}):
+        with pytest.raises(OptionError):
+            solve(model, method="condensed", options=options)
+    with pytest.raises(ModelError, match="theta"):
+        march(model, [1.0], theta=0.5)
+    with pytest.raises(ModelError, match="like"):
+        solve(model, like=3)
+    with pytest.raises(ModelError, match="contact"):
+        solve(elastic, like=solve(elastic))
+    other, data = sliding_bar(5)
+    with pytest.raises(ModelError, match="same joint"):
+        solve(model, like=solve(Structure(other, **data).interface(coulomb("middle"))))

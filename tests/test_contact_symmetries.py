@@ -1,0 +1,113 @@
+"""Contact does not depend on the size of loads, on proportional steps, mirrors, turns, or which body is the lower one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
+from geometry import block, ring, sandwich
+from studies.problems import sliding_bar
+from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
+from thinlayer import Structure, march
+from thinlayer.output.contact_report import ContactReport
+
+
+@pytest.mark.parametrize(
+    "law", [coulomb("middle"), IncrementalCoulomb(4e5, 6e4, 0.6)], ids=lambda law: type(law).__name__
+)
+def test_twice_the_load_gives_twice_the_displacement(law):
+    joint, setup = sliding_bar(12)
+    double = {name: tuple(2 * c for c in load) for name, load in setup["tractions"].items()}
+    one, two = solved(joint, law, setup), solved(joint, law, setup | {"tractions": double})
+    assert two.u_T == pytest.approx(2 * one.u_T, rel=1e-9, abs=1e-12)
+    assert two.p == pytest.approx(2 * one.p, rel=1e-8, abs=1e-8)
+    assert (two.status == one.status).all()
+
+
+@pytest.mark.parametrize("kind", [HolonomicCoulomb, IncrementalCoulomb])
+def test_one_step_is_ten_proportional_steps(kind):
+    joint, setup = sliding_bar(12)
+    law = kind(4e5, 6e4, 0.6)
+    once = solved(joint, law, setup)
+    growing = {"LEFT": lambda x, t: (100 * t, 0), "TOP": lambda x, t: (0, -50 * t)}
+    model = Structure(joint, **setup | {"tractions": growing}).interface(law)
+    history = march(model, [0.1 * k for k in range(1, 11)])
+    last = ContactReport(history.last)
+    assert last.u_T == pytest.approx(once.u_T, rel=1e-7, abs=1e-11)
+    assert (last.status == once.status).all()
+    if kind is IncrementalCoulomb:
+        table = history.table
+        assert np.nanmax(np.abs(table["imbalance"])) < 1e-9
+        assert (table["dissipated"] > -1e-12).all()
+        assert table["dissipated"][-1] > 0
+
+
+def test_mirrored_bar():
+    """x -> 40 - x, with the diagonals and the loads."""
+    left, setup = sliding_bar(12, arrangement="Left")
+    setup |= {
+        "supports": {"LEFT": {"x": 0.0}, (0.0, 0.0): 0.0},
+        "tractions": {"RIGHT": (-100.0, 0.0), "TOP": (0.0, -50.0)},
+    }
+    one, two = bar(12, coulomb("middle")), solved(left, coulomb("middle"), setup)
+    assert two.u_T[::-1] == pytest.approx(-one.u_T, abs=1e-11)
+    assert two.p[::-1] == pytest.approx(one.p, rel=1e-8, abs=1e-8)
+    assert (two.status[::-1] == one.status).all()
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+def test_swapped_bodies(method):
+    """Calling the upper body the lower one turns n: the same jumps, seen from the other side."""
+    law = HolonomicCoulomb(7e4, 2e4, 0.5)
+    joint, setup = stacked()
+    one = solved(joint, law, setup, method=method)
+    two = solved(joint.swapped(), law, setup, method=method)
+    assert {"separated", "sliding"} <= {*one.status}
+    at = np.argsort(one.x[:, 0]), np.argsort(two.x[:, 0])
+    assert two.p[at[1]] == pytest.approx(one.p[at[0]], rel=1e-7, abs=1e-7)
+    assert np.abs(two.u_T[at[1]]) == pytest.approx(np.abs(one.u_T[at[0]]), rel=1e-7, abs=1e-11)
+    assert (two.status[at[1]] == one.status[at[0]]).all()
+    assert two.force == pytest.approx(-one.force, rel=1e-7)
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+def test_a_rigid_lower_body_is_a_base(method):
+    joint, setup = stacked()
+    law = HolonomicCoulomb(7e4, 2e4, 0.5)
+    rigid = setup | {"body": setup["body"] | {"LOWER": LinearElastic.young(1e12, 0.3)}}
+    one = solved(joint, law, rigid, method=method)
+    base = block(6, 2, 0.5, cell="quadrilateral")
+    loads = {"LEFT": (60.0, 0.0), "TOP": lift}
+    alone = {"body": setup["body"]["UPPER"], "supports": {"RIGHT": {"x": 0.0}}, "tractions": loads, "element": "Q1"}
+    two = solved(base, law, alone, method=method)
+    assert one.u_T == pytest.approx(two.u_T, rel=1e-5, abs=1e-9)
+    assert (one.status == two.status).all()
+
+
+@pytest.mark.parametrize("angle", [0.4, 2.5])
+def test_rotated_structure(angle):
+    """Frames of nodes: the same answer when everything is turned, supports by coordinates apart."""
+    joint, setup = stacked("triangle")
+    setup["supports"] = {"BOTTOM": 0.0}
+    law = HolonomicCoulomb(7e4, 2e4, 0.5)
+    setup["tractions"] = {"TOP": (5.0, -12.0)}
+    one = solved(joint, law, setup)
+    c, s = np.cos(angle), np.sin(angle)
+    two = solved(joint.rotated(angle), law, setup | {"tractions": {"TOP": (5 * c + 12 * s, 5 * s - 12 * c)}})
+    assert two.along[-1] == one.along[-1] == pytest.approx(6.0)
+    way = slice(None, None, 1 if np.cos(angle) > 0 else -1)  # a report starts at the lower coordinates
+    assert two.p[way] == pytest.approx(one.p, rel=1e-6, abs=1e-6)
+    assert two.u_T[way] == pytest.approx(one.u_T, rel=1e-6, abs=1e-10)
+
+
+@pytest.mark.parametrize("joint", [sandwich(6, 3, 2, 1.0).rotated(0.5), ring(10, 15, 20, 3.0)], ids=["rotated", "ring"])
+def test_relaxation_where_s_is_not_along_the_axes(joint):
+    inner = "BOTTOM" if "BOTTOM" in joint.facets else "INSIDE"
+    outer = {"BOTTOM": "TOP", "INSIDE": "OUTSIDE"}[inner]
+    loads = {outer: (3.0, -9.0)} if outer == "TOP" else {outer: lambda x, t: (-0.2 * x[0] - 0.1 * x[1], -0.2 * x[1])}
+    data = {"body": LinearElastic.young(5e3, 0.3), "supports": {inner: 0.0}, "tractions": loads, "element": "P1"}
+    law = HolonomicCoulomb(7e3, 2e3, 0.5)
+    one, two = (solved(joint, law, data, method=method) for method in ("relaxation", "condensed"))
+    assert one.u_T == pytest.approx(two.u_T, rel=1e-6, abs=1e-9)
+    assert (one.status == two.status).all()

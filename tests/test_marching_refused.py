@@ -1,0 +1,48 @@
+"""Times, options and observers that a march cannot take are refused before a folder is made."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.viscous_joints import interface
+from thinlayer import Adaptive, ModelError, OptionError, march
+
+
+@pytest.mark.parametrize(
+    ("times", "options", "message"),
+    [
+        ([], {}, "increase"),
+        ([0.2, 0.1], {}, "increase"),
+        ([0.0, 0.1], {}, "increase"),
+        ([0.1, float("nan")], {}, "finite"),
+        ("soon", {}, "sequence of numbers"),
+        (0.1, {}, "sequence of numbers"),
+        ([0.1], {"theta": 0.4}, "theta is 0.4"),
+        ([0.1], {"keep": "some"}, "'all', 'last'"),
+        ([0.1], {"resume": True}, "needs out="),
+        ([0.1], {"observe": {"t": len}}, "column 't'"),
+        ([0.1], {"observe": {"a": 5}}, "must be a function of a state"),
+        ([0.1], {"observe": len}, "name of a column"),
+        ([0.1], {"observe": {"a": lambda state: None}}, r"observe\['a'\] at t = 0: .* returns a number"),
+        ([0.1], {"theta": "half"}, "theta is 'half'"),
+        ([0.1], {"start": None}, "start is None"),
+        ("12", {}, "sequence of numbers"),
+        ([0.1], {"out": ""}, "name of a folder"),
+        ([0.1], {"options": {"ksp_nonsense": 1}}, "not read"),
+        (Adaptive(-1.0, 0.1), {}, "increase"),
+    ],
+)
+def test_bad_input(times, options, message, tmp_path):
+    if not options.get("resume"):
+        options = {"out": tmp_path / "out"} | options
+    with pytest.raises((ModelError, OptionError), match=message):
+        march(interface(), times, **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_adaptive_steps():
+    for values in ({"first": 0.0}, {"first": 0.1, "tolerance": -1.0}, {"first": 0.1, "largest": 0.0}):
+        with pytest.raises(ModelError, match="allowed: a number > 0"):
+            Adaptive(1.0, **values)
+    with pytest.raises(ModelError, match="at has t = 2; times increase to end = 1"):
+        Adaptive(1.0, 0.1, at=[2.0])

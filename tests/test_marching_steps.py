@@ -1,0 +1,168 @@
+"""Steps of a march follow a tolerance, are halved where they fail, end where loads break, and find stiff equilibria."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+from scipy.optimize import brentq
+
+from forms.laws import BulkLaw, KernelLaw, Norton
+from geometry import sandwich
+from tests.viscous_joints import BODY, G_N, K_N, SLOW, SUDDEN, interface, opening
+from thinlayer import Adaptive, ModelError, SolveError, Structure, Surface, ThinLayer, march, piecewise, solve
+
+
+@pytest.mark.parametrize(("theta", "order"), [(1.0, 1), (0.5, 2)])
+def test_adaptive_steps(theta, order):
+    """The error follows the tolerance; the steps grow as the creep slows down."""
+    errors, counts = [], []
+    for tolerance in (1e-2, 1e-3, 1e-4):
+        model = interface()
+        history = march(
+            model, Adaptive(2.0, 0.01, tolerance, at=[0.7, 1.0]), theta=theta, observe=opening(model), keep="last"
+        )
+        exact = (1 - np.exp(-K_N * history.t / G_N)) / K_N
+        errors.append(np.abs(history.table["opening"] - exact).max() * K_N)
+        counts.append(len(history))
+        assert {0.7, 1.0, 2.0} <= set(history.t)
+        steps = history.table["dt"][1:]
+        assert steps.max() > 4 * steps.min()
+    assert errors[0] < 0.05
+    assert errors[0] > 1.5 * errors[1] > 2 * errors[2]
+    assert counts[2] / counts[1] == pytest.approx(10 ** (1 / (order + 1)), rel=0.4)
+
+
+@dataclass(frozen=True)
+class Brittle(KernelLaw):
+    """Elastic, but gives up where the strain changes by more than `most` in a step."""
+
+    k: float
+    most: float
+
+    def kernel(e, e_old, q, dt, theta, n, parameters, stress, tangent, q_new, energies):
+        largest = 0.0
+        for i in range(6):
+            stress[i] = parameters[0] * (theta * e[i] + (1 - theta) * e_old[i])
+            tangent[i, i] = theta * parameters[0]
+            largest = max(largest, abs(e[i] - e_old[i]))
+        return largest <= parameters[1]
+
+
+def test_failing_steps_are_halved_and_recover():
+    """From t = 2.5 strains grow by 0.4 t: steps of 1 are too long then, steps of 3/8 are not."""
+    pull = lambda x, t: (0.0, ufl.conditional(ufl.lt(t, 2.5), 0.0, t - 2.5) * 4.0)
+    model = interface(Brittle(10.0, 0.17), {"TOP": pull})
+    history = march(model, [1.0, 2.0, 3.0, 6.0])
+    elastic = Brittle(10.0, 1e9)
+    steps = history.table["dt"][1:]
+    assert history.t[-1] == 6.0
+    assert {1.0, 2.0, 3.0} <= set(history.t)
+    assert steps[0] == steps[1] == 1.0
+    assert steps[2:].max() <= 0.5
+    assert history.last.u.x.array == pytest.approx(solve(interface(elastic, {"TOP": pull}), 6.0).u.x.array, abs=1e-9)
+
+
+def test_a_step_that_fails_however_short_keeps_what_was_done(tmp_path):
+    jump = piecewise({0.0: (0.0, 0.0), 2.0: (0.0, 0.0), 2.0001: (0.0, 1e3), 9.0: (0.0, 1e3)})
+    with pytest.raises(SolveError, match=r"step \d+, from t = 2.* failed at \d+ points") as caught:
+        march(interface(Brittle(10.0, 0.1), {"TOP": jump}), [1.0, 2.0, 3.0], out=tmp_path)
+    assert caught.value.history.t[-1] >= 2.0
+    rows = list(csv.DictReader((tmp_path / "table.csv").open()))
+    assert [float(row["t"]) for row in rows] == pytest.approx(caught.value.history.t)
+
+
+def test_piecewise_loads():
+    """Linear between given times, and an error elsewhere, before anything is solved."""
+    load = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, 2.0), 3.0: (0.0, 1.0)})
+    model = interface(SUDDEN, {"TOP": load})
+    history, surface = march(model, [0.5, 1.0, 2.0]), Surface(model)
+    pulls = [surface.integral(surface.traction(state)[1]) for state in history]
+    assert pulls == pytest.approx([0.0, 1.0, 2.0, 1.5], abs=1e-9)
+    with pytest.raises(ModelError, match=r"the loads are not finite at t = 3\.5: traction on 'TOP'"):
+        march(model, [0.5, 3.5])
+    with pytest.raises(ModelError, match=r"displacement is not finite at t = 2"):
+        march(interface(supports={"TOP": {"y": piecewise({0.0: 0.0, 1.0: 0.1})}}, tractions={}), [0.5, 2.0])
+    for bad in ({}, {0.0: (0.0, 1.0)}, {0.0: (0.0, 1.0), 1.0: 2.0}, {0.0: "a", 1.0: "b"}, [1, 2]):
+        with pytest.raises(ModelError, match="piecewise"):
+            piecewise(bad)
+
+
+def test_adaptive_steps_end_where_piecewise_loads_break():
+    """A pulse that no error estimate would see."""
+    pulse = piecewise({0.0: (0.0, 1.0), 1.0: (0.0, 1.0), 1.05: (0.0, -5.0), 1.1: (0.0, 1.0), 4.0: (0.0, 1.0)})
+    model = interface(SUDDEN, {"TOP": pulse})
+    history = march(model, Adaptive(4.0, 0.01, 1e-4), observe=opening(model), keep="last")
+    assert {1.0, 1.05, 1.1, 4.0} <= set(history.t)
+    exact = (1.0 + (4.0 - 0.1 * 3.0) / 0.7) / K_N
+    assert history.table["opening"][-1] == pytest.approx(exact, rel=2e-3)
+
+
+def test_adaptive_steps_do_not_depend_on_what_is_kept_and_go_on_after_a_target():
+    tractions = {"TOP": lambda x, t: (0.0, ufl.cos(6 * t))}
+    steps = Adaptive(1.0, 0.01, 1e-3, at=[0.3, 0.301, 0.302])
+    all_kept, last_kept = (march(interface(SLOW, tractions), steps, keep=keep) for keep in ("all", "last"))
+    assert all_kept.t == pytest.approx(last_kept.t)
+    after, before = all_kept.table["dt"][all_kept.t > 0.3021][0], all_kept.table["dt"][all_kept.t < 0.3][-1]
+    assert after > before / 2
+
+
+@pytest.mark.parametrize("p", [3.0, 5.0])
+@pytest.mark.parametrize("soft", [1.0, 1e-3, 1e-6])
+def test_a_dashpot_that_is_nothing_at_rest(p, soft):
+    """A sudden load: the first linear step goes far too long, where a large residual has to become small."""
+    law = Norton(60.0 * soft, 40.0 * soft, eta=5.0 * soft, p=p)
+    model, times = interface(law), [0.02, 0.1, 1.0]
+    history = march(model, times, observe=opening(model))
+    w, before = 0.0, 0.0
+    for t in times:
+        balance = lambda x, w=w, dt=t - before: (
+            soft * (K_N * x + 5.0 * (x - w) * abs((x - w) / dt) ** (p - 2) / dt) - 1.0
+        )
+        w, before = brentq(balance, w, 1.0 / (soft * K_N), xtol=1e-16, rtol=1e-14), t
+    assert history.table["opening"][-1] == pytest.approx(w, rel=1e-8)
+    assert np.abs(history.table["imbalance"]).max() < 1e-8
+
+
+def test_moved_sides_of_a_layer_that_is_rigid_at_rest():
+    """The tangent at rest would make the forces of moved supports look a million times too large."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    supports = {
+        "BOTTOM": 0.0,
+        "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(9 * t) * x[1]},
+        "RIGHT/UPPER": {"x": lambda x, t: 0.01 * ufl.cos(9 * t)},
+    }
+    layer = ThinLayer(Norton(60.0, 40.0, eta=5.0, p=1.3), 0.1)
+    for build in (Structure.full, Structure.interface):
+        history = march(build(Structure(joint, body=BODY, supports=supports), layer), [0.1, 0.2, 0.3])
+        assert np.abs(history.table["imbalance"]).max() < 1e-8
+
+
+@dataclass(frozen=True)
+class Ageing(BulkLaw):
+    """Linear in the strain at the end of a step, with a modulus that grows with its age."""
+
+    k: float
+    growth: float
+    powers = {"k": 1}
+    internal = {"age": ()}
+    linear = True
+
+    def advance(self, step):
+        return {"age": step.q["age"] + step.dt}
+
+    def stress(self, step):
+        return self.k * (1 + self.growth * step.q["age"]) * step.mid
+
+
+@pytest.mark.parametrize("options", [{}, {"ksp_type": "cg", "pc_type": "gamg"}, {"pc_type": "lu"}])
+def test_a_linear_law_may_change_with_its_memory(options):
+    """Factors of earlier steps are tried and, where they are no longer good, made anew."""
+    model = interface(Ageing(50.0, 0.5))
+    history = march(model, [0.1 * k for k in range(1, 11)], options=options, observe=opening(model))
+    assert len(history) == 11
+    age = np.array([0.0, *(0.1 * k for k in range(10))])
+    assert history.table["opening"] == pytest.approx(1 / (50.0 * (1 + 0.5 * age)), rel=1e-7)

@@ -1,0 +1,199 @@
+"""The closed form of the non-monotone interface law is the least energy of sheets, and its tractions are derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from forms import limits
+from tests.phases_of_bars import LONG, SLOW, positive
+
+LMBDA, MU, ALPHA, C = 6.0, 4.0, 2.1, 0.9
+CHI = np.array([[0.3, -0.5], [-0.5, 0.8]])
+CHI_3 = np.array([[0.3, -0.5, 0.2], [-0.5, 0.8, 0.4], [0.2, 0.4, -0.6]])
+N = np.array([np.sin(0.7), np.cos(0.7)])
+
+
+def gain(lmbda, mu, chi, k):
+    """The lamination gain over alpha^2 for directions k (m, d)."""
+    A = mu * np.eye(k.shape[1]) + (lmbda + mu) * k[:, :, None] * k[:, None, :]
+    q = k @ chi
+    return np.sum(q * np.linalg.solve(A, q[..., None])[..., 0], axis=1)
+
+
+def directions(d):
+    if d == 2:
+        angle = np.linspace(0, np.pi, 4001)
+        return np.column_stack([np.sin(angle), np.cos(angle)])
+    k = np.random.default_rng(0).normal(size=(4000, 3))
+    return k / np.linalg.norm(k, axis=1)[:, None]
+
+
+entries = st.lists(st.floats(-2, 2), min_size=6, max_size=6)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@settings(deadline=None, max_examples=25)
+@given(a=entries, mu=positive, nu=st.floats(-0.9, 0.48))
+def test_lamination_is_the_best_direction(d, a, mu, nu):
+    chi = np.array([[a[0], a[1], a[2]], [a[1], a[3], a[4]], [a[2], a[4], a[5]]])[:d, :d] + 0.01 * np.eye(d)
+    assume(np.abs(chi).max() > 1e-3)
+    lmbda = 2 * mu * nu / (1 - 2 * nu)
+    found, k = limits.lamination(lmbda, mu, chi), directions(d)
+    values = gain(lmbda, mu, chi, k)
+    best = minimize(lambda k: -gain(lmbda, mu, chi, (k / np.linalg.norm(k))[None])[0], k[np.argmax(values)], tol=1e-12)
+    scale = gain(lmbda, mu, np.abs(chi).max() * np.eye(d), k[:1])[0] + np.abs(chi).max() ** 2 / mu
+    assert found == pytest.approx(-best.fun, abs=1e-7 * scale)
+    assert values.max() <= found + 1e-12 * scale
+
+
+def test_lamination_numbers():
+    """At chi = n (x) n the sheets stand inclined; across n alone the gain is less."""
+    normal = np.diag([0.0, 1.0])
+    assert limits.lamination(60, 40, normal) == pytest.approx(0.00875, rel=1e-14)
+    assert limits.lamination(60, 40, np.diag([0.0, 1.0, 0.0])) == pytest.approx(0.00875, rel=1e-14)
+    assert gain(60, 40, normal, np.array([[0.0, 1.0]]))[0] == pytest.approx(1 / 140, rel=1e-14)
+    assert limits.lamination(60, 40, [[0, 0.5], [0.5, 0]]) == pytest.approx(0.25 / 40, rel=1e-14)  # across n
+    assert limits.lamination(0, 40, normal) == pytest.approx(1 / 80, rel=1e-14)  # across n
+
+
+def relaxed(w, mixing=1.0, n=N, chi=CHI):
+    t, phase = limits.non_monotone(LMBDA, MU, ALPHA, C, chi, w, n, mixing)
+    return t, phase, limits.non_monotone_energy(LMBDA, MU, ALPHA, C, chi, w, n, phase, mixing)
+
+
+W = np.random.default_rng(3).uniform(-1.2, 1.2, (40, 2))
+
+
+def test_relaxed_energy_is_that_of_sheets():
+    """Least energy of two phases that differ by a strain sym(a (x) k), over a, k and the fraction."""
+    n, frame = N, np.array([[N[1], N[0]], [-N[0], N[1]]])
+    chi = frame @ CHI @ frame.T
+
+    def energy(e, z):
+        return LMBDA / 2 * np.trace(e) ** 2 + MU * np.sum(e * e) - z * ALPHA * np.sum(chi * e) + C * abs(z)
+
+    mixed = 0
+    for w in W[:12]:
+        e, sign = (np.outer(w, n) + np.outer(n, w)) / 2, np.sign(limits.non_monotone_drive(ALPHA, C, CHI, w, n))
+
+        def sheets(p, e=e, sign=sign):
+            share, k = (1 + np.sin(p[0])) / 2, np.array([np.sin(p[1]), np.cos(p[1])])
+            b = (np.outer(p[2:], k) + np.outer(k, p[2:])) / 2
+            return (1 - share) * energy(e - share * b, 0) + share * energy(e + (1 - share) * b, sign)
+
+        starts = [(s, angle, 0.1, -0.1) for s in (-0.8, 0.6) for angle in (0.1, 1.2, 2.3)]
+        _, phase, found = relaxed(w)
+        assert min(minimize(sheets, start).fun for start in starts) == pytest.approx(found, abs=1e-6)
+        mixed += 0 < abs(phase) < 1
+    assert mixed >= 2
+
+
+@pytest.mark.parametrize("mixing", [0.15, 1.0])
+def test_traction_is_the_derivative_of_the_energy(mixing):
+    t, phase, energy = relaxed(W, mixing)
+    h = 1e-6
+    slope = [(relaxed(W + h * d, mixing)[2] - relaxed(W - h * d, mixing)[2]) / (2 * h) for d in np.eye(2)]
+    assert t == pytest.approx(np.transpose(slope), abs=1e-4)
+    z = np.linspace(-1, 1, 2001)[:, None]
+    all_mixtures = limits.non_monotone_energy(LMBDA, MU, ALPHA, C, CHI, W, N, z, mixing)
+    assert energy == pytest.approx(all_mixtures.min(axis=0), abs=1e-6)
+    assert {-1, 0, 1} <= set(phase)
+    for z in (-1, 0, 1):
+        pure, holds = limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, W, N, z)
+        assert t[phase == z] == pytest.approx(pure[phase == z], abs=1e-13)
+        assert holds[phase == z].all()
+        least = np.argmin([limits.non_monotone_energy(LMBDA, MU, ALPHA, C, CHI, W, N, y) for y in (-1, 0, 1)], axis=0)
+        assert (holds == (least == z + 1)).all()
+    assert relaxed(-W, mixing)[0] == pytest.approx(-t, abs=1e-13)
+
+
+def test_relaxed_energy_is_convex_and_a_softening_one_is_not():
+    rng = np.random.default_rng(8)
+    a, b = rng.uniform(-1.5, 1.5, (2, 4000, 2))
+    excess = lambda mixing: relaxed((a + b) / 2, mixing)[2] - (relaxed(a, mixing)[2] + relaxed(b, mixing)[2]) / 2
+    assert excess(1.0).max() < 1e-12
+    assert excess(0.1).max() > 1e-2
+
+
+def test_traction_of_a_pure_phase():
+    """Components along and across S by hand; the printed lmbda + mu, [u_1] and chi_12 [u_i] are other laws."""
+    w, n = np.array([-0.3, 0.7]), np.array([0.0, 1.0])
+    t, holds = limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, w, n, 1)
+    assert t == pytest.approx([MU * -0.3 + ALPHA * 0.5, (LMBDA + 2 * MU) * 0.7 - ALPHA * 0.8], rel=1e-14)
+    assert holds
+    assert limits.non_monotone_drive(ALPHA, C, CHI, w, n) == pytest.approx(ALPHA * (0.5 * 0.3 + 0.8 * 0.7), rel=1e-14)
+    assert ALPHA * -0.5 * (-0.3 + 0.7) < C  # printed: would not hold
+    assert abs(t[1] - ((LMBDA + MU) * 0.7 - ALPHA * 0.8)) > 0.1 * abs(t[1])
+    assert abs(t[1] - ((LMBDA + 2 * MU) * -0.3 - ALPHA * 0.8)) > 0.1 * abs(t[1])
+    assert limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, 0 * w, n, 0)[0] == pytest.approx([0, 0])
+
+
+@SLOW
+@given(st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))
+def test_orientation_turns_with_the_normal(a, b):
+    """chi n against the rotation vector from e_2 to n; in 2D its first axis is (n_2, -n_1)."""
+    n = np.array([np.sin(a) * np.cos(b), np.cos(a), np.sin(a) * np.sin(b)])
+    axis = np.cross([0, 1, 0], n)
+    turned = np.arctan2(np.linalg.norm(axis), n[1])
+    assume(np.linalg.norm(axis) > 1e-5)
+    turn = Rotation.from_rotvec(turned * axis / np.linalg.norm(axis)).as_matrix()
+    basis = limits.non_monotone_drive(ALPHA, C, CHI_3, np.eye(3), n)
+    assert basis == pytest.approx(ALPHA * turn @ CHI_3 @ turn.T @ n, abs=1e-9)
+    plane = np.array([np.sin(a), np.cos(a)])
+    frame = np.column_stack([[plane[1], -plane[0]], plane])
+    basis = limits.non_monotone_drive(ALPHA, C, CHI, np.eye(2), plane)
+    assert basis == pytest.approx(ALPHA * frame @ CHI @ frame.T @ plane, abs=1e-13)
+
+
+def test_downward_normal_is_a_half_turn_about_the_third_axis():
+    basis = limits.non_monotone_drive(1.0, C, CHI_3, np.eye(3), np.array([0.0, -1.0, 0.0]))
+    turn = np.diag([-1, -1, 1])
+    assert basis == pytest.approx(turn @ CHI_3 @ turn @ [0, -1, 0], abs=1e-15)
+
+
+@pytest.mark.parametrize("mixing", [0.3, 1.0])
+def test_layer_of_the_bar_is_the_interface_law(mixing):
+    """lmbda = 0, chi = n (x) n, per thickness eps l: lmbda + 2 mu = kbar/l, C = l cbar; any eps."""
+    U, n = np.linspace(-1.4, 1.4, 57), np.array([0.6, 0.8])
+    mu, C_layer, chi = LONG.kbar / LONG.l / 2, LONG.l * LONG.cbar, np.diag([0.0, 1.0])
+    t, phase = limits.non_monotone(0, mu, LONG.alpha, C_layer, chi, U[:, None] * n, n, mixing)
+    energy = limits.non_monotone_energy(0, mu, LONG.alpha, C_layer, chi, U[:, None] * n, n, phase, mixing)
+    expected = LONG.layer(U, mixing)
+    assert t == pytest.approx(expected[0][:, None] * n, abs=1e-12)
+    assert energy == pytest.approx(expected[1], abs=1e-12)
+    assert phase == pytest.approx(expected[2], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mu": 0.0}, "mu = 0; allowed: mu > 0"),
+        ({"lmbda": -3.0}, "lmbda = -3"),
+        ({"alpha": 0.0}, "alpha = 0"),
+        ({"alpha": -1.0}, "alpha = -1"),
+        ({"transformation_energy": -1.0}, "transformation_energy = -1"),
+        ({"transformation_energy": 0.1}, "transformation_energy = 0.1; allowed: >= 0.2"),
+        ({"mixing": 0.0}, "mixing = 0; allowed: 0 < mixing <= 1"),
+        ({"mixing": 1.5}, "mixing = 1.5"),
+        ({"chi": np.array([[0, 1], [0, 0]])}, "symmetric"),
+        ({"chi": np.zeros((2, 2))}, "not zero"),
+        ({"chi": np.eye(4)}, "\\(2, 2\\) or \\(3, 3\\)"),
+        ({"chi": np.eye(3)}, "a unit vector"),
+        ({"n": np.array([1.0, 1.0])}, "a unit vector"),
+        ({"w": np.ones(3)}, "w \\(3,\\)"),
+    ],
+)
+def test_law_out_of_range(change, message):
+    values = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI, "w": W, "n": N} | change
+    with pytest.raises(ValueError, match=message):
+        limits.non_monotone(**values)
+
+
+def test_branch_of_no_phase():
+    with pytest.raises(ValueError, match=r"phase is 0.5; allowed: -1, 0, 1"):
+        limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, W, N, 0.5)

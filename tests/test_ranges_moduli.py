@@ -1,0 +1,96 @@
+"""Stiffness and moduli at rest are those of differences; order 1 of laws that lock is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell
+from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
+from studies.problems import fourier
+from thinlayer import ModelError, Structure, ThinLayer
+
+MODULI = np.diag([7.0, 5, 9, 2, 3, 4])
+MODULI[:3, :3] += np.array([[0, 1.2, 0.7], [1.2, 0, 1.9], [0.7, 1.9, 0]])
+MODULI[0, 4] = MODULI[4, 0] = 0.8
+MODULI[1, 3] = MODULI[3, 1] = -0.6
+
+
+# ---------------------------------------------------------------- stiffness at rest
+@dataclass(frozen=True)
+class Unnamed(BulkLaw):
+    """Anisotropic elasticity that says nothing of its stiffness, and is not linear."""
+
+    law: BulkLaw
+
+    def stress(self, step):
+        return self.law.stress(step) * (1 + ufl.tr(step.e) ** 2)
+
+    def parameters(self):
+        return {}
+
+
+@pytest.mark.parametrize(("frame", "n"), [("layer", (0.48, -0.64, 0.6)), ("global", (0.0, 1.0))])
+def test_stiffness_by_differences(frame, n):
+    law, n = Anisotropic(MODULI, frame), np.array(n)
+    assert tangent_at_rest(Unnamed(law), n) == pytest.approx(law.stiffness(n), abs=1e-6)
+
+
+def test_moduli():
+    law, n = LinearElastic(6.0, 2.5), np.array([0.28, 0.96])
+    voigt = np.diag([11.0, 11, 11, 2.5, 2.5, 2.5])
+    voigt[:3, :3] += 6.0 * (1 - np.eye(3))
+    for one in (law, Anisotropic(voigt, "layer"), KelvinVoigt(6.0, 2.5, 0.3, 0.7), Maxwell(6.0, 2.5, 0.4)):
+        C = one.stiffness(n)
+        assert average_lame(C) == pytest.approx((6.0, 2.5))
+        assert in_plane_modulus(C, n) == pytest.approx(4 * 2.5 * 8.5 / 11)  # E/(1 - nu^2)
+    springs = Anisotropic.springs(3.0, 5.0).stiffness(n)
+    assert abs(in_plane_modulus(springs, n)) < 1e-12
+
+
+@pytest.mark.parametrize("n", [(0.6, 0.8), (0.48, -0.64, 0.6)])
+@pytest.mark.parametrize("plane", ["strain", "stress"])
+def test_gradient_leaves_the_faces_without_traction(n, plane):
+    law = LinearElastic(6.0, 2.5)
+    law = law.plane_stress() if plane == "stress" else law
+    given = np.zeros((3, 3))
+    given[: len(n), : len(n)] = np.random.default_rng(5).normal(size=(len(n), len(n)))
+    given += given.T
+    form = law.gradient(ufl.as_matrix(given.tolist()), ufl.as_vector(n))
+    found = np.array([[form((0.0,), component=(i, j)) for j in range(3)] for i in range(3)])
+    stress = law.lmbda * np.trace(found) * np.eye(3) + 2 * law.mu * found
+    normal = np.pad(n, (0, 3 - len(n)))
+    assert stress @ normal == pytest.approx(np.zeros(3), abs=1e-12)
+    along = np.eye(3) - np.outer(normal, normal)
+    assert along @ found @ along == pytest.approx(along @ given @ along, abs=1e-12)
+
+
+# ---------------------------------------------------------------- order 1 of laws that lock
+def rubber(change):
+    lmbda, mu = 12.0 * change * 40.0, 40.0
+    voigt = np.diag([lmbda + 2 * mu] * 3 + [mu] * 3)
+    voigt[:3, :3] += lmbda * (1 - np.eye(3))
+    return {
+        "KelvinVoigt": KelvinVoigt(lmbda, mu, 0.3, 0.4),
+        "Maxwell": Maxwell(lmbda, mu, 0.7),
+        "Anisotropic": Anisotropic(voigt, "layer"),
+    }
+
+
+@pytest.mark.parametrize("name", rubber(1.0))
+def test_order_1_of_laws_that_lock(name):
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    with pytest.raises(
+        ModelError, match=r"lmbda/mu = 12\.12 at rest .nu = 0\.4619.*at most 12 .nu = 0\.4615.*use order=0"
+    ):
+        Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1, order=1))
+    Structure(joint, **setup).interface(ThinLayer(rubber(0.99)[name], 0.1, order=1))
+    Structure(joint, **setup).interface(ThinLayer(rubber(1.01)[name], 0.1))
+
+
+def test_order_1_in_plane_stress_does_not_lock():
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    Structure(joint, plane="stress", **setup).interface(ThinLayer(rubber(100.0)["Anisotropic"], 0.1, order=1))

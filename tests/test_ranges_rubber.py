@@ -1,0 +1,228 @@
+"""Layers that are, or become, nearly incompressible are told with the factor of closed forms and of meshed layers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import iv
+
+from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from geometry import block, disc, ring, sandwich
+from studies.problems import FOURIER_LAYER, fourier
+from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
+from thinlayer import Structure, Surface, ThinLayer, march, solve
+from thinlayer.solving.ranges import Stratum, free_rim, pressure_length
+
+
+@pytest.mark.parametrize("nu", [0.45, 0.499, 0.4999])
+@pytest.mark.parametrize(
+    ("supports", "half_width"), [({}, 0.5), ({"LEFT": {"x": 0.0}}, 1.0), ({"LEFT/LAYER": 0.0}, 1.0)]
+)
+def test_strip(nu, supports, half_width):
+    """Between rigid faces that move apart; a side that is held is a plane of symmetry."""
+    joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
+    law, eps = LinearElastic.shear(3.0, nu), 1 / 16
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}).interface(
+        ThinLayer(law, eps)
+    )
+    x = half_width / (eps * np.sqrt(law.lmbda / law.mu / 12))
+    assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(strip_excess(x), rel=3e-3)
+
+
+def test_strip_on_a_rigid_base_under_a_profile():
+    """Thicker at one end than at the other, against finite volumes."""
+    joint = block(1.0, 0.5, 1 / 64, structured=True)
+    profile = lambda x: 1 + 0.5 * x[0]
+    law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
+    layer = ThinLayer(law, eps, profile=profile)
+    model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(layer)
+    found = excess(model, lambda x: (0 * x[0], 1e-3 * (1 + x[0])))
+    n = 1000
+    x = (np.arange(n) + 0.5) / n
+    e, w, faces = eps * profile([x]), 1e-3 * (1 + x), eps * profile([np.arange(1, n) / n])
+    lmbda, mu = law.lmbda * eps, law.mu * eps
+    flow = faces**3 / (12 * mu) * n**2
+    ends = 2 * (eps * np.array([1.0, 1.5])) ** 3 / (12 * mu) * n**2
+    diagonal = e / lmbda + np.append(flow, 0) + np.append(0, flow)
+    diagonal[[0, -1]] += ends
+    matrix = np.diag(diagonal) - np.diag(flow, 1) - np.diag(flow, -1)
+    p = np.linalg.solve(matrix, w)
+    assert found == pytest.approx(np.sum(lmbda * w**2 / e) / np.sum(p * w) - 1, rel=5e-3)
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_disc(cell):
+    joint = disc(1.0, 0.4, 0.4, h=0.2, cell=cell)
+    law, eps = LinearElastic.shear(3.0, 0.499), 0.08
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(ThinLayer(law, eps))
+    x = 1 / (eps * np.sqrt(law.lmbda / law.mu / 12))
+    wanted = 1 / (1 - 2 * iv(1, x) / (x * iv(0, x))) - 1
+    assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=0.1)
+
+
+def test_wave_between_rollers():
+    """(k delta)^2, of the jump and of what the faces stretch; order 1 has the same."""
+    joint, setup = fourier(1 / 32, cell="quadrilateral")
+    law, eps = LinearElastic.shear(40.0, 0.499), 1 / 16
+    for order in (0, 1):
+        model = Structure(joint, **setup).interface(ThinLayer(law, eps, order=order))
+        mode = lambda x: (0.3 * np.sin(np.pi * x[0]), np.cos(np.pi * x[0]))
+        assert excess(model, mode) == pytest.approx(np.pi**2 * eps**2 * law.lmbda / law.mu / 12, rel=3e-3)
+
+
+def test_ends():
+    """Free: not held along S by a support of the layer's whole side. A closed S has no end."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.25)
+    layer, data = ThinLayer(FOURIER_LAYER, 0.1), dict(body=STIFF)
+    for supports, ends in (
+        ({}, 2),
+        ({"RIGHT": {"y": 0.0}}, 2),
+        ({"RIGHT/LOWER": 0.0}, 2),
+        ({"RIGHT": {"x": 0.0}}, 1),
+        ({"LEFT": 0.0, "RIGHT/LAYER": 0.0}, 0),
+    ):
+        model = Structure(joint, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}, **data).interface(layer)
+        assert len(free_rim(model).vertices) == ends
+    turned = Structure(joint.rotated(np.pi / 2), supports={"BOTTOM": 0.0, "RIGHT": {"y": 0.0}}, **data).interface(layer)
+    assert free_rim(turned).outward == pytest.approx(np.array([[0.0, -1.0]]))
+    closed = Structure(ring(1.0, 1.5, 2.0, h=0.4), supports={"INSIDE": 0.0}, **data).interface(layer)
+    assert len(free_rim(closed).vertices) == 0
+
+
+def test_rubber_is_told_before_and_after():
+    """The measured factors of a layer 8 times as long as thick to either side, between bodies that are nearly rigid."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 16, h_S=1 / 64, h_ends=1 / 200)
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+    eps = 1 / 16
+    for nu, before, after in (
+        (0.3, None, None),
+        (0.45, "1.12", None),
+        (0.49, "1.34", "1.34"),
+        (0.4999, "20.7", "20.6"),
+    ):
+        layer = ThinLayer(LinearElastic.shear(1.0, nu).per_thickness(eps), eps)
+        model = Structure(joint, **setup).interface(layer)
+        _, found = told(lambda model=model: solve(model))
+        if before is None:
+            assert found == []
+            continue
+        assert len(found) == (2 if after else 1)
+        assert f"about {before} times too stiff" in found[0]
+        assert not after or f"the layer alone is {after} times too stiff" in found[1]
+    _, found = told(lambda: march(model, [1.0, 2.0, 3.0]))
+    assert len(found) == 2
+
+
+def test_rubber_in_series():
+    """Between shims a rubber sublayer is as long as the pressure in it; beside foam it matters to nothing."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 8)
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}}
+    soft, shim, foam = LinearElastic.shear(1.0, 0.4999), LinearElastic.young(1e6, 0.3), LinearElastic.young(0.1, 0.0)
+    for other, messages in ((shim, 1), (foam, 0)):
+        model = Structure(joint, **setup).interface(ThinLayer(Stack((0.8, soft), (0.2, other)), 0.05))
+        _, found = told(lambda model=model: solve(model))
+        assert sum("nearly incompressible" in message for message in found) == messages
+
+
+def test_length_of_the_pressure_in_series():
+    """delta^2 = B/c with B int 1/mu the variance of int_0^z dz, over what is nearly incompressible, weighted with 1/mu."""
+    eps_over_width = 0.03
+    rubber, soft = Stratum(0.7, 9e3, 9.0, 36.0), Stratum(0.3, 3.0, 2.0, 4.4)
+    found = pressure_length([rubber, soft], 1 / eps_over_width)
+    fluidity = 0.7 / 9 + 0.3 / 2
+    mean, square = (0.7**2 / 18 + 0.7 * 0.15) / fluidity, (0.7**3 / 27 + 0.7**2 * 0.15) / fluidity
+    B, c = fluidity * (square - mean**2), rubber.compliance + soft.compliance
+    assert found == pytest.approx((B / c) ** 0.5, rel=2e-3)  # the soft one is hardly stretched
+    assert pressure_length([rubber], 10.0) == pytest.approx(rubber.length)
+    halves = [Stratum(0.35, 9e3, 9.0, 36.0)] * 2
+    assert pressure_length(halves, 10.0) == pytest.approx(rubber.length)
+    shim = Stratum(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
+    assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
+
+
+def test_rubber_beside_a_soft_sublayer():
+    """It lets the rubber flow: told is what the meshed layer shows, and nothing where the rubber is thin."""
+    joint = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral")
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+    rubber, soft = LinearElastic.shear(16.0, 0.499), LinearElastic.shear(16.0, 0.3)
+    for share, told_once in ((0.9, True), (0.1, False)):
+        plates, layer = Structure(joint, **setup), ThinLayer(Stack((share, rubber), (1 - share, soft)), 1 / 16)
+        model = plates.interface(layer)
+        state, found = told(lambda model=model: solve(model))
+        surface = Surface(model)
+        meshed, law = (surface.integral(surface.jump(s)[1]) for s in (solve(plates.full(layer)), state))
+        assert len(found) == told_once
+        if told_once:
+            assert times_too_stiff(found[0]) == pytest.approx(meshed / law, rel=0.03)  # 1.25 of rigid bodies, 1.228
+        else:
+            assert meshed / law < 1.02
+
+
+BULK = 3 * 0.28 / 1.28  # t2/t1 of a Maxwell law with nu = 0.28 whose mean stress does not relax
+
+
+@pytest.mark.parametrize(
+    ("law", "end", "lasting", "ratio"),
+    [
+        (Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)), 10.0, "10", 201 * (28 / 22 + 2 / 3) - 2 / 3),
+        (KelvinVoigt(28.0, 22.0, 50.0, 0.1), 0.05, "0.01", 28 * 5001 / (22 * 11)),
+    ],
+    ids=["Maxwell", "KelvinVoigt"],
+)
+def test_becomes_nearly_incompressible(law, end, lasting, ratio):
+    """Told with the moduli that lasting loads meet (stress over strain of one step) is what the meshed layer shows."""
+    joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral"), 1 / 32
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
+    layer, times = ThinLayer(law, eps), np.linspace(0, end, 6)[1:]
+    model = Structure(joint, **setup).interface(layer)
+    history, found = told(lambda: march(model, times))
+    y = np.sqrt(ratio / 12) * eps / 0.5
+    assert len(found) == 2
+    assert f"nearly incompressible under loads that last {lasting}:" in found[0]
+    assert times_too_stiff(found[0]) == pytest.approx(1 / (1 - np.tanh(1 / y) * y), rel=5e-3)  # three digits are told
+    assert f"under loads that last {end:g} (lmbda/mu" in found[1]
+    surface, full = Surface(model), march(Structure(joint, **setup).full(layer), times)
+    meshed, jumps = ([surface.integral(surface.jump(h.at(t))[1]) for t in times] for h in (full, history))
+    ratios = np.divide(meshed, jumps)
+    assert times_too_stiff(found[0]) == pytest.approx(max(ratios), rel=0.1)  # exp(-t) is no 1/(1 + t)
+    assert times_too_stiff(found[1]) == pytest.approx(ratios[-1], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Maxwell(28.0, 22.0, 0.05),
+        KelvinVoigt(28.0, 22.0, 0.7, 0.7),
+        KelvinVoigt(28.0, 22.0, 0.6, 0.2),
+        Norton(28.0, 22.0, 3.0, 1.5),
+    ],
+    ids=["Maxwell", "alike", "unlike", "Norton"],
+)
+def test_ordinary_viscous_layers(law):
+    """Both parts relax alike, or nearly so; Norton's dashpot resists changes of volume, too."""
+    joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
+    layer = ThinLayer(law.per_thickness(eps), eps)
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
+    for end in (1e-3, 1e3):
+        assert told(lambda end=end: march(model, [end / 3, end]))[1] == []
+
+
+def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
+    """A rubbery spring beside a dashpot that resists shear alone: told in long marches, not in short ones."""
+    joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 8, cell="quadrilateral"), 1 / 32
+    spring = LinearElastic.shear(16.0, 0.499)
+    layer = ThinLayer(KelvinVoigt(spring.lmbda, spring.mu, 0.0, 10.0), eps)
+    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
+    assert told(lambda: march(model, [0.1, 0.2]))[1] == []
+    assert len(told(lambda: march(model, [100.0, 200.0]))[1]) == 2
+
+
+def test_relaxing_behind_a_closed_surface():
+    """No free end: told after the march is a bush that is pushed aside, not one that is turned."""
+    joint = ring(1.0, 1.5, 2.0, h=0.3, degree=2)
+    layer = ThinLayer(Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)).per_thickness(0.1), 0.1)
+    for load, messages in (((1.0, 0.0), 1), (lambda x, t: (-x[1], x[0]), 0)):
+        model = Structure(joint, body=STIFF, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": load}).interface(layer)
+        _, found = told(lambda model=model: march(model, [100.0, 200.0]))
+        assert len(found) == messages
+        assert not found or "under loads that last 200 (lmbda/mu" in found[0]

@@ -1,0 +1,83 @@
+"""Softening that is not declared is told where it is met; bodies that soften are refused."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import pytest
+import ufl
+
+from forms.law import BulkLaw
+from forms.laws import LinearElastic
+from geometry import block
+from tests import ranges_told
+from tests.arc_length_run import HEIGHT, WIDTH, bar
+from tests.ranks import CLONE
+from tests.snapping_bars import STEEP, C, Cohesive, openings, sigma
+from thinlayer import ModelError, Structure, ThinLayer, march, solve
+
+
+@dataclass(frozen=True)
+class Undeclared(Cohesive):
+    softens: ClassVar = False
+
+
+@dataclass(frozen=True)
+class Softer(BulkLaw):
+    """A body's law that says its stress falls."""
+
+    k: float
+    softens: ClassVar = True
+
+    def stress(self, step):
+        return self.k * step.e / (1 + ufl.inner(step.e, step.e))
+
+
+def told(model, times):
+    """RangeWarnings of a march, or of a solve at a time; and its result."""
+    result, messages = ranges_told.told(lambda: march(model, times) if isinstance(times, list) else solve(model, times))
+    return messages, result
+
+
+def test_softening_is_told_where_it_is_met():
+    """Stresses fall beyond w_0/sqrt(2), whatever the unit of length; what rises, or is declared, is not warned of."""
+    for unit in (1.0, 1e-3):
+        law = Undeclared(0.9, 0.11 * unit)
+        model = bar(law, lambda x, t, unit=unit: unit * t)
+        messages, history = told(model, [0.05, 0.1, 0.15, 0.2, 0.3])
+        (message,) = messages
+        falling = openings(history) > law.w_0 / math.sqrt(2)
+        assert f"at t = {history.t[falling][0]:g} the stress of Undeclared falls at 2 points" in message
+        assert "write softens = True" in message
+        assert not falling[:2].any()
+        assert told(model, 0.05)[0] == []
+        assert len(told(model, 0.3)[0]) == 1
+    with pytest.raises(ModelError, match="follow them from rest with march"):
+        solve(bar(Cohesive(0.9, 0.11)))
+
+
+def test_a_step_over_a_loop_is_told():
+    """Both states rise, on branches that a fall parts."""
+    law = replace(STEEP, fall=0.8)  # too little for the bar to snap back
+    ends = [w + C * sigma(law, w) for w in (0.05, 0.105, 0.232)]
+    assert told(bar(law), ends[:2])[0] == []
+    messages, history = told(bar(law), ends)
+    assert openings(history)[1:] == pytest.approx([0.05, 0.105, 0.232], rel=1e-9)
+    assert "the stress of Trilinear falls" in messages[0]
+
+
+def test_bodies_do_not_soften():
+    strip = block(WIDTH, HEIGHT, WIDTH, cell="quadrilateral", structured=True)
+    with pytest.raises(ModelError, match=r"the stress of Softer falls as strains grow: .* in one row of cells"):
+        Structure(strip, body=Softer(3.0), supports={"TOP": 0.0}).interface(ThinLayer(LinearElastic(1.0, 1.0), 0.1))
+
+
+def test_warnings_are_seen():
+    """On standard error, though FFCx sends warnings to a log that has no handler."""
+    script = "import ffcx, mpi4py.MPI as M, thinlayer.errors as f; f.warn('jumps exceed eps', M.COMM_WORLD)"
+    done = subprocess.run([sys.executable, "-c", script], cwd=CLONE, capture_output=True, text=True, timeout=60)
+    assert "RangeWarning: jumps exceed eps" in done.stderr
