@@ -178,7 +178,7 @@ def declared(body: str, decorated: bool = True):
         ('    powers = {"k": float("nan")}\n', True, "power of k is nan"),
         ('    powers = ["k"]\n', True, r"powers is \{parameter: power\}"),
         ('    internal = ["a"]\n', True, r"internal is \{name: shape\}"),
-        ('    powers = {"k": 1}\n', False, r"no dataclass: write @dataclass\(frozen=True\)"),
+        ('    powers = {"k": 1}\n', False, r"not a dataclass: write @dataclass\(frozen=True\)"),
     ],
 )
 def test_what_a_class_declares_fits_its_parameters(body, decorated, message):
