@@ -2,7 +2,7 @@
 
 Savings of time of a contact solve, measured on the bar of `performance`: copying the triangle in C saves 13 % against
 scipy.sparse and 10 % against PETSc's own permutation, 3 % of them by reading ahead; sparse right-hand sides save 6 %, the
-order of nodes 10 % with 128 squares and 30 % with 256.
+order of nodes 5 % with 128 squares and 25 to 30 % with 256.
 """
 
 from __future__ import annotations
