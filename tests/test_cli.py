@@ -185,7 +185,10 @@ def test_studies_of_any_joint(tmp_path, name):
             "not read by the linear solver: -thinlayer_ksp_typ",
         ),
         (["run", "sweep_elastic", "--quick", "-thinlayer_ksp_rtol", "abc"], "linear solver: -thinlayer_ksp_rtol;"),
-        (["run", "sweep_elastic", "--quick", "-thinlayer_pc_type", "no"], "one of these options: -thinlayer_pc_type no"),
+        (
+            ["run", "sweep_elastic", "--quick", "-thinlayer_pc_type", "no"],
+            "one of these options: -thinlayer_pc_type no",
+        ),
         (["run", "sweep_elastic", "--quick", "--eps", "1e9"], "thickness eps is 1e+09, the bodies measure 1"),
         (["run", "fig3_mohr_coulomb", "--loads", "R9"], "invalid choice: 'R9'"),
         (["run", "sweep_mohr_coulomb", "--loads", "R1"], "study sweep_mohr_coulomb does not use --loads"),
