@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from geometry.compat import create_mesh
 from geometry.facets import facets_of_cells, vertices_of_facets
-from geometry.joint import BASE, BONDED, LAYER, GeometryError, Joint, S, unknown
+from geometry.joint import BASE, LAYER, GeometryError, Joint, S, unknown
 from geometry.topology import IntArray
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -29,7 +29,7 @@ class Domain:
     """A distributed mesh and the names of its parts.
 
     A named set of outer facets NAME can be narrowed to the part on one region, "NAME/REGION", and to the side faces of
-    the layer that continue it, "NAME/LAYER" (nothing while S is a surface). "BONDED" is where the bodies meet outside S.
+    the layer that continue it, "NAME/LAYER" (nothing while S is a surface). "S" is all seams together.
 
     Attributes:
         joint: the joint that was distributed.
@@ -113,8 +113,7 @@ class Domain:
         """Whether all facets of a name lie on the outer boundary."""
         joint = self.joint
         facets = joint.facets.get(name.split("/")[0], np.empty((0, joint.dim), np.int64))
-        rows = joint.bonded if name == BONDED else joint.table.index(facets)
-        return bool((joint.table.cells[rows, 1] < 0).all())
+        return bool((joint.table.cells[joint.table.index(facets), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> npt.NDArray[np.int32]:
         """Local facets (ghosts included) of a name; arguments and errors as in `values`."""
@@ -152,11 +151,14 @@ def _local_facets(
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
     """(name, rows of joint.table) of the facet sets, their parts by region and the layer's continuation of them."""
-    on_s = np.unique(joint.facets[S]) if S in joint.facets else np.empty(0, np.int64)
+    seams = () if joint.band else joint.seams
+    on_s = np.unique(joint.table.vertices[joint.surface_rows]) if seams else np.empty(0, np.int64)
+    if seams and S not in seams:
+        yield S, joint.surface_rows
     for name, facets in joint.facets.items():
         rows = joint.table.index(facets)
         yield name, rows
-        if "/" in name or name in (S, BASE) or (joint.table.cells[rows, 1] >= 0).any():
+        if "/" in name or name in (*seams, BASE) or (joint.table.cells[rows, 1] >= 0).any():
             continue
         cells = joint.table.cells[rows, 0]
         for number, region in enumerate(joint.regions):
@@ -168,7 +170,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, npt.NDArray[np.int32], dict[str, tuple[int, ...]]]:
     """Facets with a name (rows of joint.table), the number of the combination of names of each, name -> combinations."""
-    sets = [*_named_sets(joint), (BONDED, joint.bonded)]
+    sets = list(_named_sets(joint))
     names, rows = [name for name, _ in sets], [row for _, row in sets]
     tagged = np.unique(np.concatenate(rows))
     member = np.zeros((len(tagged), len(names)), bool)

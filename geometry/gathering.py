@@ -17,7 +17,7 @@ from geometry.cells import Cells
 from geometry.compat import cell_nodes
 from geometry.facets import vertices_of_facets
 from geometry.joint import GeometryError, Joint
-from geometry.naming import Groups, Named, Sides
+from geometry.naming import Groups, Named, SeamsOf, Sides
 from geometry.parallel import on_root
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
 
@@ -31,7 +31,7 @@ def from_dolfinx(
     *,
     regions: Mapping[int, str] | None = None,
     facets: Mapping[int, str] | None = None,
-    S: str | None = "S",
+    S: SeamsOf = "S",
     upper: str | Sequence[str] | None = None,
     lower: str | Sequence[str] | None = None,
     direction: Sequence[float] | None = None,

@@ -20,11 +20,10 @@ from geometry.joint import (
     GeometryError,
     Joint,
     Profile,
-    S,
     place,
     unknown,
 )
-from geometry.motion import extended_motion, face_directions, require_room
+from geometry.motion import extended_motion, face_directions, require_room, sides_at_nodes
 from geometry.topology import (
     FACET_TYPES,
     FacetTable,
@@ -58,13 +57,6 @@ class _Levels:
         """Node numbers at a level above or below the given nodes of S."""
         new = self.first_new + level * len(self.nodes) + np.searchsorted(self.nodes, nodes)
         return np.where(level == self.top, nodes, new)
-
-    def drop(self, rows: IntArray) -> IntArray:
-        """The same cells or facets with the lower face of the band in place of S."""
-        on_s = np.isin(rows, self.nodes)
-        out = rows.copy()
-        out[on_s] = self.number(rows[on_s], 0)
-        return out
 
     def footprint(self, rows: IntArray) -> IntArray:
         """The nodes of S below or above given nodes of the band."""
@@ -107,9 +99,10 @@ def inflate(
     _check(joint, eps, cells_through, fractions, bodies)
     thickness = float(eps) * joint.relative_thickness(profile)
     levels = _levels(joint, cells_through, fractions)
-    below = joint.side < 0
+    low, _ = sides_at_nodes(joint)
     body_cells = joint.cells.copy()
-    body_cells[below] = levels.drop(joint.cells[below])
+    below = low[joint.cells] == joint.splitting.of_nodes
+    body_cells[below] = levels.number(joint.cells[below], 0)
     band_cells, sublayer, director = _band_cells(joint, levels, fractions)
     cells = np.concatenate([body_cells, band_cells])
 
@@ -124,10 +117,8 @@ def inflate(
         joint.cell_type,
         np.concatenate([joint.region, len(joint.regions) + sublayer]),
         joint.regions + names,
-        _move_facets(joint, levels, band_cells[:, : joint.corners.shape[1]]),
-        joint.upper,
-        joint.lower,
-        joint.direction,
+        _move_facets(joint, body_cells, levels, band_cells[:, : joint.corners.shape[1]]),
+        joint.seams,
         band=Band(float(eps), bodies, names, joint, reference, director),
     )
 
@@ -154,24 +145,11 @@ def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[flo
         all(map(is_finite, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
     ):
         raise GeometryError(f"the sublayers' fractions {tuple(fractions)} must be numbers > 0 and add up to 1")
-    if len(joint.bonded):
-        raise GeometryError(_why_not_whole(joint))
-
-
-def _why_not_whole(joint: Joint) -> str:
-    """Why the bodies meet outside S, for a message."""
     if joint.tip is not None:
-        return (
+        raise GeometryError(
             f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
             "use the interface model"
         )
-    there = place(joint.points[joint.table.vertices[joint.bonded[0]]].mean(axis=0))
-    if joint.direction is None:
-        return f"the bodies are bonded outside S (near {there}), they cannot make room; use the interface model"
-    return (
-        f"the part of the body at {there} lies above one piece of S and below another: a layer is meshed between two sides "
-        "only; use the interface model, or name the regions between the pieces and give upper and lower"
-    )
 
 
 def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Levels:
@@ -251,12 +229,13 @@ def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: Floa
         require_room(joint, n, eps)
         start = -1.0 if joint.rigid_base else -0.5
         low = high = np.tile(n, (len(h), 1))
-        for side, end in ((-1, start), (1, start + 1)):
-            motion[np.unique(body_cells[joint.side == side])] = end * eps * n
+        pieces = joint.splitting.pieces
+        for side, end in zip(_pieces_beside(joint), (start, start + 1), strict=True):
+            motion[np.unique(body_cells[np.isin(pieces, side)])] = end * eps * n
     else:
         start = 0.0 if joint.rigid_base else -0.5
         high = face_directions(joint, levels.nodes, 1)
-        low = high if joint.rigid_base else face_directions(joint, levels.nodes, -1)
+        low = high if joint.rigid_base else face_directions(joint, levels.nodes, 0)
         known = np.concatenate([levels.number(levels.nodes, 0), levels.nodes])
         faces = np.concatenate([start * h * low, (start + 1) * h * high])
         motion = extended_motion(joint, body_cells, len(motion), known, faces)
@@ -265,8 +244,19 @@ def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: Floa
     return motion
 
 
+def _pieces_beside(joint: Joint) -> tuple[IntArray, IntArray]:
+    """The pieces of the bodies below S and above it."""
+    cells, pieces = joint.surface_cells, joint.splitting.pieces
+    below, above = (np.unique(pieces[side[side >= 0]]) for side in cells.T)
+    return below, above
+
+
 def _require_one_way(joint: Joint) -> None:
     """Raise GeometryError if the bodies cannot be moved apart along one normal of S."""
+    both = np.intersect1d(*_pieces_beside(joint))
+    if len(both):
+        at = joint.points[joint.corners[joint.splitting.pieces == both[0]][0]].mean(axis=0)
+        raise GeometryError(f"one body, as at {place(at)}, lies below S and above it: {NOT_KEPT}")
     if joint.planar:
         return
     normals = joint.node_normals.reshape(-1, joint.dim)
@@ -297,20 +287,17 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray) -> None:
         )
 
 
-def _move_facets(joint: Joint, levels: _Levels, band: IntArray) -> dict[str, IntArray]:
+def _move_facets(joint: Joint, body_cells: IntArray, levels: _Levels, band: IntArray) -> dict[str, IntArray]:
     """Facet sets of the inflated joint; `band`: vertices of the layer's cells."""
     surface = joint.table.vertices[joint.surface_rows]
     out = {UPPER_FACE: surface, BASE if joint.rigid_base else LOWER_FACE: levels.number(surface, 0)}
     sides = _side_faces(band, joint.cell_type, levels)
     ridges = _ridges(levels.footprint(sides), joint.dim)
     for name, facets in joint.facets.items():
-        if name == S:
+        if name in joint.seams:
             continue
         rows = joint.table.index(facets)
-        below = (joint.side[joint.table.cells[rows, 0]] < 0) & ~np.isin(rows, joint.surface_rows)
-        moved = facets.copy()
-        moved[below] = levels.drop(facets[below])
-        out[name] = moved
+        out[name] = joint.table.nodes(rows, body_cells[:, : joint.corners.shape[1]], joint.cell_type)
         outer = facets[joint.table.cells[rows, 1] < 0]
         continued = np.isin(ridges, _ridges(outer, joint.dim)).any(axis=1)
         if continued.any():

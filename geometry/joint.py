@@ -10,9 +10,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forms.base import InputError, is_finite
-from geometry.sides import sides_by_direction, upper_cells
+from geometry.splitting import Splitting
 from geometry.topology import (
     CELL_TYPES,
     FACET_TYPES,
@@ -30,8 +31,9 @@ Profile = Callable[[FloatArray], FloatArray]
 
 S = "S"
 LAYER = "LAYER"
-LOWER_FACE, UPPER_FACE, BASE, BONDED = "LOWER_FACE", "UPPER_FACE", "BASE", "BONDED"
-RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, BONDED)
+LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
+RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
+LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
 FLAT = 1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
 
 
@@ -61,6 +63,39 @@ def place(x: FloatArray) -> str:
 
 
 @dataclass(frozen=True)
+class Seam:
+    """Which side of a layer's surface is the upper one. Its normal n points there, from the lower to the upper side.
+
+    Each facet between two cells has its upper side where `direction` points, if one is given; else in the regions `upper`,
+    or outside the regions `lower`; if neither is given, in the later one of the two cells' regions. On the outer boundary
+    the layer stands on a rigid base, and the side of the cell is the upper one.
+
+    The choice is a convention: jumps, tractions and the order of sublayers refer to it, equilibria do not depend on it.
+
+    Attributes:
+        lower, upper: names of regions on either side; (): not given.
+        direction: (d,) vector to the upper side; None: not given.
+    """
+
+    lower: tuple[str, ...] = ()
+    upper: tuple[str, ...] = ()
+    direction: tuple[float, ...] | None = None
+
+    def reversed(self) -> Seam:
+        """The seam with the opposite normal. GeometryError: neither regions nor a direction are given."""
+        if self == Seam():
+            raise GeometryError(
+                "a seam whose upper side follows the order of regions cannot be reversed; name its sides"
+            )
+        way = None if self.direction is None else tuple(-c for c in self.direction)
+        return Seam(self.upper, self.lower, way)
+
+    def turned(self, turn: FloatArray) -> Seam:
+        """The seam of a joint that is turned by a matrix (d, d)."""
+        return self if self.direction is None else replace(self, direction=tuple(map(float, turn @ self.direction)))
+
+
+@dataclass(frozen=True)
 class Band:
     """Result of inflating: the layer's thickness, its sublayers, and how the bodies made room for it.
 
@@ -86,8 +121,9 @@ class Band:
 class Joint:
     """Bodies meeting on S, the same on every MPI rank until it is distributed.
 
-    The normal n of S points from the lower body to the upper one. Without a lower body S is a part of the upper body's
-    boundary that stands on a rigid base. Where the bodies also meet outside S they are bonded: S then ends inside.
+    S consists of one or several seams, named sets of facets with a layer each. Bodies part wherever a facet of S is between
+    them: S may end inside a body, branch, cross itself, or separate any number of bodies. A seam on the outer boundary
+    stands on a rigid base.
 
     Attributes:
         points: (n_points, d) coordinates, lengths.
@@ -96,16 +132,14 @@ class Joint:
         cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
         region: (n_cells,) for each cell the position of its region in `regions`.
         regions: names of the cell regions.
-        facets: named sets of facets, each (n, k) vertices in any order. S is one of them; facets of S are removed from
-            the other sets.
-        upper: names of the regions above S.
-        lower: names of the regions below S; empty for a rigid base; the same as `upper` for S inside one body.
-        direction: (d,) vector that points to the upper side, for S inside one body only.
+        facets: named sets of facets, each (n, k) vertices in any order; the seams are among them, and their facets are
+            removed from the other sets.
+        seams: name of a seam -> which of its sides is the upper one. A single seam is named "S"; of several none is.
         band: how the layer was meshed; None while S is a surface.
 
     Raises:
-        GeometryError: S is missing, empty, on the wrong side or ambiguous, a set of facets is empty or not part of the
-            mesh, a region has no cells or belongs to no body.
+        GeometryError: a seam is missing, empty or not oriented, or shares a facet with another one; a set of facets is
+            empty or not part of the mesh; a region has no cells.
     """
 
     points: FloatArray
@@ -114,9 +148,7 @@ class Joint:
     region: IntArray
     regions: tuple[str, ...]
     facets: Mapping[str, IntArray]
-    upper: tuple[str, ...]
-    lower: tuple[str, ...] = ()
-    direction: tuple[float, ...] | None = None
+    seams: Mapping[str, Seam]
     band: Band | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -126,8 +158,6 @@ class Joint:
             geometry_degree(self.cell_type, self.cells.shape[1])
         except ValueError as error:
             raise GeometryError(str(error)) from None
-        if self.band is None and S not in self.facets:
-            raise GeometryError(f"the mesh has no facets named {S!r}; named facets: {', '.join(sorted(self.facets))}")
         self._check_regions()
         for name, facets in self.facets.items():
             if len(facets) == 0:
@@ -137,59 +167,58 @@ class Joint:
                 x = self.points[facets[missing][0]].mean(axis=0)
                 raise GeometryError(f"some facets named {name!r} are not facets of the mesh's cells, as at {place(x)}")
         if self.band is None:
-            self._check_interface()
-            self._take_out_interface()
+            self._check_seams()
+            self._take_out_seams()
 
     def _check_regions(self) -> None:
         for name in [*self.regions, *self.facets] if self.band is None else []:
             if name in RESERVED or "/" in name:
                 raise GeometryError(f"{name!r} cannot be a name; not allowed: {', '.join(RESERVED)} and names with '/'")
-        for name in self.lower + self.upper:
-            if name not in self.regions:
-                raise GeometryError(unknown("region", name, self.regions))
-        homeless = sorted(set(self.regions) - set(self.bodies) - set(self.band.regions if self.band else ()))
-        if homeless:
-            raise GeometryError(f"region {homeless[0]!r} belongs to no body; name it in upper or lower")
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():
                 raise GeometryError(f"region {name!r} has no cells")
-        shared = sorted(set(self.upper) & set(self.lower))
-        if shared and self.direction is None:
-            raise GeometryError(f"region {shared[0]!r} is on both sides of {S!r}; give the direction of the upper side")
-        if self.direction is not None:
-            if set(self.upper) != set(self.lower):
-                raise GeometryError("direction is for S inside one body; upper and lower are different regions")
-            length = np.linalg.norm(self.direction)
-            if np.shape(self.direction) != (self.dim,) or not np.isfinite(length) or length == 0:
-                raise GeometryError(f"direction is {self.direction}; it needs {self.dim} components, not all zero")
-
-    def _check_interface(self) -> None:
-        rows = self.surface_rows
-        outer = self.table.cells[rows, 1] < 0
-        if self.rigid_base:
-            if not outer.all():
+        for seam, sides in self.seams.items():
+            for name in sides.lower + sides.upper:
+                if name not in self.regions:
+                    raise GeometryError(unknown("region", name, self.regions))
+            shared = sorted(set(sides.upper) & set(sides.lower))
+            if shared and sides.direction is None:
                 raise GeometryError(
-                    f"{S!r} on a rigid base must lie on the outer boundary; {(~outer).sum()} facets do not"
+                    f"region {shared[0]!r} is on both sides of {seam!r}; give the direction of the upper side"
                 )
-            return
-        if outer.any():
-            x = self.points[self.table.vertices[rows[outer][0]]].mean(axis=0)
-            raise GeometryError(
-                f"{outer.sum()} facets of {S!r} lie on the outer boundary, the first at {place(x)}; between "
-                f"{'+'.join(self.lower)} and {'+'.join(self.upper)} each needs a cell on both sides"
-            )
-        side = self.side[self.table.cells[rows]]
-        if (side[:, 0] == side[:, 1]).any():
-            x = self.points[self.table.vertices[rows[side[:, 0] == side[:, 1]][0]]].mean(axis=0)
-            raise GeometryError(
-                f"{S!r} does not separate two bodies: some of its facets have the same body on both sides, the first at "
-                f"{place(x)}"
-            )
+            if sides.direction is not None:
+                if set(sides.upper) != set(sides.lower):
+                    raise GeometryError(f"{seam!r}: a direction tells the upper side, or regions do; give one of them")
+                length = np.linalg.norm(sides.direction)
+                if np.shape(sides.direction) != (self.dim,) or not np.isfinite(length) or length == 0:
+                    raise GeometryError(f"direction is {sides.direction}; it needs {self.dim} components, not all zero")
 
-    def _take_out_interface(self) -> None:
-        rows = {name: self.table.index(facets) for name, facets in self.facets.items()}
-        kept = {name: facets[~np.isin(rows[name], self.surface_rows)] for name, facets in self.facets.items()}
-        kept[S] = self.facets[S]
+    def _check_seams(self) -> None:
+        if not self.seams:
+            raise GeometryError(f"a joint needs a seam, such as {S!r}")
+        if len(self.seams) > 1 and S in self.seams:
+            raise GeometryError(f"{S!r} is all seams together and cannot name one of several")
+        for name in self.seams:
+            if name not in self.facets:
+                raise GeometryError(
+                    f"the mesh has no facets named {name!r}; named facets: {', '.join(sorted(self.facets))}"
+                )
+        rows = np.concatenate([self.rows_of(name) for name in self.seams])
+        found, counts = np.unique(rows, return_counts=True)
+        if (counts > 1).any():
+            row = found[counts > 1][0]
+            names = [name for name in self.seams if row in self.rows_of(name)]
+            raise GeometryError(
+                f"{(counts > 1).sum()} facets are in two seams, {names[0]!r} and {names[1]!r}, the first at "
+                f"{place(self.points[self.table.vertices[row]].mean(axis=0))}; a facet has one layer"
+            )
+        _ = self.surface_cells
+
+    def _take_out_seams(self) -> None:
+        kept = {
+            name: facets if name in self.seams else facets[~np.isin(self.table.index(facets), self.surface_rows)]
+            for name, facets in self.facets.items()
+        }
         object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
 
     @property
@@ -209,18 +238,15 @@ class Joint:
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies' regions, lower ones first."""
-        return tuple(dict.fromkeys(self.lower + self.upper))
+        """Names of the bodies' regions, those below seams first."""
+        named = [name for side in ("lower", "upper") for seam in self.seams.values() for name in getattr(seam, side)]
+        layer = self.band.regions if self.band else ()
+        return tuple(name for name in dict.fromkeys([*named, *self.regions]) if name not in layer)
 
     @property
     def reference(self) -> FloatArray:
         """(n_points, d) place of each point before inflating."""
         return self.band.reference if self.band else self.points
-
-    @property
-    def rigid_base(self) -> bool:
-        """Whether S stands on a rigid base instead of a lower body."""
-        return not self.lower
 
     @cached_property
     def table(self) -> FacetTable:
@@ -230,35 +256,91 @@ class Joint:
         except ValueError as error:
             raise GeometryError(str(error)) from None
 
-    @cached_property
-    def side(self) -> IntArray:
-        """(n_cells,) -1 below S, +1 above, 0 in the layer."""
-        if self.direction is None:
-            sign = [(name in self.upper) * 1 - (name in self.lower) * 1 for name in self.regions]
-            return np.array(sign, np.int64)[self.region]
-        rows = self.surface_rows
-        if (self.table.cells[rows, 1] < 0).any():
-            return -np.ones(len(self.cells), np.int64)
-        x, n = (
-            self.points[self.surface].mean(axis=1),
-            facet_normals(self.points, self.surface, self.cell_type).mean(axis=1),
-        )
-        centres = self.points[self.corners].mean(axis=1)
-        try:
-            above = upper_cells(centres, self.table.cells[rows], x, n, np.asarray(self.direction, float))
-            return sides_by_direction(self.corners, self.cell_type, self.table, rows, above)
-        except ValueError as error:
-            if self.branch is not None:
-                raise GeometryError(
-                    f"S branches at {place(self.branch)}, where three or more parts of the body meet: no direction tells "
-                    "its sides; S is one layer between two sides"
-                ) from None
-            raise GeometryError(f"direction {tuple(self.direction)} does not tell the sides of S: {error}") from None
+    # ---------------------------------------------------------------- S
+    def rows_of(self, name: str) -> IntArray:
+        """Rows of `table` of the facets of a seam, or of all seams ("S"), each once, in ascending order."""
+        if name not in self.seams and name != S:
+            raise GeometryError(unknown("seam", name, self.seams))
+        names = self.seams if name == S else (name,)
+        return np.unique(np.concatenate([self.table.index(self.facets[one]) for one in names]))
 
     @cached_property
     def surface_rows(self) -> IntArray:
         """Rows of `table` of the facets of S, each once, in lexicographic order of their vertices."""
-        return np.unique(self.table.index(self.facets[S]))
+        return self.rows_of(S)
+
+    @cached_property
+    def seam_numbers(self) -> IntArray:
+        """(n_S,) position of the seam of each facet of S in `seams`."""
+        out = np.empty(len(self.surface_rows), np.int64)
+        for number, name in enumerate(self.seams):
+            out[np.searchsorted(self.surface_rows, self.rows_of(name))] = number
+        return out
+
+    @cached_property
+    def surface_cells(self) -> IntArray:
+        """(n_S, 2) the cell below and the cell above each facet of S; -1 for a rigid base.
+
+        Raises:
+            GeometryError: a seam lies partly on the outer boundary; its upper side cannot be told.
+        """
+        out = self.table.cells[self.surface_rows][:, ::-1].copy()
+        for number, (name, seam) in enumerate(self.seams.items()):
+            here = np.flatnonzero(self.seam_numbers == number)
+            outer = out[here, 0] < 0
+            if outer.any() and (seam.lower or not outer.all()):
+                x = self.points[self.surface[here[outer.argmax()]]].mean(axis=0)
+                sides = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
+                raise GeometryError(
+                    f"{outer.sum()} of {len(here)} facets of {name!r} lie on the outer boundary, the first at {place(x)}; "
+                    f"{sides}each needs a cell on both sides, or all must stand on a rigid base"
+                )
+            if not outer.any():
+                wrong = here[~self._second_is_upper(name, seam, out[here], self.surface[here])]
+                out[wrong] = out[wrong][:, ::-1]
+        return out
+
+    def _second_is_upper(self, name: str, seam: Seam, cells: IntArray, nodes: IntArray) -> NDArray[np.bool_]:
+        """(n,) whether the second of two cells (n, 2) is the upper one, for facets of a seam given by their nodes."""
+        x = self.points[nodes].mean(axis=1)
+        if seam.direction is not None:
+            n = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
+            way = np.asarray(seam.direction, float)
+            cosine = n @ way / np.linalg.norm(n, axis=1) / np.linalg.norm(way)
+            told = np.abs(cosine) >= LEAST_COSINE
+            if not told.all():
+                raise GeometryError(
+                    f"direction {seam.direction} does not tell the upper side of {name!r}: it lies in the facet near "
+                    f"{place(x[~told][0])}"
+                )
+            towards = self.points[self.corners[cells[:, 1]]].mean(axis=1) - x
+            return np.asarray((towards * n).sum(axis=1) * cosine > 0)
+        region = self.region[cells]
+        if seam.lower or seam.upper:
+            lower, upper = (
+                np.isin(region, [self.regions.index(one) for one in side]) for side in (seam.lower, seam.upper)
+            )
+            below, above = lower if seam.lower else ~upper, upper if seam.upper else ~lower
+            upper = above[:, 1] & below[:, 0]
+            told, what = upper | (above[:, 0] & below[:, 1]), "have the same body on both sides"
+        else:
+            upper, told = region[:, 1] > region[:, 0], region[:, 1] != region[:, 0]
+            what = "have one region on both sides; give the direction of the upper side"
+        if not told.all():
+            raise GeometryError(
+                f"{name!r} does not separate two bodies: some of its facets {what}, the first at {place(x[~told][0])}"
+            )
+        return upper
+
+    @property
+    def rigid_base(self) -> bool:
+        """Whether all of S stands on a rigid base instead of lower bodies."""
+        return bool((self.surface_cells[:, 0] < 0).all())
+
+    @cached_property
+    def splitting(self) -> Splitting:
+        """The mesh, cut along S."""
+        return Splitting(self.cells, self.cell_type, self.table, self.surface_rows)
 
     @cached_property
     def surface(self) -> IntArray:
@@ -283,26 +365,16 @@ class Joint:
         return self.points[inside[0]].mean(axis=0) if len(inside) else None
 
     @cached_property
-    def bonded(self) -> IntArray:
-        """Rows of `table` where the lower and the upper side meet outside S."""
-        if self.rigid_base or self.band is not None:
-            return np.empty(0, np.int64)
-        inner = np.flatnonzero(self.table.cells[:, 1] >= 0)
-        side = self.side[self.table.cells[inner]]
-        return np.setdiff1d(inner[side[:, 0] != side[:, 1]], self.surface_rows)
-
-    @cached_property
     def node_normals(self) -> FloatArray:
-        """(n_S, k, d) unit normals at the nodes of `surface`, from the lower to the upper body."""
-        cells = self.table.cells[self.surface_rows]
-        above = np.where(self.side[cells[:, 0]] > 0, cells[:, 0], cells[:, 1])
+        """(n_S, k, d) unit normals at the nodes of `surface`, from the lower to the upper side."""
+        above = self.surface_cells[:, 1]
         normals = facet_normals(self.points, self.surface, self.cell_type)
         towards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)
         return normals * np.sign((normals.mean(axis=1) * towards).sum(axis=1))[:, None, None]
 
     @cached_property
     def interface_normals(self) -> FloatArray:
-        """(n_S, d) mean unit normals of the facets of S, from the lower to the upper body."""
+        """(n_S, d) mean unit normals of the facets of S, from the lower to the upper side."""
         mean = self.node_normals.mean(axis=1)
         return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True), float)
 
@@ -353,17 +425,14 @@ class Joint:
             raise GeometryError(f"angle is {angle!r}; it must be a number, in radians")
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        return replace(self, points=self.points @ turn.T, direction=self._direction(turn))
+        seams = {name: seam.turned(turn) for name, seam in self.seams.items()}
+        return replace(self, points=self.points @ turn.T, seams=seams)
 
     def swapped(self) -> Joint:
-        """The joint with lower and upper body exchanged: n changes its sign, nothing moves."""
-        if self.rigid_base:
+        """The joint with the two sides of every seam exchanged: n changes its sign, nothing moves."""
+        if (self.surface_cells[:, 0] < 0).any():
             raise GeometryError("a joint on a rigid base has no lower body to swap with")
-        return replace(self, lower=self.upper, upper=self.lower, direction=self._direction(-np.eye(self.dim)))
-
-    def _direction(self, turn: FloatArray) -> tuple[float, ...] | None:
-        """The direction of the upper side, turned."""
-        return None if self.direction is None else tuple(float(c) for c in turn @ np.array(self.direction))
+        return replace(self, seams={name: seam.reversed() for name, seam in self.seams.items()})
 
     def identity(self) -> dict[str, Any]:
         """Identity of the joint, as JSON: counts and hashes of its cells, places, regions and named facets."""
@@ -372,7 +441,8 @@ class Joint:
             "cells": len(self.cells),
             "coordinates": [float(f"{(self.points * w).sum():.8g}") for w in (weights, weights**2)],
             "mesh": _digest(self.cells, self.region),
-            "regions": [list(self.regions), list(self.lower), list(self.upper), self.direction],
+            "regions": list(self.regions),
+            "seams": {name: [list(s.lower), list(s.upper), s.direction] for name, s in self.seams.items()},
             "facets": {name: _digest(facets) for name, facets in sorted(self.facets.items())},
         }
 

@@ -25,6 +25,11 @@ def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
     At edges and corners of S this holds for each facet around a node (least squares where there are many); at the end of S
     d is along the outer faces of the body on that side.
 
+    Args:
+        joint: the joint before inflating.
+        nodes: of S.
+        side: 0 the lower one, 1 the upper one.
+
     Raises:
         GeometryError: S branches or is folded; an outer face touches S nearly parallel to it.
     """
@@ -41,7 +46,7 @@ def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
             f"S is folded at {place(joint.points[nodes[folded[0]]])}: a layer there would overlap itself"
         )
 
-    outer, faces = _outer_moments(joint, side)
+    outer, faces = _outer_moments(joint, sides_at_nodes(joint)[side])
     values, vectors = np.linalg.eigh(outer[nodes] / np.maximum(faces[nodes], 1)[:, None, None])
     slip = (vectors * (values < SMOOTH)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
@@ -68,17 +73,42 @@ def require_no_branches(joint: Joint) -> None:
         )
 
 
-def _outer_moments(joint: Joint, side: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """For every node the sum of m m^T over the unit normals m of outer faces there, except S, and their number."""
+def sides_at_nodes(joint: Joint) -> tuple[IntArray, IntArray]:
+    """(n_points,) the component of the cells below and above S around each node of S; -1 where there is none.
+
+    Raises:
+        GeometryError: the upper side of S changes from facet to facet.
+    """
+    split, found = joint.splitting.of_nodes, []
+    for cells in joint.surface_cells.T:
+        there = cells >= 0
+        nodes, own = joint.surface[there], joint.cells[cells[there]]
+        component = np.take_along_axis(split[cells[there]], (own[:, None] == nodes[:, :, None]).argmax(axis=2), axis=1)
+        out = np.full(len(joint.points), -1, np.int64)
+        out[nodes] = component
+        changes = (out[nodes] != component).any(axis=1)
+        if changes.any():
+            x = joint.points[nodes[changes][0]].mean(axis=0)
+            raise GeometryError(f"the upper side of S changes at {place(x)}: a layer is meshed between two sides")
+        found.append(out)
+    return found[0], found[1]
+
+
+def _outer_moments(joint: Joint, component: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """For every node the sum of m m^T over the unit normals m of outer faces there, except S, and their number.
+
+    If `component` is given, (n_points,), only faces of cells in this component around the node count.
+    """
     table = joint.table
     outer = np.setdiff1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
-    if side is not None:
-        outer = outer[joint.side[table.cells[outer, 0]] == side]
     nodes = table.nodes(outer, joint.cells, joint.cell_type)
     normals = facet_normals(joint.points, nodes, joint.cell_type)
+    counted = np.ones(nodes.shape, bool)
+    if component is not None:
+        counted = table.nodes(outer, joint.splitting.of_nodes, joint.cell_type) == component[nodes]
     moments, count = np.zeros((len(joint.points), joint.dim, joint.dim)), np.zeros(len(joint.points))
-    np.add.at(moments, nodes, normals[..., :, None] * normals[..., None, :])
-    np.add.at(count, nodes, 1.0)
+    np.add.at(moments, nodes, (counted[..., None] * normals)[..., :, None] * normals[..., None, :])
+    np.add.at(count, nodes, counted.astype(float))
     return moments, count
 
 
@@ -167,7 +197,8 @@ def require_room(joint: Joint, n: FloatArray, eps: float) -> None:
     table = joint.table
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
     on_s = np.isin(outer, joint.surface_rows)
-    below = on_s if joint.rigid_base else on_s | (joint.side[table.cells[outer, 0]] < 0)
+    pieces, under = joint.splitting.pieces, joint.surface_cells[:, 0]
+    below = on_s | np.isin(pieces[table.cells[outer, 0]], pieces[under[under >= 0]])
     moving, fixed = outer[below], outer[~below]
     for rows, others, way in ((moving, fixed, -1.0), (fixed, moving, 1.0)):
         corners = table.vertices[rows]

@@ -1,20 +1,24 @@
-"""Choice of a joint's regions, its S and the two sides of S among the named groups of a mesh."""
+"""Choice of a joint's regions, its seams and their sides among the named groups of a mesh."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from forms.base import is_finite
 from geometry.cells import Cells
-from geometry.joint import GeometryError, Joint, S, place, unknown
+from geometry.joint import GeometryError, Joint, S, Seam, place, unknown
 from geometry.topology import IntArray
 
 Groups = dict[str, npt.NDArray[np.bool_]]  # name -> which cells are in the group
 Names = tuple[str, ...]
+
+
+SeamsOf = str | Sequence[str] | Mapping[str, Any] | None  # what `read` takes as S
 
 
 @dataclass(frozen=True)
@@ -22,35 +26,63 @@ class Sides:
     """The caller's choice of S and its sides.
 
     Attributes:
-        S: name of its set of facets; None for all facets between the regions `lower` and `upper`.
+        S: name of the set of facets of the only seam; None for all facets between the regions `lower` and `upper`.
         upper: names of the regions above S; None if not given.
         lower: names of the regions below S; None if not given.
-        direction: (d,) vector to the upper side, for S inside one body.
+        direction: (d,) vector to the upper side; None if not given.
+        seams: instead of these, the seams with their names; {} if there is only one.
     """
 
     S: str | None
-    upper: Names | None
-    lower: Names | None
-    direction: tuple[float, ...] | None
+    upper: Names | None = None
+    lower: Names | None = None
+    direction: tuple[float, ...] | None = None
+    seams: Mapping[str, Seam] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls,
-        surface: str | None,
+        surface: SeamsOf,
         upper: str | Sequence[str] | None,
         lower: str | Sequence[str] | None,
         direction: Sequence[float] | None,
     ) -> Sides:
         """The choice from arguments as in `read`; raises GeometryError for wrong types."""
-        if not (surface is None or isinstance(surface, str)):
+        above, below, way = _names_of(upper, "upper"), _names_of(lower, "lower"), _direction(direction)
+        if surface is None or isinstance(surface, str):
+            return cls(surface, above, below, way)
+        rules = dict(surface) if isinstance(surface, Mapping) else dict.fromkeys(surface)
+        if not rules or not all(isinstance(name, str) for name in rules):
             raise GeometryError(
-                f"S is {surface!r}; give the name of one set of facets (a group can have several parts), or None for "
-                "all facets between the regions lower and upper"
+                f"S is {surface!r}; give the name of one set of facets (a group can have several parts), the names of "
+                "several, {name: its upper side}, or None for all facets between the regions lower and upper"
             )
-        above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
-        if direction is not None and not (np.ndim(direction) == 1 and all(map(is_finite, direction))):
-            raise GeometryError(f"direction is {direction!r}; it needs 2 components, in 3D 3, not all zero")
-        return cls(surface, above, below, None if direction is None else tuple(float(c) for c in direction))
+        if (above, below, way) != (None, None, None):
+            raise GeometryError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
+        return cls(None, seams={name: _seam(name, rule) for name, rule in rules.items()})
+
+
+def _seam(name: str, rule: Any) -> Seam:
+    """A seam from its rule in S: None, a direction, or the regions below and above."""
+    if rule is None:
+        return Seam()
+    if isinstance(rule, Seam):
+        return rule
+    if np.ndim(rule) == 1 and all(map(is_finite, rule)):
+        return Seam(direction=_direction(rule))
+    if not isinstance(rule, tuple | list) or len(rule) != 2:
+        raise GeometryError(
+            f"S: the upper side of {name!r} is {rule!r}; give a vector, (lower, upper) with names of regions, or None for "
+            "the order of the regions"
+        )
+    below, above = (_names_of(side, f"side of {name!r}") or () for side in rule)
+    return Seam(below, above)
+
+
+def _direction(given: Any) -> tuple[float, ...] | None:
+    if given is not None and not (np.ndim(given) == 1 and all(map(is_finite, given))):
+        raise GeometryError(f"direction is {given!r}; it needs 2 components, in 3D 3, not all zero")
+    return None if given is None else tuple(float(c) for c in given)
 
 
 def _names_of(regions: str | Sequence[str] | None, what: str) -> Names | None:
@@ -81,6 +113,7 @@ class Named:
     def of(cls, cells: Cells, regions: Groups, facets: dict[str, IntArray], source: str, sides: Sides) -> Named:
         """The named groups of a mesh. Where groups of cells overlap, the groups named in `sides` are the regions."""
         chosen = (sides.upper or ()) + (sides.lower or ())
+        chosen += tuple(name for seam in sides.seams.values() for name in seam.lower + seam.upper)
         both = [name for name in regions if name in facets and not name.isdigit()]
         if both:
             raise GeometryError(f"{both[0]!r} names both cells and facets; each needs its own name")
@@ -99,29 +132,39 @@ class Named:
     def joint(self, sides: Sides) -> Joint:
         """The joint; raises GeometryError for unusable cells and for an S that does not fit them."""
         self.cells.require_sound()
-        surface, upper, lower = self._interface(sides.S, sides.upper, sides.lower, sides.direction)
-        facets = {S: surface, **{name: rows for name, rows in self.facets.items() if name != sides.S}}
+        if sides.seams:
+            for name in sides.seams:
+                self._require_facets(name)
+            seams, facets = dict(sides.seams), dict(self.facets)
+        else:
+            surface, seam = self._interface(sides.S, sides.upper, sides.lower, sides.direction)
+            seams, facets = {S: seam}, {S: surface, **{k: rows for k, rows in self.facets.items() if k != sides.S}}
         region = np.stack(list(self.regions.values())).argmax(axis=0)
         cells, names = self.cells, tuple(self.regions)
-        return Joint(cells.points, cells.nodes, cells.type, region, names, facets, upper, lower, sides.direction)
+        return Joint(cells.points, cells.nodes, cells.type, region, names, facets, seams)
 
-    def _interface(
-        self, name: str | None, upper: Names | None, lower: Names | None, way: tuple[float, ...] | None
-    ) -> tuple[IntArray, Names, Names]:
-        """Facets of S (n, k), the regions above it and below it."""
-        regions = f"regions: {', '.join(self.regions)}"
-        if name is not None and name not in self.facets:
+    def _require_facets(self, name: str) -> None:
+        """Raise GeometryError unless a set of facets of the mesh has this name."""
+        if name not in self.facets:
             raise GeometryError(
                 f"{unknown('set of facets', name, self.facets)} ({self.source})"
                 if self.facets
                 else f"no facets are named {name!r} or anything else; name some, or give S=None with upper and lower"
             )
+
+    def _interface(
+        self, name: str | None, upper: Names | None, lower: Names | None, way: tuple[float, ...] | None
+    ) -> tuple[IntArray, Seam]:
+        """Facets (n, k) of the only seam, and its sides."""
+        regions = f"regions: {', '.join(self.regions)}"
+        if name is not None:
+            self._require_facets(name)
         if name != S and S in self.facets:
             raise GeometryError(f"other facets are named {S!r}; rename them, or give S={S!r}")
         if name is None:
             if not upper or not lower or set(upper) & set(lower):
                 raise GeometryError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
-            return self._boundary(upper, lower), upper, lower
+            return self._boundary(upper, lower), Seam(lower, upper)
         facets = self.facets[name]
         table = self.cells.facets_among(np.unique(facets))
         rows = table.index(facets)
@@ -135,9 +178,10 @@ class Named:
             if way is not None:
                 raise GeometryError(f"direction is for S inside one body; {name!r} lies on the outer boundary")
             self._require_touched(name, upper or tuple(self.regions), table.cells[rows, 0])
-            return facets, upper or tuple(self.regions), ()
+            return facets, Seam((), upper or tuple(self.regions))
         if way is not None:
-            return facets, upper or lower or tuple(self.regions), lower or upper or tuple(self.regions)
+            whole = tuple(self.regions)
+            return facets, Seam(lower or upper or whole, upper or lower or whole, way)
         if not upper:
             touched = [region for region, member in self.regions.items() if member[table.cells[rows]].any()]
             raise GeometryError(
@@ -147,7 +191,7 @@ class Named:
         lower = tuple(region for region in self.regions if region not in upper) if lower is None else lower
         if not lower:
             raise GeometryError(f"{name!r} lies inside {'+'.join(upper)}, nothing is left below it; give the direction")
-        return facets, upper, lower
+        return facets, Seam(lower, upper)
 
     def _require_touched(self, name: str, upper: Names, cells: IntArray) -> None:
         """Raise GeometryError unless the cells at S, which lies on the outer boundary, belong to the upper body."""

@@ -14,7 +14,7 @@ from forms.base import is_finite
 from geometry.cells import Cells
 from geometry.joint import GeometryError, Joint, place
 from geometry.meshfile import cells_of, load
-from geometry.naming import Groups, Named, Sides
+from geometry.naming import Groups, Named, SeamsOf, Sides
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
 
@@ -25,7 +25,7 @@ PHYSICAL = "gmsh:physical"
 def read(
     path: str | Path,
     *,
-    S: str | None = "S",
+    S: SeamsOf = "S",
     upper: str | Sequence[str] | None = None,
     lower: str | Sequence[str] | None = None,
     direction: Sequence[float] | None = None,
@@ -42,7 +42,9 @@ def read(
     Args:
         path: a file with triangles, quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; 2D: in a plane
             z = const.
-        S: name of the group of facets that becomes "S"; None for all facets between the regions `lower` and `upper`.
+        S: name of the group of facets that becomes "S"; None for all facets between the regions `lower` and `upper`. For a
+            network, the names of several groups, which keep their names, or {name: its upper side}: a vector that points
+            there, (lower, upper) with names of regions, or None for the later region of the file.
         upper: name or names of the regions above S (default for S on the outer boundary or with `direction`: all).
         lower: name or names of the regions below S (default: all others; for S on the outer boundary none, a rigid base).
         direction: (d,) vector to the upper side, for S inside one body.

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from geometry.joint import Joint
+from geometry.joint import Joint, S
 from geometry.topology import FloatArray, IntArray, node_jacobians
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
@@ -54,20 +54,26 @@ def _keys(ridges: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class Sheet:
-    """S as n straight simplices between its vertices; a quadrilateral is two triangles.
+    """A seam as n straight simplices between its vertices; a quadrilateral is two triangles.
 
     Attributes:
         joint: the joint.
+        name: name of the seam; "S" for all seams.
     """
 
     joint: Joint
+    name: str = S
+
+    @cached_property
+    def facets(self) -> IntArray:
+        """Positions of its facets among those of S, `joint.surface`."""
+        return np.searchsorted(self.joint.surface_rows, self.joint.rows_of(self.name))
 
     @cached_property
     def parts(self) -> tuple[IntArray, IntArray]:
         """For each simplex its facet of S, (n,), and the corners of this facet, (n, d)."""
-        count = len(self.joint.surface)
         corners = TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
-        return np.tile(np.arange(count), len(corners)), np.repeat(np.array(corners), count, axis=0)
+        return np.tile(self.facets, len(corners)), np.repeat(np.array(corners), len(self.facets), axis=0)
 
     @cached_property
     def vertices(self) -> IntArray:
@@ -84,9 +90,10 @@ class Sheet:
     @cached_property
     def mean_normal(self) -> FloatArray:
         """(d,) unit vector; if S is closed, the normal of its first facet."""
-        mean = self.joint.interface_normals.mean(axis=0)
+        normals = self.joint.interface_normals[self.facets]
+        mean = normals.mean(axis=0)
         length = np.linalg.norm(mean)
-        return np.asarray(mean / length if length > CLOSED else self.joint.interface_normals[0])
+        return np.asarray(mean / length if length > CLOSED else normals[0])
 
     @cached_property
     def _edges(self) -> FloatArray:
@@ -125,11 +132,12 @@ class Sheet:
     def heights(self) -> tuple[float, ...]:
         """Volume over the area of S, of the lower side (none on a rigid base) and of the upper side.
 
-        If S lies inside one body, the only value is for this body.
+        If both sides are one body, the only value is for this body.
         """
         joint = self.joint
         volumes = np.abs(node_jacobians(joint.points, joint.corners, joint.cell_type)).mean(axis=1)
         volumes *= VOLUMES[joint.cell_type]
-        whole = [np.ones(len(volumes), bool)]
-        bodies = whole if joint.direction is not None or joint.rigid_base else [joint.side < 0, joint.side > 0]
-        return tuple(float(volumes[cells].sum() / self.areas.sum()) for cells in bodies)
+        pieces, cells = joint.splitting.pieces, joint.surface_cells[self.facets]
+        sides = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
+        sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
+        return tuple(float(volumes[np.isin(pieces, side)].sum() / self.areas.sum()) for side in sides)

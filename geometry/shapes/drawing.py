@@ -13,7 +13,7 @@ import dolfinx
 import gmsh
 import numpy as np
 
-from geometry.joint import GeometryError, Joint, S
+from geometry.joint import GeometryError, Joint, S, Seam
 from geometry.shapes.sizing import CELLS, RANGE, Cells, Grading, require_wide
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
 
@@ -212,8 +212,7 @@ class Shape(ABC):
             np.repeat(np.arange(len(bodies)), [len(body) for body in bodies]),
             names,
             {name: number(rows[:, : corner_count(facet_type)]) for name, rows in facets.items()},
-            upper=names[-1:],
-            lower=names[:-1],
+            {S: Seam(names[:-1], names[-1:])},
         )
 
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:

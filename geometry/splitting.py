@@ -1,0 +1,144 @@
+"""Splitting of a mesh along some of its facets: into which components the cells around each entity fall.
+
+The cells around a vertex, an edge or a face are in one component there if facets that are not cut lead from one to the
+other, around this entity. A vertex on a cut has two components, one at its tip, three where three cuts meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import basix
+import numpy as np
+import scipy.sparse
+from scipy.sparse.csgraph import connected_components
+
+from geometry.topology import BITS, FacetTable, IntArray, geometry_degree, lagrange
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """The components of a mesh that is cut along some facets. The cut does not depend on the numbers of cells.
+
+    Attributes:
+        cells: (n_cells, k) nodes, vertices first.
+        cell_type: type of the cells.
+        table: their facets.
+        cut: (m,) rows of `table`.
+    """
+
+    cells: IntArray
+    cell_type: str
+    table: FacetTable
+    cut: IntArray
+
+    @cached_property
+    def _topology(self) -> list[IntArray]:
+        return [np.array(of_dim) for of_dim in basix.topology(basix.CellType[self.cell_type])]
+
+    @property
+    def _corners(self) -> IntArray:
+        return self.cells[:, : len(self._topology[0])]
+
+    @cached_property
+    def _touched(self) -> IntArray:
+        """(n_cells, corners) whether each corner lies on the cut."""
+        on_cut = np.zeros(int(self.cells.max(initial=-1)) + 1, bool)
+        on_cut[self.table.vertices[self.cut]] = True
+        return on_cut[self._corners]
+
+    def components(self, dim: int) -> IntArray:
+        """(n_cells, entities of a cell) number of the cell's component around each of its entities of a dimension.
+
+        The component with the smallest cell has number 0; so have all cells around entities that are not split.
+        """
+        topology = self._topology
+        out = np.zeros((len(self.cells), len(topology[dim])), np.int64)
+        top = len(topology) - 1
+        if dim == top - 1:
+            second = self.table.cells[self.cut, 1] >= 0
+            rows = self.cut[second]
+            out[self.table.cells[rows, 1], self.table.local[rows, 1]] = 1
+        elif dim < top - 1:
+            self._around(dim, out)
+        return out
+
+    def _around(self, dim: int, out: IntArray) -> None:
+        """Fill in the components around vertices, or edges of a mesh in 3D."""
+        near = np.flatnonzero(self._touched.any(axis=1))
+        local = self._topology[dim]
+        touched = self._touched[near][:, local].any(axis=2)
+        ends = np.sort(self._corners[near][:, local], axis=2)
+        keys = (ends[..., 0] << BITS) + ends[..., -1]
+        position = np.full(len(self.cells), -1, np.int64)
+        position[near] = np.arange(len(near))
+
+        facets = np.flatnonzero(self.table.cells[:, 1] >= 0)
+        facets = np.setdiff1d(facets, self.cut, assume_unique=True)
+        pairs = position[self.table.cells[facets]]
+        facets, pairs = facets[(pairs >= 0).all(axis=1)], pairs[(pairs >= 0).all(axis=1)]
+        inside = np.array(
+            [[i for i, entity in enumerate(local) if set(entity) <= set(facet)] for facet in self._topology[-2]]
+        )
+        links = []
+        for cell, facet in zip(pairs.T, self.table.local[facets].T, strict=True):
+            entity = inside[facet]
+            order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
+            links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
+        label = _connected(*links, keys.size)
+
+        first = np.full(label.max(initial=-1) + 1, len(near))
+        np.minimum.at(first, label, np.repeat(np.arange(len(near)), len(local)))
+        found, at = np.unique(np.column_stack([keys.ravel(), first[label], label]), axis=0, return_inverse=True)
+        start = np.flatnonzero(np.diff(found[:, 0], prepend=-1))
+        number = np.arange(len(found)) - np.repeat(start, np.diff(start, append=len(found)))
+        out[near] = np.where(touched, number[at.ravel()].reshape(keys.shape), 0)
+
+    @cached_property
+    def of_nodes(self) -> IntArray:
+        """(n_cells, k) number of the cell's component around each of its nodes."""
+        dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
+        out = np.zeros(self.cells.shape, np.int64)
+        for dim, of_dim in enumerate(dofs[:-1]):
+            if any(map(len, of_dim)):
+                numbers = self.components(dim)
+                for entity, nodes in enumerate(of_dim):
+                    out[:, nodes] = numbers[:, [entity]]
+        return out
+
+    @cached_property
+    def copies(self) -> tuple[IntArray, IntArray]:
+        """The nodes of the split mesh beyond those of the mesh: (m, 2) node and component > 0, in ascending order.
+
+        And (n_cells, k) nodes of the split mesh: component 0 keeps a node's number, copies follow after the last node.
+        """
+        split, n = self.of_nodes, int(self.cells.max(initial=-1)) + 1
+        where = np.nonzero(split)
+        pairs, number = np.unique(np.column_stack([self.cells[where], split[where]]), axis=0, return_inverse=True)
+        cells = self.cells.copy()
+        cells[where] = n + number.ravel()
+        return pairs, cells
+
+    @cached_property
+    def pieces(self) -> IntArray:
+        """(n_cells,) number of the connected piece of each cell, in the order of their first cells."""
+        corners = self.copies[1][:, : self._corners.shape[1]]
+        first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
+        label = _connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
+        _, start, number = np.unique(label, return_index=True, return_inverse=True)
+        return np.argsort(np.argsort(start))[number.ravel()]
+
+    @cached_property
+    def valence(self) -> IntArray:
+        """(n_points,) number of components of the cells around each vertex; 0 for nodes that are no vertices."""
+        corners, split = self._corners, self.of_nodes[:, : self._corners.shape[1]]
+        out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
+        np.maximum.at(out, corners.ravel(), split.ravel() + 1)
+        return out
+
+
+def _connected(first: IntArray, second: IntArray, n: int) -> IntArray:
+    """(n,) labels of the connected components of a graph, given by its links."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
