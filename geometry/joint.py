@@ -334,8 +334,15 @@ class Joint:
 
     @property
     def rigid_base(self) -> bool:
-        """Whether all of S stands on a rigid base instead of lower bodies."""
-        return bool((self.surface_cells[:, 0] < 0).all())
+        """Whether all of S stands, or stood before inflating, on a rigid base instead of lower bodies."""
+        return len(self.base_seams) == len(self.seams)
+
+    @property
+    def base_seams(self) -> tuple[str, ...]:
+        """Names of the seams that stand, or stood before inflating, on a rigid base."""
+        joint = self.band.base if self.band else self
+        on_base = joint.surface_cells[:, 0] < 0
+        return tuple(name for k, name in enumerate(joint.seams) if on_base[joint.seam_numbers == k].all())
 
     @cached_property
     def splitting(self) -> Splitting:

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from geometry.joint import Joint, S
+from geometry.joint import FLAT, Joint, S
 from geometry.topology import FloatArray, IntArray, node_jacobians
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
@@ -94,6 +94,12 @@ class Sheet:
         mean = normals.mean(axis=0)
         length = np.linalg.norm(mean)
         return np.asarray(mean / length if length > CLOSED else normals[0])
+
+    @property
+    def planar(self) -> bool:
+        """Whether it lies in planes of one direction."""
+        normals = self.joint.node_normals[self.facets].reshape(-1, self.joint.dim)
+        return bool(np.ptp(normals, axis=0).max() <= FLAT)
 
     @cached_property
     def _edges(self) -> FloatArray:

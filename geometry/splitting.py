@@ -81,12 +81,12 @@ class Splitting:
         inside = np.array(
             [[i for i, entity in enumerate(local) if set(entity) <= set(facet)] for facet in self._topology[-2]]
         )
-        links = []
+        links: list[IntArray] = []
         for cell, facet in zip(pairs.T, self.table.local[facets].T, strict=True):
             entity = inside[facet]
             order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
             links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
-        label = _connected(*links, keys.size)
+        label = _connected(links[0], links[1], keys.size)
 
         first = np.full(label.max(initial=-1) + 1, len(near))
         np.minimum.at(first, label, np.repeat(np.arange(len(near)), len(local)))

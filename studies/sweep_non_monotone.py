@@ -151,7 +151,8 @@ def phases(record: Record, case: str, pictured: float, full: Solution, limit: So
     """
     state = last(limit)
     (x, on_s), (_, meshed) = (PhaseReport(last(one)).profile() for one in (limit, full))
-    thin = last(full).model.thin_layer
+    (layer,) = last(full).model.layers.values()
+    thin = layer.thin
     if thin and thin.eps == pictured:
         rows = zip(x[:, 0], meshed, on_s, strict=True)
         record.write(f"phases_{case}.csv", Table(dict(zip(("x", MESHED, ON_S), row, strict=True)) for row in rows))

@@ -97,8 +97,9 @@ class BrokenMesh:
             family, degree, *shape = element
             element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
         values = np.unique(np.concatenate([np.unique(self._body), *self.comm.allgather(np.unique(self._body))]))
-        colours = np.searchsorted(values, self._body).astype(np.int32)
-        return broken_space(self.comm, self.mesh, element, colours)
+        number = np.searchsorted(values, self._body)
+        counts = [cpp.mesh.cell_num_entities(self.mesh.topology.cell_type, dim) for dim in range(self._dim)]
+        return broken_space(self.comm, self.mesh, element, [np.tile(number, (count, 1)).T for count in counts])
 
     def interface(self, tag: int) -> Interface:
         """The two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""

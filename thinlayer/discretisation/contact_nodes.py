@@ -12,8 +12,8 @@ from petsc4py import PETSc
 
 from geometry.joint import S
 from geometry.topology import corner_count
-from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import ask
 
@@ -112,14 +112,12 @@ class ContactNodes:
 
     def _cells(self, facets: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """Upper and lower cell of each facet of S; on a rigid base twice the upper one."""
-        mesh, side = self.model.domain.mesh, self.model.sides_of_cells
+        mesh = self.model.domain.mesh
         if self.model.joint.rigid_base:
             cells = np.array([mesh.topology.connectivity(self.dim - 1, self.dim).links(f)[0] for f in facets], np.int32)
             return cells, cells
-        pairs = interior_facet_entities(mesh, facets)[:, [0, 2]]
-        swapped = side[pairs[:, 0]] < side[pairs[:, 1]]
-        pairs[swapped] = pairs[swapped][:, ::-1]
-        return pairs[:, 0], pairs[:, 1]
+        entities = seam_entities(self.model.domain, S)
+        return entities[:, 0], entities[:, 2]
 
     def _nodes(self, cells: npt.NDArray[np.int32], vertices: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
         """Local nodes of V at vertices (n, k) of cells (n,)."""

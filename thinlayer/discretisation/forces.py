@@ -100,7 +100,13 @@ class Forces:
         loaded = joint.region[cells] == joint.regions.index(region) if region else np.ones(len(cells), bool)
         rim = Sheet(joint).rim
         ends = rim[rim.on(facets)]
-        sides = [np.ones(len(cells), bool)] if joint.rigid_base else [joint.side[cells] < 0, joint.side[cells] > 0]
+        splitting = joint.splitting
+        around = splitting.copies[1][cells]
+        sides = [
+            np.isin(around, splitting.copies[1][beside]).any(axis=1)
+            for beside in joint.surface_cells.T
+            if (beside >= 0).all()
+        ]
         covered = [ends.on(facets[loaded & side]) for side in sides]
         if any(some.any() and not some.all() for some in covered):
             warn(

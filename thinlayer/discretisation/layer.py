@@ -6,7 +6,9 @@ Only this module turns parameters per thickness into real ones.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -17,7 +19,8 @@ from forms.contact import ContactLaw
 from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError
 from forms.traction import TractionLaw
-from geometry.joint import Profile
+from geometry.joint import Joint, Profile, unknown
+from thinlayer.errors import ModelError
 
 LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 
@@ -84,6 +87,24 @@ class ThinLayer:
 
 
 Layer = ThinLayer | LawOnS
+Layers = Layer | Mapping[str, Layer]
+
+
+def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
+    """The layer of each seam: one for all, or {name of a seam: layer}.
+
+    Raises:
+        ModelError: a seam has no layer, or a layer no seam.
+    """
+    if not isinstance(given, Mapping):
+        return dict.fromkeys(joint.seams, given)
+    for name in given:
+        if name not in joint.seams:
+            raise ModelError(f"layer: {unknown('seam', name, joint.seams)}")
+    for name in joint.seams:
+        if name not in given:
+            raise ModelError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
+    return dict(given)
 
 
 def real_law(layer: Layer, plane: str) -> BulkLaw:

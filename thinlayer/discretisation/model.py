@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -17,16 +16,18 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.joint import BONDED, Joint
+from geometry.joint import LOWER_FACE, UPPER_FACE, Joint
+from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
-from thinlayer.discretisation.broken import Colours, broken_space
+from thinlayer.discretisation.broken import broken_space
 from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.layer import ThinLayer, constants, in_plane
+from thinlayer.discretisation.layer import constants, in_plane, layers_of
 from thinlayer.discretisation.loads import Coordinates, Supports
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import require_support
+from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -41,9 +42,7 @@ class Model(ABC):
         structure: the structure, shared with other models.
         joint: the joint before inflating.
         plane, element, body_laws: the structure's.
-        layer_law: law of the layer, as given; None where the bodies are bonded.
-        thin_layer: the layer, if it has a law of strains; else None.
-        contact: the contact law on S, if there is one.
+        layers: name of a seam -> its layer; empty where the bodies are bonded.
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
@@ -64,14 +63,13 @@ class Model(ABC):
 
     name: ClassVar[str]
     broken: ClassVar[bool] = False
-    layer_law: Law | None = None
-    thin_layer: ThinLayer | None = None
-    contact: ContactLaw | None = None
 
     def __init__(self, structure: Setup, layer: object, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
         with on_all(structure.comm):
+            given = {} if layer is None else layers_of(self.joint, layer)
+            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
             inflated = self._checked()
         what = require_same(structure.comm, model=self.name, layer=layer, options=options)
         self.mark = structure.mark + what
@@ -81,8 +79,7 @@ class Model(ABC):
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
-            clamped = self._clamped if self.joint.rigid_base else ()
-            self.supports = Supports(self.domain, structure.supports, self.coordinates, clamped)
+            self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
             self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
@@ -95,14 +92,17 @@ class Model(ABC):
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
-        if not self.joint.rigid_base:
+        if not self.joint.base_seams:
             resistances = [partial(part.resistance, self) for part in self.parts]
             require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
     # ---------------------------------------------------------------- differences between kinds of models
-    _clamped: ClassVar[tuple[str, ...]] = ()  # names of the facets that a rigid base holds
+    @property
+    def _clamped(self) -> tuple[str, ...]:
+        """Names of the facets that a rigid base holds."""
+        return ()
 
     @abstractmethod
     def _checked(self) -> Joint:
@@ -112,16 +112,14 @@ class Model(ABC):
     def _layer_terms(self) -> list[forms.Term]:
         """The terms of the layer's law."""
 
-    @property
-    def _colours(self) -> Colours:
-        """Colours of cells; displacements jump between cells of different colours."""
-        return self.sides_of_cells if self.broken else np.zeros_like(self.sides_of_cells)
-
     # ---------------------------------------------------------------- spaces
     @cached_property
-    def sides_of_cells(self) -> npt.NDArray[np.int32]:
-        """0 below S, 1 in the layer, 2 above: colours of a space that is broken at both faces."""
-        return self.domain.on_cells((self.domain.joint.side + 1).astype(np.int32))
+    def splitting(self) -> Splitting:
+        """The joint's mesh, cut where displacements jump."""
+        joint = self.domain.joint
+        if self.broken:
+            return joint.splitting
+        return Splitting(joint.cells, joint.cell_type, joint.table, np.empty(0, np.int64))
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """A vector space on the model's mesh with the jumps of its displacements. Collective.
@@ -129,12 +127,20 @@ class Model(ABC):
         Args:
             degree: polynomial degree.
             family: basix family (default: Lagrange).
-            broken_at_faces: whether functions also jump between the meshed layer and the bodies.
+            broken_at_faces: whether functions also jump between the meshed layer and the bodies, or across S.
         """
-        mesh = self.domain.mesh
-        element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(self.joint.dim,))
-        colours = self.sides_of_cells if broken_at_faces else self._colours
-        return broken_space(self.comm, mesh, element, colours, self.domain.facets(BONDED))
+        mesh, dim = self.domain.mesh, self.joint.dim
+        element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(dim,))
+        cut = self._cut_at_faces() if broken_at_faces else self.splitting
+        return broken_space(self.comm, mesh, element, [self.domain.on_cells(cut.components(k)) for k in range(dim)])
+
+    def _cut_at_faces(self) -> Splitting:
+        joint = self.domain.joint
+        if joint.band is None:
+            return joint.splitting
+        facets = [joint.facets[name] for name in (LOWER_FACE, UPPER_FACE) if name in joint.facets]
+        rows = np.unique(joint.table.index(np.concatenate(facets)))
+        return Splitting(joint.cells, joint.cell_type, joint.table, rows)
 
     # ---------------------------------------------------------------- where laws act
     @property
@@ -149,10 +155,20 @@ class Model(ABC):
         """All terms of the model."""
         return self.bodies + self.layer_terms
 
+    @property
+    def contact(self) -> ContactLaw | None:
+        """The contact law, if a layer has one."""
+        return next((one.contact for one in self.layers.values() if one.contact), None)
+
+    @property
+    def layer_laws(self) -> list[Law]:
+        """The laws of the layers, as given."""
+        return [one.law for one in self.layers.values()]
+
     @cached_property
     def linear(self) -> bool:
         """Whether all laws and all additions are linear."""
-        of_laws = self.contact is None and all(p.law.traits.linear for p in self.terms)
+        of_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
         return of_laws and all(part.is_linear(self) for part in self.parts)
 
     @cached_property
@@ -189,13 +205,10 @@ class Model(ABC):
         return {"model": repr(self), **self.domain.joint.identity(), **self.made_from}
 
     def _data(self) -> dict[str, Any]:
-        layer = self.thin_layer
         return {
             "plane": self.plane,
             **self._laws(),
-            "eps": float(layer.eps) if layer else None,
-            "order": layer.order if layer else None,
-            "profile": described(self.joint.relative_thickness(layer.profile)) if layer and layer.profile else None,
+            "layers": {name: one.identity() for name, one in self.layers.items()},
             "supports": [[str(place), described(given)] for place, given in self.supports.entries],
             "loads": described(self.forces.given),
             "parts": described(list(self.parts)),
@@ -203,7 +216,7 @@ class Model(ABC):
 
     def _laws(self) -> dict[str, Any]:
         return {
-            "law": described(self.layer_law) if self.layer_law else None,
+            "law": {name: described(one.law) for name, one in self.layers.items()},
             "bodies": {name: described(law) for name, law in self.body_laws.items()},
         }
 

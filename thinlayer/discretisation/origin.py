@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from geometry.domain import Domain
-from geometry.joint import Joint, S
+from geometry.joint import Joint
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.pointwise.quadrature import Origin
 
@@ -27,11 +27,12 @@ def column_numbers(joint: Joint) -> tuple[npt.NDArray[np.int64], Array]:
         Numbers (cells or facets,), and the centres (columns, d) of the facets of S in the joint before inflating.
     """
     if joint.band is None:
-        rows = np.sort(joint.table.index(joint.facets[S]))
+        rows = joint.surface_rows
         numbers = np.full(len(joint.table.vertices), -1, np.int64)
         numbers[rows] = np.arange(len(rows))
         return numbers, joint.points[joint.table.vertices[rows]].mean(axis=1)
-    layer = np.flatnonzero(joint.side == 0)
+    regions = [joint.regions.index(name) for name in joint.band.regions]
+    layer = np.flatnonzero(np.isin(joint.region, regions))
     places, place = np.unique(joint.reference, axis=0, return_inverse=True)
     below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice
     below[:, 1:][below[:, 1:] == below[:, :-1]] = -1

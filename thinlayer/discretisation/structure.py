@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from thinlayer.discretisation.kinds import BondedModel, FullModel, InterfaceModel
-from thinlayer.discretisation.layer import Layer, ThinLayer
+from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.setup import Setup
 
 
@@ -41,11 +41,12 @@ class Structure(Setup):
         """
         return FullModel(self, layer, bodies=bodies, cells_through=cells_through)
 
-    def interface(self, layer: Layer) -> InterfaceModel:
+    def interface(self, layer: Layers) -> InterfaceModel:
         """The model whose layer is replaced by its interface law on S. Collective.
 
         Args:
-            layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law.
+            layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; of a joint with several seams,
+                {name of a seam: its layer}, or one layer for all.
 
         Raises:
             ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.

@@ -60,12 +60,14 @@ def compare(
         raise ModelError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     if full.model.element != interface.model.element:
         raise ModelError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
-    if limit.thin_layer and meshed.layer.eps != limit.thin_layer.eps:
-        raise ModelError(f"compare needs one thickness, not {meshed.layer.eps} and {limit.thin_layer.eps}")
+    for name, layer in limit.layers.items():
+        thin, other = meshed.layers[name].thin, layer.thin
+        if thin and other and thin.eps != other.eps:
+            raise ModelError(f"compare needs one thickness, not {thin.eps} and {other.eps}")
     on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
     surface = Surface(limit)
     part = 1 if where is None else _part(surface, where)
-    row = {"eps": float(meshed.layer.eps)}
+    row = {"eps": max(float(one.thin.eps) for one in meshed.layers.values() if one.thin)}
     sizes = {}
     for name, field in (("traction", surface.traction), ("jump", surface.jump)):
         by_law = field(interface)
@@ -93,11 +95,11 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     for name in ("plane", "bodies", "supports", "loads"):
         if there[name] != here[name]:
             raise ModelError(f"compare needs the same {name}, not {there[name]} and {here[name]}")
-    if interface.thin_layer is None:  # a law on S has no thickness
-        return
-    one, other = (full.joint.relative_thickness(layer.profile) for layer in (full.layer, interface.thin_layer))
-    if not np.allclose(one, other, rtol=SAME_PROFILE, atol=0.0):
-        raise ModelError("compare needs the same profile of the thickness in both models")
+    for name, layer in interface.layers.items():
+        both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
+        shapes = [full.joint.relative_thickness(profile) for profile in both]  # a law on S has no thickness
+        if not np.allclose(shapes[0], shapes[-1], rtol=SAME_PROFILE, atol=0.0):
+            raise ModelError("compare needs the same profile of the thickness in both models")
 
 
 def _part(surface: Surface, where: Where) -> Expr:

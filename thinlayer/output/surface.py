@@ -19,6 +19,7 @@ from ufl.domain import extract_domains
 
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
+from geometry.joint import S, unknown
 from geometry.order import order_on_s
 from thinlayer.discretisation.contact_nodes import CONTACT, ContactNodes
 from thinlayer.discretisation.kinds import InterfaceModel
@@ -80,18 +81,23 @@ class Surface:
 
     Attributes:
         model: an interface model.
+        seam: name of a seam of its joint; "S": all of them.
 
     Raises:
-        ModelError: another kind of model.
+        ModelError: another kind of model; an unknown seam.
     """
 
     model: InterfaceModel
+    seam: str = S
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, seam: str = S) -> None:
         if not isinstance(model, InterfaceModel):
             hint = ": give the state's model" if isinstance(model, State) else ""
             raise ModelError(f"Surface needs an interface model, not {_short(model)}{hint}")
+        if seam not in (S, *model.joint.seams):
+            raise ModelError(unknown("seam", seam, model.joint.seams))
         object.__setattr__(self, "model", model)
+        object.__setattr__(self, "seam", seam)
 
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):
@@ -116,7 +122,7 @@ class Surface:
             raise ModelError(
                 "an expression on S is of another model's mesh; bring states here by surface.displacement(state)"
             )
-        if not self.model.joint.rigid_base and _lacks_side(found, (self.model.V, self.trace_space)):
+        if not self._on_base and _lacks_side(found, (self.model.V, self.trace_space)):
             raise ModelError(
                 "an expression on S has a field that jumps there; say on which side, as surface.sides.upper(u) or "
                 "surface.sides.lower(u), or take surface.jump(state)"
@@ -132,8 +138,24 @@ class Surface:
 
     @property
     def sides(self) -> Interface:
-        """The two sides of S."""
-        return self.model.sides
+        """The two sides of S, or of the seam."""
+        return self.model.sides_of(self.seam)
+
+    @property
+    def _on_base(self) -> bool:
+        """Whether the surface stands on a rigid base."""
+        return bool(set(self._seams) & set(self.model.joint.base_seams))
+
+    @property
+    def _seams(self) -> tuple[str, ...]:
+        return tuple(self.model.joint.seams) if self.seam == S else (self.seam,)
+
+    @cached_property
+    def _zero(self) -> tuple[npt.NDArray[np.bool_], bool]:
+        """See `SeamLayer.zero_tractions`; of all seams."""
+        moving = any(callable(value) for _, given in self.model.supports.entries for value in given.values())
+        found = [self.model.layers[name].zero_tractions(moving) for name in self._seams]
+        return np.all([along for along, _ in found], axis=0), all(whole for _, whole in found)
 
     @cached_property
     def trace_space(self) -> fem.FunctionSpace:
@@ -169,7 +191,7 @@ class Surface:
 
         - under contact it is that of the law;
         - where supports hold the bodies together it is zero, if this follows from the interface law
-          (`InterfaceModel.zero_tractions`; a meshed layer about as hard as the bodies is strained there: take a surface
+          (`SeamLayer.zero_tractions`; a meshed layer about as hard as the bodies is strained there: take a surface
           of order 1);
         - elsewhere it is extrapolated linearly from the nodes around, two nodes deep (zero where supports hold all of
           these, too). This is exact for uniform and linear tractions.
@@ -191,7 +213,7 @@ class Surface:
         if not state.model.contact and self.model.comm.allreduce(int((unknown & ~zero).any())):
             self._extrapolate(r, unknown, unknown & ~zero)
         t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, zero)
-        if self.model.joint.rigid_base:
+        if self._on_base:
             return -self.sides.upper(t)
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
 
@@ -264,7 +286,7 @@ class Surface:
 
         At a node where S ends inside the bodies both sides have the same displacement; nothing is replaced there.
         """
-        if self.model.joint.rigid_base:
+        if self._on_base:
             return held
         there = fem.Function(self.trace_space)
         there.x.array[:] = held
@@ -277,14 +299,14 @@ class Surface:
         """The components whose traction is zero, among those in which supports hold the bodies together."""
         if not self.model.comm.allreduce(int(together.any())):
             return together
-        along, whole = self.model.zero_tractions
+        along, whole = self._zero
         nodes = together.reshape(-1, len(along))
         return np.asarray((nodes & (along | (whole & nodes.all(axis=1, keepdims=True)))).ravel())
 
     def _jumps(self, u: fem.Function) -> npt.NDArray[np.bool_]:
         """Where a function of the trace space differs from side to side (on a rigid base: from zero)."""
         largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
-        other = 0.0 if self.model.joint.rigid_base else self._of_other_side(u)
+        other = 0.0 if self._on_base else self._of_other_side(u)
         return np.asarray(np.abs(u.x.array - other) > NO_JUMP * largest)
 
     def _extrapolate(self, r: fem.Function, unknown: npt.NDArray[np.bool_], wanted: npt.NDArray[np.bool_]) -> None:
@@ -370,7 +392,7 @@ class Surface:
         V, sides = self.trace_space, self.sides
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         form = ufl.inner(sides.upper(u), sides.upper(v)) * sides.measure
-        if not self.model.joint.rigid_base:
+        if not self._on_base:
             form += ufl.inner(sides.lower(u), sides.lower(v)) * sides.measure
         A = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
         A.assemble()

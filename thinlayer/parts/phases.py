@@ -41,15 +41,14 @@ class PhaseReport:
     def __post_init__(self) -> None:
         if not isinstance(self.state, State):
             raise ModelError(f"state is {self.state!r}; PhaseReport takes what solve or march returns")
-        if not self._layer.law.traits.phases:
-            raise ModelError(NO_PHASES)
+        _ = self._layer
 
     @cached_property
     def _layer(self) -> ThinLayer:
-        layer = self.state.model.thin_layer
-        if layer is None:
-            raise ModelError(NO_PHASES)
-        return layer
+        thin = [one.thin for one in self.state.model.layers.values() if one.thin and one.law.traits.phases]
+        if len(thin) != 1:
+            raise ModelError(NO_PHASES if not thin else "several layers have phases; a report is of one")
+        return thin[0]
 
     @cached_property
     def _parts(self) -> list[tuple[Quadrature, Array, Array]]:

@@ -176,9 +176,9 @@ class Record:
 
     def solved(self, state: State) -> State:
         """Note for run.json how a state was found; returns the state."""
-        layer, report = state.model.thin_layer, state.report
-        noted = {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t}
-        self.solves.append(noted | asdict(report))
+        thin = {name: one.thin.eps for name, one in state.model.layers.items() if one.thin}
+        eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
+        self.solves.append({"model": repr(state.model), "eps": eps, "t": state.t} | asdict(state.report))
         LOG.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
         return state
 

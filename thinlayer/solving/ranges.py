@@ -16,9 +16,8 @@ from forms.tangent import across, average_lame, in_plane_modulus
 from geometry.joint import LAYER, S
 from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray
-from thinlayer.discretisation.kinds import InterfaceModel
-from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.parallel.exchange import carry
@@ -46,17 +45,14 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         model: the model.
         lasting: durations > 0 of the loads at the times of interest; () for sudden loads.
     """
-    found = _thin(model)
-    if found is None:
-        return
-    limit, layer = found
-    sublayers = _sublayers(limit)
-    _warn_of_facets(limit, layer)
-    if not _of_jumps(sublayers):
-        _warn_of_thickness(limit, layer)
-        _warn_of_hard_layer(limit, layer, sublayers)
-    at_once = [] if lasting and layer.law.traits.rate else [sublayers]
-    _warn_of_free_ends(limit, layer, [*at_once, *(_sublayers(limit, dt) for dt in lasting)])
+    for one in _thin(model):
+        sublayers = _sublayers(one)
+        _warn_of_facets(model, one)
+        if not _of_jumps(sublayers):
+            _warn_of_thickness(model, one)
+            _warn_of_hard_layer(model, one, sublayers)
+        at_once = [] if lasting and one.law.traits.rate else [sublayers]
+        _warn_of_free_ends(model, one, [*at_once, *(_sublayers(one, dt) for dt in lasting)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -66,34 +62,31 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         states: of one model.
         start: time since which loads last; None if they are sudden at every state.
     """
-    thin = _thin(states[0].model) if states else None
-    if thin is None:
+    if not states:
         return
-    model, layer = thin
-    sublayers = _sublayers(model)
-    found = [faces for faces in (_Faces.of(state, layer) for state in states) if faces]
-    if not found:
-        return
-    if not (model.linear or _of_jumps(sublayers)):
-        _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
-    if layer.law.traits.linear and not layer.law.traits.phases:  # the strain of a phase brings about no pressure
-        _warn_of_pressure(model, found, start)
+    model = states[0].model
+    for one in _thin(model):
+        found = [faces for faces in (_Faces.of(state, one) for state in states) if faces]
+        if not found:
+            continue
+        if not (model.linear or _of_jumps(_sublayers(one))):
+            _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
+        if one.law.traits.linear and not one.law.traits.phases:  # the strain of a phase brings about no pressure
+            _warn_of_pressure(model, one, found, start)
 
 
-def _thin(model: Model) -> tuple[InterfaceModel, ThinLayer] | None:
-    """An interface model and its layer, if the layer's law is one of strains; else None."""
-    if not isinstance(model, InterfaceModel) or model.thin_layer is None:
-        return None
-    return model, model.thin_layer
+def _thin(model: Model) -> list[SeamLayer]:
+    """The layers of an interface model whose laws are of strains."""
+    return [one for one in model.layers.values() if one.thin] if model.broken else []
 
 
-def free_rim(model: Model) -> Rim:
-    """The part of the rim of S where the layer's side is free: no support of the whole side holds it along S."""
-    rim, supports = model.structure.sheet.rim, model.supports
+def free_rim(model: Model, sheet: Sheet) -> Rim:
+    """The part of the rim of a seam where the layer's side is free: no support of the whole side holds it along S."""
+    rim, supports = sheet.rim, model.supports
     held = np.zeros(rim.outward.shape)
     for place, components in supports.entries:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
-        if name == S or name not in model.joint.facets:  # a vertex, or the side of one body
+        if name in (S, *model.joint.seams) or name not in model.joint.facets:  # a vertex, or the side of one body
             continue
         axes = [supports.axes.index(axis) for axis in components]
         held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
@@ -143,10 +136,10 @@ class Sublayer:
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
-def _sublayers(model: InterfaceModel, dt: float = 0.0) -> list[Sublayer]:
-    """The sublayers of a model's layer under loads that have lasted dt (0: at rest); [] if tangents are not known."""
-    n, sublayers = model.at_rest.n, model.at_rest.sublayers
-    later = model.at_rest.over(dt) if dt > 0 else [None] * len(sublayers)
+def _sublayers(one: SeamLayer, dt: float = 0.0) -> list[Sublayer]:
+    """The sublayers of a layer under loads that have lasted dt (0: at rest); [] if tangents are not known."""
+    n, sublayers = one.at_rest.n, one.at_rest.sublayers
+    later = one.at_rest.over(dt) if dt > 0 else [None] * len(sublayers)
     found: list[Sublayer] = []
     for (a, law, C), C_later in zip(sublayers, later, strict=True):
         if C is None and C_later is None:
@@ -163,14 +156,14 @@ def _of_jumps(sublayers: list[Sublayer]) -> bool:
     return bool(sublayers) and all(one.along <= NEGLIGIBLE * one.mu for one in sublayers)
 
 
-def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
+def _warn_of_facets(model: Model, one: SeamLayer) -> None:
     """Warn if slip along straight facets of a curved S is resisted by the angles between the facets.
 
     A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
     vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential one. Angles above CORNER_ANGLE
     are corners of S.
     """
-    sheet, joint = model.structure.sheet, model.joint
+    sheet, joint = one.sheet, model.joint
     if joint.degree > 1 or joint.planar:
         return
     used, number = np.unique(sheet.vertices, return_inverse=True)
@@ -182,7 +175,7 @@ def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
     k = joint.dim
     squares = ((tilt.sum(axis=1) ** 2).sum(axis=1) + (tilt**2).sum(axis=(1, 2))) / (k * (k + 1))
     angle = math.sqrt(float(sheet.areas @ squares / sheet.areas.sum()))
-    normal, tangential = stiffness_of_jumps(model, layer)
+    normal, tangential = stiffness_of_jumps(one)
     if normal * angle**2 > LEAST_ERROR * tangential:
         effect = (
             f"is about {1 + normal * angle**2 / tangential:.3g} times too stiff against it,"
@@ -197,10 +190,11 @@ def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
         )
 
 
-def stiffness_of_jumps(model: InterfaceModel, layer: ThinLayer) -> tuple[float, float]:
+def stiffness_of_jumps(one: SeamLayer) -> tuple[float, float]:
     """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
-    n, compliances = model.at_rest.n, np.zeros(2)
-    for fraction, _, C in model.at_rest.sublayers:
+    assert one.thin
+    n, compliances = one.at_rest.n, np.zeros(2)
+    for fraction, _, C in one.at_rest.sublayers:
         if C is None:
             return 0.0, 0.0
         A = across(C, n)
@@ -209,77 +203,78 @@ def stiffness_of_jumps(model: InterfaceModel, layer: ThinLayer) -> tuple[float, 
         if min(along, up) <= NEGLIGIBLE * size:
             return up, 0.0
         compliances += [fraction / up, fraction / along]
-    normal, tangential = 1 / (compliances * layer.eps)
+    normal, tangential = 1 / (compliances * one.thin.eps)
     return float(normal), float(tangential)
 
 
-def _warn_of_thickness(model: InterfaceModel, layer: ThinLayer) -> None:
+def _warn_of_thickness(model: Model, one: SeamLayer) -> None:
     """Warn if the layer is thicker than a body.
 
     The law is the start of a series in eps over the length on which the bodies' stresses vary.
     """
-    height = min(model.structure.sheet.heights)
-    if layer.eps > height:
+    height, layer = min(one.sheet.heights), one.thin
+    if layer and layer.eps > height:
         warn(
-            f"the layer is {layer.eps:.4g} thick, the thinner body {height:.4g} (its volume over the area of S): the "
+            f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} (its volume over the area of S): the "
             "interface law is for thicknesses well below that of the bodies; mesh the layer (structure.full), or check eps",
             model.comm,
         )
 
 
-def _warn_of_hard_layer(model: InterfaceModel, layer: ThinLayer, sublayers: list[Sublayer]) -> None:
+def _warn_of_hard_layer(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> None:
     """Warn if the layer is harder than a body.
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
     """
-    n, bodies = model.at_rest.n, model.structure.bodies_at_rest
-    if layer.order == 1 or not sublayers or any(C is None for C in bodies):
+    layer, n, bodies = one.thin, one.at_rest.n, model.structure.bodies_at_rest
+    if layer is None or layer.order == 1 or not sublayers or any(C is None for C in bodies):
         return
     softest = min(in_plane_modulus(C, n) for C in bodies if C is not None)
     hardest = max(one.along for one in sublayers)
     if hardest > softest > 0:
         warn(
-            f"the layer is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S; the layer's "
+            f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S; the layer's "
             f"are its law's times eps = {layer.eps:.4g}): its jump is less than what order 0 leaves out; use order=1, mesh "
             "the layer (structure.full), or check whether the law's parameters are per thickness",
             model.comm,
         )
 
 
-def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence[list[Sublayer]]) -> None:
+def _warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> None:
     """Warn if the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta.
 
     Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
     1 - tanh(l/delta) delta/l of the load that the law gives. The warning names the largest factor.
 
     Args:
-        limit: the interface model.
-        layer: its layer.
+        model: the interface model.
+        one: the layer.
         layers: the sublayers at several times.
     """
     layers = [sublayers for sublayers in layers if any(one.nearly for one in sublayers)]
     if not layers:
         return
-    rim = free_rim(model)
+    assert one.thin
+    rim, eps = free_rim(model, one.sheet), one.thin.eps
     if not len(rim.vertices):
         return
     if any(one.length == math.inf for sublayers in layers for one in sublayers):
         warn(
-            "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
+            f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
             "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; mesh the layer "
             "(structure.full), or support its sides if they are held",
             model.comm,
         )
         return
-    width = float(model.structure.sheet.areas.sum() / rim.length.sum())
-    lengths = [pressure_length(sublayers, width / layer.eps) for sublayers in layers]
+    width = float(one.sheet.areas.sum() / rim.length.sum())
+    lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda one: one.length)
-    delta = layer.eps * max(lengths)
+    delta = eps * max(lengths)
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
     if lost > 1 / (1 - LEAST_ERROR) - 1:
         warn(
-            f"the layer is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
+            f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
             f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; mesh the "
             "layer (structure.full), or support its sides if they are held",
@@ -326,10 +321,10 @@ class _Faces:
     upper: FloatArray
 
     @classmethod
-    def of(cls, state: State, layer: ThinLayer) -> _Faces | None:
+    def of(cls, state: State, one: SeamLayer) -> _Faces | None:
         """The faces of a state on rank 0, None on other ranks. Collective."""
         model, joint = state.model, state.model.joint
-        cells = joint.table.cells[joint.surface_rows]
+        cells = joint.surface_cells[one.sheet.facets]
         needed = np.unique(cells[cells >= 0])
         place = np.full(len(joint.cells), -1)
         place[needed] = np.arange(len(needed))
@@ -342,17 +337,16 @@ class _Faces:
         values = carry(model.comm, owned[local], values, wanted)
         if model.comm.rank:
             return None
-        at_corners, sheet = values.reshape(len(needed), -1, joint.dim), model.structure.sheet
-        above = (joint.side[cells[:, 0]] > 0) | joint.rigid_base
-        upper, lower = (np.where(above == first, cells[:, 0], cells[:, 1]) for first in (True, False))
+        at_corners, sheet = values.reshape(len(needed), -1, joint.dim), one.sheet
+        below, above = cells[np.searchsorted(sheet.facets, sheet.parts[0])].T
 
         def at_vertices(cell: IntArray) -> FloatArray:
-            cell = cell[sheet.parts[0]]
             corner = (joint.corners[cell][:, None, :] == sheet.vertices[:, :, None]).argmax(axis=2)
             return np.asarray(at_corners[place[cell][:, None], corner])
 
-        u, thickness = at_vertices(upper), layer.eps * joint.relative_thickness(layer.profile)[sheet.vertices]
-        return cls(state, sheet, thickness, 0 * u if joint.rigid_base else at_vertices(lower), u)
+        assert one.thin
+        u, thickness = at_vertices(above), one.thin.eps * joint.relative_thickness(one.thin.profile)[sheet.vertices]
+        return cls(state, sheet, thickness, 0 * u if (below < 0).any() else at_vertices(below), u)
 
     @cached_property
     def opening(self) -> FloatArray:
@@ -398,7 +392,7 @@ def _warn_of_overlap(faces: _Faces) -> None:
         )
 
 
-def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: float | None) -> None:
+def _warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[_Faces], start: float | None) -> None:
     """Warn if the law is too stiff for the openings found, compared with a layer whose pressure evens out along S.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
@@ -410,7 +404,7 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
     worst, sublayer = LEAST_ERROR, None
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
-        sublayers = _sublayers(model, 0.0 if start is None else state.t - start)
+        sublayers = _sublayers(one, 0.0 if start is None else state.t - start)
         if len(sublayers) != 1 or not LONG_PRESSURE < sublayers[0].length < math.inf:
             continue
         excess = pressure_excess(faces, sublayers[0])
@@ -418,7 +412,7 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
             worst, sublayer = excess, sublayers[0]
     if sublayer:
         warn(
-            f"the layer is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
+            f"{one} is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
             f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
             "flow along S; the structure is off by less where the bodies are soft; mesh the layer (structure.full) to see "
             "by how much",
@@ -450,7 +444,7 @@ def pressure_excess(faces: _Faces, layer: Sublayer) -> float:
     flow = _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
     moments = (mass @ wb[..., None])[..., 0]
     b = np.bincount(number.ravel(), moments.ravel(), len(used))
-    rim = free_rim(faces.state.model)
+    rim = free_rim(faces.state.model, sheet)
     fine = rim[rim.depth <= layer.length * eps[rim.simplex]]
     inside = np.setdiff1d(np.arange(len(used)), np.searchsorted(used, fine.vertices))
     if not b[inside].any():

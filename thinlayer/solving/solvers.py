@@ -94,11 +94,12 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if model.layer_law and model.layer_law.traits.softens:
-        raise ModelError(
-            f"{what}: the stress of {model.layer_law!r} falls as jumps grow, and an equilibrium may be one of several; "
-            "follow them from rest with march(model, ArcLength(...))"
-        )
+    for law in model.layer_laws:
+        if law.traits.softens:
+            raise ModelError(
+                f"{what}: the stress of {law!r} falls as jumps grow, and an equilibrium may be one of several; "
+                "follow them from rest with march(model, ArcLength(...))"
+            )
 
 
 def comm_of(model: Any) -> MPI.Intracomm:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 from petsc4py import PETSc
-from scipy.sparse.csgraph import connected_components
 
-from geometry.topology import IntArray
 from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
@@ -25,25 +21,6 @@ ALLOWED_MOTION = 1e-10
 RESISTED_MOTION = 1e3 * np.finfo(float).eps
 
 Array = npt.NDArray[np.float64]
-
-
-def pieces(model: Model) -> tuple[IntArray, int]:
-    """The number of each cell's connected piece (cells,), and the number of pieces.
-
-    Cells that share a node are connected, unless they lie on different sides of S there.
-    """
-    joint = model.domain.joint
-    nodes = joint.cells * 3 + (joint.side + 1)[:, None] if model.broken else joint.cells * 3
-    links: list[tuple[Any, Any]] = [(nodes[:, :1].repeat(nodes.shape[1] - 1, axis=1).ravel(), nodes[:, 1:].ravel())]
-    if model.broken and len(joint.bonded):
-        at = np.unique(joint.table.vertices[joint.bonded]) * 3
-        links += [(at, at + 1), (at, at + 2)]
-    first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))
-    size = 3 * len(joint.points)
-    graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(size, size))
-    found = connected_components(graph, directed=False)[1][nodes[:, 0]]
-    names, number = np.unique(found, return_inverse=True)
-    return number, len(names)
 
 
 class RigidMotions:
@@ -74,7 +51,8 @@ class RigidMotions:
         """Translations and rotations of each piece at the displacements of this rank; they are of the order of 1."""
         model, joint = self.model, self.model.domain.joint
         V = model.V
-        number, count = pieces(model)
+        number = model.splitting.pieces
+        count = int(number.max()) + 1
         self._names = [joint.regions[joint.region[int((number == k).argmax())]] for k in range(count)]
         owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)

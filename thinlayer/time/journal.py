@@ -121,7 +121,7 @@ class Journal:
         for name in COLUMNS[len(values) :]:
             value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
             values[name] = None if math.isnan(value) else value
-        if self.model.layer_law and self.model.layer_law.traits.phases:
+        if any(law.traits.phases for law in self.model.layer_laws):
             report = PhaseReport(state)
             energy = None if math.isnan(state.audit.total) else state.audit.total
             values |= {"energy": energy} | {name: getattr(report, name) for name in PHASE_COLUMNS[1:]}

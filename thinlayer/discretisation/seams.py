@@ -1,0 +1,153 @@
+"""Layers on their seams: what a model needs to know of a layer before anything is discretised, and S on the mesh."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.contact import ContactLaw
+from forms.law import Law
+from geometry.domain import Domain
+from geometry.joint import place
+from geometry.sheet import Sheet
+from geometry.topology import is_tensor
+from thinlayer.compiling.compat import interior_facet_entities
+from thinlayer.discretisation.at_rest import AtRest
+from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer, real_law
+from thinlayer.discretisation.setup import Setup
+from thinlayer.errors import ModelError
+from thinlayer.identity.described import described
+
+
+class SeamLayer:
+    """A layer, or a law of jumps or of nodes, on a seam.
+
+    Attributes:
+        name: of the seam.
+        layer: as given.
+        structure: the data of the bodies.
+    """
+
+    def __init__(self, name: str, layer: Layer, structure: Setup) -> None:
+        self.name, self.layer, self.structure = name, layer, structure
+
+    def __str__(self) -> str:
+        return f"the layer {self.name!r}" if len(self.structure.joint.seams) > 1 else "the layer"
+
+    @property
+    def thin(self) -> ThinLayer | None:
+        """The layer, if it has a law of strains."""
+        return None if isinstance(self.layer, LawOnS) else self.layer
+
+    @property
+    def contact(self) -> ContactLaw | None:
+        """The law, if it is one of contact."""
+        return self.layer if isinstance(self.layer, ContactLaw) else None
+
+    @property
+    def law(self) -> Law:
+        """The law, as given."""
+        return self.layer if isinstance(self.layer, LawOnS) else self.layer.law
+
+    @cached_property
+    def sheet(self) -> Sheet:
+        """The seam as a sheet of straight simplices."""
+        return Sheet(self.structure.joint, self.name)
+
+    @cached_property
+    def at_rest(self) -> AtRest:
+        """The law at rest, of a layer without contact."""
+        return AtRest(real_law(self.layer, self.structure.plane), self.sheet.mean_normal)
+
+    def check(self) -> None:
+        """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable."""
+        joint, element = self.structure.joint, self.structure.element
+        if not isinstance(self.layer, ThinLayer | LawOnS):
+            raise ModelError(
+                f"the layer is {self.layer!r}; give ThinLayer(law, eps), or a law of jumps or of contact on S"
+            )
+        self.law.check_dimension(joint.dim)
+        if self.contact:
+            self._check_contact(self.contact)
+            return
+        if self.thin:
+            if self.thin.order == 1:
+                self._check_order_1()
+            if self.thin.law.traits.constrained and element not in ("P2", "Q2"):
+                raise ModelError(
+                    f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"
+                )
+            joint.relative_thickness(self.thin.profile)  # a user's function, may fail on one rank alone
+        if self.thin and self.thin.order == 1:
+            self.at_rest.require_no_locking()
+        self.at_rest.require_stable()
+
+    def _check_order_1(self) -> None:
+        joint, element = self.structure.joint, self.structure.element
+        if self.structure.degree != 2:
+            raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
+        if not self.sheet.planar:
+            raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
+        if joint.tip is not None:
+            raise ModelError("order=1 needs an S that does not end inside the bodies: its law has gradients at the tip")
+        if joint.branch is not None:
+            raise ModelError(
+                f"order=1 needs an S without junctions, and three or more bodies meet at {place(joint.branch)}: the next "
+                "term leaves out what a junction adds, which is of the same order"
+            )
+
+    def _check_contact(self, law: ContactLaw) -> None:
+        """Raise ModelError unless displacements are of degree 1: contact laws act at the vertices of S."""
+        linear = "Q1" if is_tensor(self.structure.joint.cell_type) else "P1"
+        if self.structure.element != linear:
+            raise ModelError(
+                f"a contact law acts at the vertices of S and needs element={linear!r}, not {self.structure.element}: "
+                "nodes in the middle of edges would carry most of the pressure, or none of it"
+            )
+        law.check_threshold()
+
+    def zero_tractions(self, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
+        """Which tractions are zero because supports of both bodies hold the jump at zero, see `AtRest.zero_tractions`.
+
+        All are False for contact laws and for order 1, whose tractions also depend on gradients along S.
+
+        Args:
+            moving: whether supports move in time.
+        """
+        if self.contact or (self.thin and self.thin.order):
+            return np.zeros(self.structure.joint.dim, bool), False
+        return self.at_rest.zero_tractions(self.sheet.planar, moving)
+
+    def identity(self) -> dict[str, Any]:
+        """Description of the layer, as JSON."""
+        thin, profile = self.thin, self.thin.profile if self.thin else None
+        shape = self.structure.joint.relative_thickness(profile) if profile else None
+        return {
+            "law": described(self.law),
+            "eps": float(thin.eps) if thin else None,
+            "order": thin.order if thin else None,
+            "profile": None if shape is None else described(shape),
+        }
+
+
+def seam_entities(domain: Domain, name: str) -> npt.NDArray[np.int32]:
+    """(upper cell, local facet, lower cell, local facet) of this rank's facets of a seam between bodies, (n, 4).
+
+    They are in the order of the local facets. Collective.
+    """
+    joint, mesh = domain.joint, domain.mesh
+    mesh.topology.create_connectivity(joint.dim - 1, joint.dim)
+    mesh.topology.create_connectivity(joint.dim, joint.dim - 1)
+    facets = domain.facets(name)
+    facets = np.sort(facets[facets < mesh.topology.index_map(joint.dim - 1).size_local])
+    entities = interior_facet_entities(mesh, facets)
+    lost = domain.comm.allreduce(len(facets) - len(entities))
+    if lost:
+        raise ModelError(f"{lost} facets of {name!r} have one cell on their rank: the mesh lacks ghost cells")
+    rows = np.searchsorted(joint.surface_rows, domain.numbers(joint.dim - 1, facets))
+    swap = domain.original_cells[entities[:, 0]] != joint.surface_cells[rows, 1]
+    entities[swap] = entities[swap][:, [2, 3, 0, 1]]
+    return entities
