@@ -1,4 +1,4 @@
-"""Ready-made joints, meshed by gmsh: a body on a rigid base, two stacked bodies, discs and rings, in 2D and 3D."""
+"""Ready-made joints in 2D and 3D: a body on a rigid base, two stacked bodies, discs, rings, and walls of bricks."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from mpi4py import MPI
 from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.shapes.boxes import Boxes
+from geometry.shapes.bricks import Bricks
 from geometry.shapes.rounds import Discs, Rings
 from geometry.shapes.sizing import Cells
 
@@ -159,3 +160,35 @@ def ring(
     """
     cells = Cells(h, h_S, h_ends, cell, degree)
     return on_root(comm, Rings(cells, depth, inner, interface, outer, angle).build)
+
+
+def wall(
+    bricks: int,
+    courses: int,
+    brick: tuple[float, float],
+    h: float | None = None,
+    *,
+    depth: float | None = None,
+    cell: str | None = None,
+    comm: MPI.Intracomm | None = None,
+) -> Joint:
+    """A wall in running bond, its left lower corner at the origin: a network of bed and head joints. Collective.
+
+    Args:
+        bricks: number of bricks along a course; every second course begins and ends with half a brick.
+        courses: number of courses.
+        brick: width and height of a brick with its mortar, lengths > 0.
+        h: largest cell size, a length (default: a quarter of the smallest side of a brick).
+        depth: size of a brick along z, a length > 0, which makes the wall three-dimensional (default: 2D).
+        cell: "quadrilateral" (default) or "triangle", in 3D "hexahedron" (default) or "tetrahedron"; a grid.
+        comm: communicator whose rank 0 meshes (default: the world).
+
+    Returns:
+        Seams "BED" (the upper side above) and "HEAD" (the upper side on the right); regions "COURSE 1", "COURSE 2", ...
+        from below; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
+
+    Raises:
+        GeometryError: a size is not positive, a number is not whole, a cell is of the other dimension.
+    """
+    size = tuple(brick) if depth is None else (*brick, depth)
+    return on_root(comm, Bricks(Cells(h, None, None, cell), size, bricks, courses).build)

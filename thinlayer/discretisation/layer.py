@@ -87,11 +87,11 @@ class ThinLayer:
 
 
 Layer = ThinLayer | LawOnS
-Layers = Layer | Mapping[str, Layer]
+Layers = Layer | Mapping[str, Layer | None]
 
 
 def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
-    """The layer of each seam: one for all, or {name of a seam: layer}.
+    """The layer of each seam that is not open: one for all, or {name of a seam: layer, or None for an open joint}.
 
     Raises:
         ModelError: a seam has no layer, or a layer no seam.
@@ -104,7 +104,7 @@ def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
     for name in joint.seams:
         if name not in given:
             raise ModelError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
-    return dict(given)
+    return {name: layer for name, layer in given.items() if layer is not None}
 
 
 def real_law(layer: Layer, plane: str) -> BulkLaw:

@@ -84,9 +84,15 @@ class Model(ABC):
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
+        of_law = {
+            id(law): [name for name, one in self.body_laws.items() if one is law] for law in self.body_laws.values()
+        }
         self.bodies = [
-            forms.body(constants(in_plane(law, self.plane), mesh), self.dx(self.domain.cell_values(name), **self._rule))
-            for name, law in self.body_laws.items()
+            forms.body(
+                constants(in_plane(self.body_laws[names[0]], self.plane), mesh),
+                self.dx(self.domain.cell_values(*names), **self._rule),
+            )
+            for names in of_law.values()
         ]
         self.layer_terms = self._layer_terms()
         self.parts = structure.parts

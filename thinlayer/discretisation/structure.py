@@ -46,7 +46,7 @@ class Structure(Setup):
 
         Args:
             layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; of a joint with several seams,
-                {name of a seam: its layer}, or one layer for all.
+                {name of a seam: its layer, or None for an open joint}, or one layer for all.
 
         Raises:
             ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.

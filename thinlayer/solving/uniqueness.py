@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from geometry.joint import place
 from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
@@ -36,56 +37,59 @@ class RigidMotions:
         self.model, self.held, self._stiffness = model, held, stiffness
 
     @cached_property
-    def _free(self) -> tuple[Array, Array]:
-        """Motions that supports allow (displacements of this rank, m), and their shares of each piece's motions (m, k)."""
-        motions = self._motions()
-        at_supports = motions[self.held]
-        gram = self.model.comm.allreduce(at_supports.T @ at_supports)
-        values, vectors = np.linalg.eigh(gram)
-        allowed = vectors[:, values <= ALLOWED_MOTION * max(values[-1], 1.0)]
-        free = motions @ allowed
-        free[self.held] = 0.0
-        return free, allowed.T
+    def _free(self) -> tuple[Array, npt.NDArray[PETSc.IntType], Array]:
+        """Rigid motions of a piece at each of its displacements, zero at supports: (n, per), their numbers (n, per).
 
-    def _motions(self) -> Array:
-        """Translations and rotations of each piece at the displacements of this rank; they are of the order of 1."""
+        The third value, (pieces times per, k), has the motions that supports allow, as sums of these.
+        """
+        motions, piece = self._motions()
+        count, per = len(self._names), motions.shape[1]
+        gram = np.zeros((count, per, per))
+        np.add.at(gram, piece[self.held], motions[self.held][:, :, None] * motions[self.held][:, None, :])
+        values, vectors = np.linalg.eigh(self.model.comm.allreduce(gram))
+        block, way = np.nonzero(values <= ALLOWED_MOTION * max(values.max(), 1.0))
+        allowed = np.zeros((count, per, len(block)))
+        allowed[block, :, np.arange(len(block))] = vectors[block, :, way]
+
+        motions[self.held] = 0.0
+        columns = (piece[:, None] * per + np.arange(per)).astype(PETSc.IntType)
+        return motions, columns, allowed.reshape(count * per, -1)
+
+    def _motions(self) -> tuple[Array, npt.NDArray[np.int32]]:
+        """At each displacement of this rank, its translations and rotations (n, per), of order 1; its piece (n,)."""
         model, joint = self.model, self.model.domain.joint
-        V = model.V
-        number = model.splitting.pieces
-        count = int(number.max()) + 1
-        self._names = [joint.regions[joint.region[int((number == k).argmax())]] for k in range(count)]
+        V, number = model.V, model.splitting.pieces
+        _, first = np.unique(number, return_index=True)
+        self._names = [joint.regions[joint.region[cell]] for cell in first]
+        self._places = joint.points[joint.corners[first]].mean(axis=1)
         owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
         of[dofs] = model.domain.on_cells(number)[: len(dofs), None]
-        of = of[:owned]
-        rigid = [f.x.array[: owned * bs].reshape(owned, bs) for f in rigid_motions(V, joint).values()]
-        motions = np.zeros((count, len(rigid), owned, bs))
-        for k in range(count):
-            here = of == k
-            for out, motion in zip(motions[k], rigid, strict=True):
-                np.copyto(out, motion, where=here[:, None])
-        return motions.reshape(count * len(rigid), owned * bs).T
+        rigid = [f.x.array[: owned * bs] for f in rigid_motions(V, joint).values()]
+        return np.column_stack(rigid), of[:owned].repeat(bs)
 
     def require_resisted(self, A: PETSc.Mat) -> None:
         """Raise SolveError if a tangent, with or without supports, does not resist a motion that supports allow."""
-        free, shares = self._free
-        if not len(shares):
+        motions, columns, allowed = self._free
+        if not allowed.shape[1]:
             return
-        v, f = A.createVecs()
-        v.set(0.0)
-        forces = np.empty_like(free)
-        for k, motion in enumerate(free.T):
-            v.array[: len(motion)] = motion
-            A.mult(v, f)
-            forces[:, k] = f.array_r[: len(motion)]
-        v.destroy()
-        f.destroy()
-        _, sizes, rows = np.linalg.svd(self.model.comm.allreduce(free.T @ forces))
+        rows = A.getLocalSize()[0]  # displacements, then further unknowns
+        starts = np.minimum(np.arange(rows + 1), len(motions)) * motions.shape[1]
+        csr = starts.astype(PETSc.IntType), columns.ravel(), motions.ravel()
+        rigid = PETSc.Mat().createAIJ(((rows, None), (None, len(allowed))), csr=csr, comm=self.model.comm)
+        product = A.ptap(rigid)
+        first, last = product.getOwnershipRange()
+        begins, columns, values = product.getValuesCSR()
+        stiffness = np.zeros(product.getSize())
+        stiffness[np.repeat(np.arange(first, last), np.diff(begins)), columns] = values
+        product.destroy()
+        rigid.destroy()
+        _, sizes, motions = np.linalg.svd(allowed.T @ self.model.comm.allreduce(stiffness) @ allowed)
         if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return
         raise SolveError(
-            f"no unique solution: {self._described(rows[-1] @ shares)}, and neither supports nor the layer resist it "
+            f"no unique solution: {self._described(allowed @ motions[-1])}, and neither supports nor the layer resist it "
             "(to rounding)",
             advice="add supports, or give the layer's law a stiffness in this direction",
         )
@@ -96,9 +100,11 @@ class RigidMotions:
         of_pieces = motion.reshape(len(self._names), -1)
         k = int(np.abs(of_pieces).max(axis=1).argmax())
         shift, turn = of_pieces[k, :d], of_pieces[k, d:]
+        where = f" at {place(self._places[k])}" if self._names.count(self._names[k]) > 1 else ""
+        body = f"body {self._names[k]!r}{where}"
         if np.abs(turn).max() > np.abs(shift).max():
             pairs = [AXES[i] + AXES[j] for i in range(d) for j in range(i + 1, d)]
-            return f"body {self._names[k]!r} can turn in the plane {pairs[int(np.abs(turn).argmax())]}"
+            return f"{body} can turn in the plane {pairs[int(np.abs(turn).argmax())]}"
         shift /= shift[np.abs(shift).argmax()]  # largest component 1, whichever sign the motion has
         direction = ", ".join(f"{c:.3g}" for c in np.round(shift, 6) + 0.0)
-        return f"body {self._names[k]!r} can move along ({direction})"
+        return f"{body} can move along ({direction})"
