@@ -20,7 +20,7 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
-from thinlayer.discretisation.contact_nodes import CONTACT, ContactNodes
+from thinlayer.discretisation.contact_nodes import CONTACT, ContactNodes, ContactSurface
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
@@ -59,7 +59,7 @@ def contact_forces(state: State) -> fem.Function:
     """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
     model, law = state.model, state.model.contact
     assert law is not None
-    nodes = ContactNodes(model, np.empty(0, np.int32))
+    nodes = ContactNodes(ContactSurface.of(model))
     out = nodes.zero()
     nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[CONTACT]), out)
     forces = fem.Function(model.V)
