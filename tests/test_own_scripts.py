@@ -310,6 +310,9 @@ def test_rigid_base():
     terms = broken.layer(TOP, ThinLayer(LinearElastic(6.0, 4.0), 0.1))
     stored = fem.assemble_scalar(fem.form(energy(terms, u)))
     assert stored == pytest.approx(2 * (14.0 * 0.2**2 + 4.0 * 0.3**2) / 2, rel=1e-12)
+    nodes = ContactPart(HolonomicCoulomb(1.0, 1.0, 0.3), broken.contact_surface(TOP, V)).nodes
+    assert nodes.jump(u.x.petsc_vec) == pytest.approx(np.tile([0.3, -0.2], (7, 1)))
+    assert nodes.weights.sum() == pytest.approx(2.0)
 
 
 def test_phases_without_a_joint():

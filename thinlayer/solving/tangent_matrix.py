@@ -23,6 +23,9 @@ class TangentMatrix:
     Args:
         comm: communicator.
         sizes: key of a block -> its number of unknowns on this rank, in the order of the unknowns.
+
+    Attributes:
+        comm, sizes: the arguments.
     """
 
     def __init__(self, comm: MPI.Intracomm, sizes: Mapping[str, int]) -> None:
