@@ -1,4 +1,4 @@
-"""One law at one point of S: its tractions for jumps, and the jumps for tractions."""
+"""One law at one point of S: computes tractions from jumps, and jumps from tractions."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from thinlayer.pointwise.material import Material
 
 COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}
 ITERATIONS, SHORTENINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step
-LEAST_PART = 2.0**-10  # smallest part of a step before the path fails
-FARTHEST = 2.0**25  # longest search along a singular tangent, in elastic steps
+LEAST_PART = 2.0**-10  # smallest fraction of a step that is tried
+FARTHEST = 2.0**25  # longest step along a null vector of a singular tangent, relative to the elastic step
 TOLERANCE, LOOSE_TOLERANCE = 1e-12, 1e-9  # relative error of tractions: wanted; accepted if Newton's method stagnates
 ROUNDING = 1e-15  # least relative change of a jump
 STEEP = 1e3  # Newton steps shorter than this many least changes are dominated by rounding
@@ -77,7 +77,14 @@ class MaterialPoint:
         return not (np.array_equal(short.stress, long.stress) and np.array_equal(short.memory, long.memory))
 
     def advance(self, old: MaterialPointState, held: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
-        """The state after a step, and the number of parts it was taken in; energies are those of all parts."""
+        """The state after a step, and the number of parts in which it was made; energies are those of all parts.
+
+        Args:
+            old: the state before the step.
+            held: (d,) whether the jump of a component is prescribed; else its traction is.
+            goal: (d,) prescribed jumps and tractions at the end of the step.
+            dt: length of the step.
+        """
         start = np.where(held, old.w, old.traction)
         done, part, parts = 0.0, 1.0, 0
         state, spent = old, np.zeros(3)
