@@ -24,9 +24,8 @@ THETA_LMBDA, THETA_MU, T1 = 0.3, 0.5, 0.7
 DT, END = 0.1, 2.0  # step and end of the curves
 AT = 1.0  # time at which errors are measured
 STEPS = (0.05, 0.025, 0.0125)
-EXACT = (
-    1e-9  # relative error that counts as rounding: schemes are exact where the jump of a Maxwell layer grows linearly
-)
+# Relative error that counts as rounding: schemes are exact where the jump of a Maxwell layer grows linearly.
+EXACT = 1e-9
 SCHEMES = {"Euler": (1.0, 1), "midpoint": (0.5, 2)}  # theta, order
 INTERFACE, FULL, CLOSED = "interface law", "meshed layer", "closed form"
 

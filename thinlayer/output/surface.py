@@ -29,9 +29,7 @@ from thinlayer.errors import ModelError
 
 MASS_TOLERANCE = 1e-14  # relative tolerance of the solver for the mass matrix of S
 NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
-SPREAD = (
-    0.1  # least extent of the places with a known traction, over their distance, from which a slope is extrapolated
-)
+SPREAD = 0.1  # least extent of the places of known tractions, relative to their distance, for a slope
 
 
 def reaction(state: State) -> fem.Function:
