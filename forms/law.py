@@ -182,7 +182,7 @@ class Law:
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which a parameter given as a function has a kink, see `thinlayer.piecewise`."""
+        """Times at which a parameter given by `thinlayer.piecewise` changes its slope."""
         return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
 
     def parameters(self) -> dict[str, Any]:

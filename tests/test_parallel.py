@@ -74,7 +74,7 @@ DIFFERENT = {
     "bad times": "rank 1: times is .*must be finite, increase",
     "theta": "different theta: 1.0 on rank 0, 0.5 on rank 1",
     "observe": "different observe",
-    "observed": r"observe\['one'\] at t = 0: the ranks find 1, 2; add up what each has of its own",
+    "observed": r"observe\['one'\] at t = 0: the ranks find 1, 2; let the function return the sum, or the largest, of",
     "out": "different out",
     "sweep": "different eps",
     "run": "rank 1: ZeroDivisionError",

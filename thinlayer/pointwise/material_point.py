@@ -132,23 +132,23 @@ class MaterialPoint:
             if now is None or farther > FARTHEST:
                 return None
             left = goal[free] - now.traction[free]
-            lack = np.abs(left).max(initial=0.0)
+            error = np.abs(left).max(initial=0.0)
             scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
-            if lack <= TOLERANCE * scale:
+            if error <= TOLERANCE * scale:
                 return now
             slope, found = now.tangent[np.ix_(free, free)], None
             if np.linalg.cond(slope) < 1e13:
                 farther = 1.0
                 step = np.linalg.solve(slope, left)
-                found = self._along(old, now, free, goal, step, dt, lack * (1 - 1e-4))
+                found = self._along(old, now, free, goal, step, dt, error * (1 - 1e-4))
                 if found is None:
                     found = self._out_of_rounding(old, now, free, goal, step, dt)
             if found is now:
                 return now
-            if found is None and lack <= LOOSE_TOLERANCE * scale:
+            if found is None and error <= LOOSE_TOLERANCE * scale:
                 return now
             if found is None:
-                found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, lack)
+                found = self._along(old, now, free, goal, farther * left / self.stiffness, dt, error)
                 farther *= 2
             now = found
         return None
@@ -163,7 +163,7 @@ class MaterialPoint:
         None if no step helps, or if the tangent is not that large.
         """
         size, least = np.abs(step).max(), ROUNDING * np.abs(now.w).max()
-        lack = np.abs(goal[free] - now.traction[free]).max()
+        error = np.abs(goal[free] - now.traction[free]).max()
         if not 0 < size <= STEEP * least:
             return None
         for k in range(SHORTENINGS):
@@ -172,9 +172,9 @@ class MaterialPoint:
             found = self._respond(old, w, dt)
             if found is None:
                 return None
-            if np.abs(goal[free] - found.traction[free]).max() <= lack * (1 - 1e-4):
+            if np.abs(goal[free] - found.traction[free]).max() <= error * (1 - 1e-4):
                 return found
-            if np.abs(found.traction - now.traction)[free].max() > lack:
+            if np.abs(found.traction - now.traction)[free].max() > error:
                 return now if k == 0 else None
         return None
 

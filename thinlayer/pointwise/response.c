@@ -181,17 +181,17 @@ static int step_of(sublayer *layers, int count, const frame *S, double *A, int c
 /* Let the sublayers' jumps add up to that of the whole: what rounding has left goes to each in proportion to its own. */
 static void add_up(sublayer *layers, int count, const double *whole)
 {
-    double lack[3], sizes = 0;
-    memcpy(lack, whole, sizeof lack);
+    double missing[3], sizes = 0;
+    memcpy(missing, whole, sizeof missing);
     for (int i = 0; i < count; i++) {
         const sublayer *a = &layers[i];
         sizes += a->fraction * (fabs(a->g[0]) + fabs(a->g[1]) + fabs(a->g[2]));
-        for (int j = 0; j < 3; j++) lack[j] -= a->fraction * a->g[j];
+        for (int j = 0; j < 3; j++) missing[j] -= a->fraction * a->g[j];
     }
     for (int i = 0; i < count; i++) {
         double *g = layers[i].g;
         const double share = sizes > 0 ? (fabs(g[0]) + fabs(g[1]) + fabs(g[2])) / sizes : 1;
-        for (int j = 0; j < 3; j++) g[j] += share * lack[j];
+        for (int j = 0; j < 3; j++) g[j] += share * missing[j];
     }
 }
 
@@ -285,11 +285,11 @@ static int in_series(sublayer *layers, int count, const double *e, const frame *
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
  * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each; parameters: of all points,
- * or, with `varying`, (points, n), of each. With `held`, strains stay e_old, those of sublayers too: nothing is solved, there is
+ * or, with `varying`, (points, n), of each. With `fixed`, strains stay e_old, those of sublayers too: nothing is solved, there is
  * no stress, and the energies are those of e_old. */
 int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *n_parameters,
         const double *fractions, const double *parameters, int varying, int m, const int32_t *slots, int points, int width,
-        const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, int held,
+        const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, int fixed,
         double *stress, double *C, double *q_new, double *energy)
 {
     sublayer *layers = calloc(count, sizeof(sublayer));
@@ -332,7 +332,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             numbers_of += a->n_parameters;
         }
         if (!varying) numbers_of = parameters;
-        if (held) {
+        if (fixed) {
             for (int i = 0; i < count; i++) memcpy(layers[i].in, layers[i].in + 6, sizeof now), evaluate(&layers[i]);
         } else if (count > 1) {
             turn_to(&S, n);
