@@ -45,5 +45,5 @@ class KernelLaw(BulkLaw):
     def _traits_of_methods(self) -> dict[str, bool]:
         if not isinstance(self.memory, int) or self.memory < 0:
             raise LawError(f"{type(self).__name__}: memory is {self.memory!r}; allowed: a whole number >= 0")
-        told = {"compiled": True, "in_ufl": False, "has_energy": bool(self.energetic), "remembers": self.memory > 0}
-        return super()._traits_of_methods() | told
+        own = {"compiled": True, "in_ufl": False, "has_energy": bool(self.energetic), "remembers": self.memory > 0}
+        return super()._traits_of_methods() | own

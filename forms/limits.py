@@ -13,11 +13,8 @@ import numpy.typing as npt
 
 from forms.declarations import LawError
 from forms.limits_bar import Bar as Bar
+from forms.limits_non_monotone import NonMonotoneLimit as NonMonotoneLimit
 from forms.limits_non_monotone import lamination as lamination
-from forms.limits_non_monotone import non_monotone as non_monotone
-from forms.limits_non_monotone import non_monotone_branch as non_monotone_branch
-from forms.limits_non_monotone import non_monotone_drive as non_monotone_drive
-from forms.limits_non_monotone import non_monotone_energy as non_monotone_energy
 
 Array = npt.NDArray[np.float64]
 

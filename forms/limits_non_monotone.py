@@ -8,6 +8,7 @@ eta < 1" of Eq. (41). The models never use these formulas, tests and studies com
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -41,98 +42,98 @@ def lamination(lmbda: float, mu: float, chi: Array) -> float:
     return float((sum_c * s - c[0] * c[-1] - s**2) / mu + s**2 / stiffness)
 
 
-def non_monotone(
-    lmbda: float,
-    mu: float,
-    alpha: float,
-    transformation_energy: float,
-    chi: Array,
-    w: Array,
-    n: Array,
-    mixing: float = 1.0,
-) -> tuple[Array, Array]:
-    """Traction (..., d) of jumps w (..., d) and signed phase fraction (...): t = K_L w - phase alpha chi n.
+@dataclass(frozen=True)
+class NonMonotoneLimit:
+    """The non-monotone interface law, for jumps w (..., d) in global axes.
 
-    |phase| = 1/2 + (|x| - C)/g, not outside [0, 1], with the sign of x = alpha (chi n).w and g = mixing alpha^2 G
-    (`lamination`). mixing = 1 is the relaxed form of Eqs. (42)-(43), whose stress is that of the least energy; below
-    it the stress falls while the phases mix. Equation (43) prints alpha chi_12 [u_i] for alpha chi_ij [u_i] n_j and leaves
-    out phase -1.
-
-    Args:
-        lmbda, mu: Lame moduli, stress per thickness.
+    Attributes:
+        lmbda, mu: Lame moduli, stress per thickness, mu > 0 and lmbda > -2 mu/3.
         alpha: transformation stress, > 0.
-        transformation_energy: C, energy per area of the transformed layer, >= g/2 (below, phases 1 and -1 would mix).
+        transformation_energy: C, energy per area of the transformed layer, > 0.
         chi: symmetric (d, d) in the layer's axes: the second is n, the first in 2D (n_2, -n_1).
-        w, n: jump, and the unit normal (d,).
-        mixing: share of the gain, 0 < mixing <= 1.
+        n: unit normal of S, (d,).
 
     Raises:
-        LawError: a parameter out of range.
+        LawError: a parameter out of range; methods raise it, too.
     """
-    if not mixed_share(mixing) > 0:
-        raise LawError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
-    g = mixing * alpha**2 * lamination(lmbda, mu, chi)
-    if not g / 2 * (1 - ROUNDING) <= transformation_energy:
-        raise LawError(
-            f"transformation_energy = {transformation_energy:g}; allowed: >= {g / 2:g}, half the gain of mixing"
+
+    lmbda: float
+    mu: float
+    alpha: float
+    transformation_energy: float
+    chi: Array
+    n: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "n", np.asarray(self.n, float))
+        object.__setattr__(self, "chi", _orientation(self.chi))
+        _require_moduli(self.lmbda, self.mu)
+        if self.n.shape != self.chi.shape[:1] or not abs(self.n @ self.n - 1) < 1e-9:
+            raise LawError(f"chi {self.chi.shape}, n = {self.n}; allowed: (d, d), a unit vector (d,)")
+        if not (0 < self.alpha < math.inf and 0 < self.transformation_energy < math.inf):
+            given = f"alpha = {self.alpha:g}, transformation_energy = {self.transformation_energy:g}"
+            raise LawError(f"{given}; allowed: > 0")
+
+    def relaxed(self, w: Array, mixing: float = 1.0) -> tuple[Array, Array]:
+        """Traction (..., d) and signed phase fraction (...): t = K_L w - phase alpha chi n.
+
+        |phase| = 1/2 + (|x| - C)/g, not outside [0, 1], with the sign of the drive x and g = mixing alpha^2 G
+        (`lamination`); C >= g/2, as phases 1 and -1 would mix below. mixing = 1 is the relaxed form of Eqs. (42)-(43),
+        whose stress is that of the least energy; with less the stress falls while the phases mix. Equation (43) prints
+        alpha chi_12 [u_i] for alpha chi_ij [u_i] n_j and leaves out phase -1.
+
+        Args:
+            w: jumps.
+            mixing: share of the gain, 0 < mixing <= 1.
+        """
+        if not mixed_share(mixing) > 0:
+            raise LawError(f"mixing = {mixing:g}; allowed: 0 < mixing <= 1")
+        C, g = self.transformation_energy, self._gain(mixing)
+        if not g / 2 * (1 - ROUNDING) <= C:
+            raise LawError(f"transformation_energy = {C:g}; allowed: >= {g / 2:g}, half the gain of mixing")
+        phase = fraction(self.drive(w), C, g)
+        return self._traction(w, phase), phase
+
+    def pure(self, w: Array, phase: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Traction (..., d) of a layer all in one phase z = -1, 0 or 1, and whether the phase holds at these jumps.
+
+        t = K_L w - z alpha chi n, Eqs. (41)-(42), which print lmbda + mu for the normal stiffness lmbda + 2 mu and [u_1]
+        for [u_2]. Phase 0 holds for drives |x| <= C, phases z = -1, 1 for z x >= C.
+        """
+        require_pure(phase)
+        x, C = self.drive(w), self.transformation_energy
+        holds = phase * x >= C if phase else np.abs(x) <= C
+        return self._traction(w, np.full(x.shape, float(phase))), np.asarray(holds)
+
+    def energy(self, w: Array, phase: Array | float, mixing: float = 1.0) -> Array:
+        """Energy per area (...) at a signed phase fraction: w.K_L w/2 - phase x + C |phase| - |phase| (1 - |phase|) g/2.
+
+        x, g as in `relaxed`. Pure phases have the energy of Eq. (44), whatever the mixing, 0 <= mixing <= 1.
+        """
+        mixed_share(mixing)
+        if not (np.abs(phase) <= 1).all():
+            raise LawError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
+        x = self.drive(w)
+        elastic = np.sum(np.asarray(w, float) * self._traction(w, 0 * x), axis=-1) / 2
+        return np.asarray(
+            elastic + phase_energy(x, self.transformation_energy, self._gain(mixing), np.asarray(phase, float))
         )
-    phase = fraction(non_monotone_drive(alpha, transformation_energy, chi, w, n), transformation_energy, g)
-    return _traction(lmbda, mu, alpha, chi, w, n, phase), phase
 
+    def drive(self, w: Array) -> Array:
+        """Drive x = alpha chi_ij w_i n_j (...): the energy per area that phase 1 gains over phase 0, before its cost C."""
+        w = np.asarray(w, float)
+        if w.shape[-1:] != self.n.shape:
+            raise LawError(f"w {w.shape}, n = {self.n}; allowed: (..., d)")
+        return np.asarray(self.alpha * w @ _transformation(self.chi, self.n))
 
-def non_monotone_branch(
-    lmbda: float, mu: float, alpha: float, transformation_energy: float, chi: Array, w: Array, n: Array, phase: int
-) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Traction (..., d) of a layer all in one phase z = -1, 0 or 1, and whether the phase holds at this jump.
+    def _gain(self, mixing: float) -> float:
+        """The energy per area that sheets of two phases gain by mixing, g."""
+        return mixing * self.alpha**2 * lamination(self.lmbda, self.mu, self.chi)
 
-    t = K_L w - z alpha chi n, Eqs. (41)-(42), which print lmbda + mu for the normal stiffness lmbda + 2 mu and [u_1] for
-    [u_2]. With x = alpha (chi n).w, phase 0 holds for |x| <= C, phases z = -1, 1 for z x >= C.
-    """
-    require_pure(phase)
-    x = non_monotone_drive(alpha, transformation_energy, chi, w, n)
-    holds = phase * x >= transformation_energy if phase else np.abs(x) <= transformation_energy
-    return _traction(lmbda, mu, alpha, chi, w, n, np.full(x.shape, float(phase))), np.asarray(holds)
-
-
-def non_monotone_energy(
-    lmbda: float,
-    mu: float,
-    alpha: float,
-    transformation_energy: float,
-    chi: Array,
-    w: Array,
-    n: Array,
-    phase: Array | float,
-    mixing: float = 1.0,
-) -> Array:
-    """Energy per area (...) at a signed phase fraction: w.K_L w/2 - phase x + C |phase| - |phase| (1 - |phase|) g/2.
-
-    x, g as in `non_monotone`. Pure phases have the energy of Eq. (44), whatever the mixing, 0 <= mixing <= 1.
-    """
-    mixed_share(mixing)
-    if not (np.abs(phase) <= 1).all():
-        raise LawError(f"phase is {phase!r}; allowed: -1 <= phase <= 1")
-    g = mixing * alpha**2 * lamination(lmbda, mu, chi)
-    x = non_monotone_drive(alpha, transformation_energy, chi, w, n)
-    elastic = np.sum(np.asarray(w, float) * _traction(lmbda, mu, alpha, chi, w, n, 0 * x), axis=-1) / 2
-    return np.asarray(elastic + phase_energy(x, transformation_energy, g, np.asarray(phase, float)))
-
-
-def non_monotone_drive(alpha: float, transformation_energy: float, chi: Array, w: Array, n: Array) -> Array:
-    """Drive alpha chi_ij w_i n_j (...), energy per area that phase 1 gains over phase 0, before its cost C."""
-    chi, w, n = _orientation(chi), np.asarray(w, float), np.asarray(n, float)
-    if n.shape != chi.shape[:1] or w.shape[-1:] != n.shape or not abs(n @ n - 1) < 1e-9:
-        raise LawError(f"chi {chi.shape}, w {w.shape}, n = {n}; allowed: (d, d), (..., d), a unit vector (d,)")
-    if not (0 < alpha < math.inf and 0 < transformation_energy < math.inf):
-        raise LawError(f"alpha = {alpha:g}, transformation_energy = {transformation_energy:g}; allowed: > 0")
-    return np.asarray(alpha * w @ _transformation(chi, n))
-
-
-def _traction(lmbda: float, mu: float, alpha: float, chi: Array, w: Array, n: Array, phase: Array) -> Array:
-    _require_moduli(lmbda, mu)
-    w, n = np.asarray(w, float), np.asarray(n, float)
-    elastic = mu * w + (lmbda + mu) * (w @ n)[..., None] * n
-    return np.asarray(elastic - alpha * phase[..., None] * _transformation(np.asarray(chi, float), n))
+    def _traction(self, w: Array, phase: Array) -> Array:
+        w, n = np.asarray(w, float), self.n
+        elastic = self.mu * w + (self.lmbda + self.mu) * (w @ n)[..., None] * n
+        return np.asarray(elastic - self.alpha * phase[..., None] * _transformation(self.chi, n))
 
 
 def _transformation(chi: Array, n: Array) -> Array:

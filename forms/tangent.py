@@ -17,7 +17,7 @@ from forms.trace import symbolic
 
 Array = npt.NDArray[np.float64]
 SMALL_STRAIN = 1e-6  # strain of the divided differences: too small for yielding, large enough against rounding
-STRAINS = (1e-6, 1e-2, 10.0)  # sizes of the strains at which `held_along` evaluates laws, elastic and beyond
+STRAINS = (1e-6, 1e-2, 10.0)  # sizes of the strains at which `uncoupled_axes` evaluates laws, elastic and beyond
 UNCOUPLED = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
 NEGATIVE = 1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
 SCALES = np.array([1.0 if i == j else ROOT2 for i, j in MANDEL])  # factor of each tensor component in Mandel's order
@@ -73,11 +73,11 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     try:
         point = symbolic(law)
         stress: Any = expand_derivatives(ufl.as_ufl(point.law.stress(point.step)))
-        told = np.concatenate([n, [dt, 1.0], law.parameter_values()])
-        before = np.zeros(point.numbers.ufl_shape[0] - 6 - len(told))
+        given = np.concatenate([n, [dt, 1.0], law.parameter_values()])
+        before = np.zeros(point.numbers.ufl_shape[0] - 6 - len(given))
         found = []
         for e in np.eye(7, 6):  # the last one is zero strain
-            numbers = {point.numbers: np.concatenate([e, before, told])}
+            numbers = {point.numbers: np.concatenate([e, before, given])}
             found.append([float(stress.evaluate((0.0,), numbers, ij, StackDict())) for ij in MANDEL])
     except Exception:  # as in _stress
         return None
@@ -116,11 +116,11 @@ def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
         return None
 
 
-def held_along(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
+def uncoupled_axes(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
     """(d,) whether the traction of a layer's law along an axis is zero as long as the jump along this axis is zero.
 
     None if the law has a traction without a jump, has parameters that vary, or cannot be evaluated. A law with memory is
-    evaluated from rest, a law with a rate at zero rate. An incompressible layer has its pressure along n.
+    evaluated from rest, a law with a rate at zero rate. The pressure of an incompressible layer is a traction along n.
     """
     if law.traits.varies or not law.traits.in_ufl:
         return None
@@ -139,11 +139,11 @@ def held_along(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
     return np.asarray(~coupled)
 
 
-def has_stable_rest(law: BulkLaw) -> bool:
-    """Whether the tangent at rest of a layer's law is required to be positive, and `tangent_at_rest` can compute it.
+def is_checked_at_rest(law: BulkLaw) -> bool:
+    """Whether the tangent of a layer's law at rest is computed, by `tangent_at_rest`, and must not be negative.
 
-    False for laws that declare `softens`, and where divided differences fail: for laws with both memory and rate, and for
-    non-linear laws of jumps, because the size of a small jump is not known.
+    It may be negative for laws that declare `softens`. Divided differences cannot compute it for laws with both memory and
+    rate, nor for non-linear laws of jumps, because the size of a small jump is not known.
     """
     return not (
         law.traits.softens or (law.traits.rate and law.internal) or (law.traits.of_jumps and not law.traits.linear)

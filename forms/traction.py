@@ -75,8 +75,8 @@ class TractionLaw(Law):
 
     def _traits_of_methods(self) -> dict[str, bool]:
         has_energy = type(self).energy is not TractionLaw.energy
-        told = {"has_energy": has_energy, "in_ufl": True, "of_jumps": True, "compiled": True}
-        return super()._traits_of_methods() | told
+        own = {"has_energy": has_energy, "in_ufl": True, "of_jumps": True, "compiled": True}
+        return super()._traits_of_methods() | own
 
     def of_strains(self) -> BulkLaw:
         kind: Any = type(self)

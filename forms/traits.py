@@ -77,17 +77,17 @@ class Traits:
     compiled: bool = trait(always)
 
     @classmethod
-    def of(cls, law: object, **told: bool) -> Traits:
-        """The traits that a law declares, and those that follow from its methods (`told`).
+    def of(cls, law: object, **of_methods: bool) -> Traits:
+        """The traits that a law declares, and those that follow from its methods (`of_methods`).
 
         Raises:
             LawError: a declaration that is neither True nor False.
         """
-        declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in told}
+        declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
         for name, value in declared.items():
             if not isinstance(value, (bool, np.bool_)):
                 raise LawError(f"{type(law).__name__}: {name} is {value!r}; a trait is True or False")
-        return cls(**{name: bool(value) for name, value in (declared | told).items()})
+        return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
 
     @classmethod
     def of_series(cls, sublayers: Iterable[Traits]) -> Traits:

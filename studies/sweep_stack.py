@@ -17,7 +17,7 @@ TIMES = {"": (0.2, 0.4, 0.6, 0.8, 1.0), "norton": (0.05, 0.1, 0.15, 0.2, 0.25)}
 
 
 def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:
-    """Sweep the thickness; the meshed layer has a stratum for each law, on S each point solves for their shares of [u].
+    """Sweep the thickness; the meshed layer has a sublayer for each law, on S each point solves for their shares of [u].
 
     table.csv has the Maxwell and Kelvin-Voigt sublayers, table_norton.csv the elastic and Norton ones.
 

@@ -11,7 +11,7 @@ from dolfinx import fem
 from forms import LinearElastic
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
-from thinlayer.solving.ranges import _Faces, _strata, pressure_excess
+from thinlayer.solving.ranges import _Faces, _sublayers, pressure_excess
 
 STIFF = LinearElastic.young(1e5, 0.3)
 
@@ -34,7 +34,7 @@ def opened(model, upper):
 
 
 def excess(model, upper):
-    (layer,) = _strata(model)
+    (layer,) = _sublayers(model)
     return pressure_excess(opened(model, upper), layer)
 
 

@@ -306,7 +306,7 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     words = ["run", "sweep_elastic", "--out", str(tmp_path / "a")]
     assert cli.main(words) == 5
     assert (
-        "more.csv' could not be written or read: No space left on device\nwhat was done is kept in"
+        "more.csv' could not be written or read: No space left on device\nresults so far are kept in"
         in capsys.readouterr().err
     )
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["run.json", "table.csv", "table.csv.json"]

@@ -32,15 +32,15 @@ from thinlayer.pointwise.columns import TIE
 def test_drive_is_the_closed_formula(n):
     """Along jumps, and with mixing = 1 along tractions, which have one jump each."""
     d = len(n)
-    chi, path, axis = (CHI2, CHI3)[d - 2], np.array(PATHS[d]), np.eye(d)[1]
+    chi, path = (CHI2, CHI3)[d - 2], np.array(PATHS[d])
+    limit = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, C, chi, np.eye(d)[1])
     for mixing in (0.4, 1.0):
         law = NonMonotone(LMBDA, MU, ALPHA, C, chi, mixing=mixing)
         found = drive(law, pulled("w", path), n)
-        numbers = (LMBDA, MU, ALPHA, C, chi)
-        t, phase = limits.non_monotone(*numbers, in_layer_axes(path), axis, mixing)
+        t, phase = limit.relaxed(in_layer_axes(path), mixing)
         assert found.tractions == pytest.approx(from_layer_axes(t), rel=1e-12, abs=1e-13)
         assert found.memory[:, 0] == pytest.approx(phase, abs=1e-13)
-        energy = limits.non_monotone_energy(*numbers, in_layer_axes(path), axis, phase, mixing)
+        energy = limit.energy(in_layer_axes(path), phase, mixing)
         assert found.energies[:, 0] == pytest.approx(energy, rel=1e-11)
         work = np.sum(found.tractions * np.diff(path, axis=0, prepend=0), axis=1)
         assert work == pytest.approx(np.diff(energy, prepend=0) + found.energies[:, 2], rel=1e-10, abs=1e-14)
@@ -59,7 +59,7 @@ def test_as_printed_it_is_another_law():
     t, z = found.tractions, found.memory[:, 0]
     assert set(z) == {-1, 0, 1}
     for phase in (-1, 0, 1):
-        formula, holds = limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI2, path, np.eye(2)[1], phase)
+        formula, holds = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, C, CHI2, np.eye(2)[1]).pure(path, phase)
         assert (holds == (z == phase)).all()
         assert t[holds] == pytest.approx(formula[holds], rel=1e-12)
     softer = (LMBDA + MU) * path[:, 1] - z * ALPHA * CHI2[1, 1]

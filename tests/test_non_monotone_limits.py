@@ -61,9 +61,13 @@ def test_lamination_numbers():
     assert limits.lamination(0, 40, normal) == pytest.approx(1 / 80, rel=1e-14)  # across n
 
 
-def relaxed(w, mixing=1.0, n=N, chi=CHI):
-    t, phase = limits.non_monotone(LMBDA, MU, ALPHA, C, chi, w, n, mixing)
-    return t, phase, limits.non_monotone_energy(LMBDA, MU, ALPHA, C, chi, w, n, phase, mixing)
+def law(n=N, chi=CHI, alpha=ALPHA):
+    return limits.NonMonotoneLimit(LMBDA, MU, alpha, C, chi, n)
+
+
+def relaxed(w, mixing=1.0):
+    t, phase = law().relaxed(w, mixing)
+    return t, phase, law().energy(w, phase, mixing)
 
 
 W = np.random.default_rng(3).uniform(-1.2, 1.2, (40, 2))
@@ -79,7 +83,7 @@ def test_relaxed_energy_is_that_of_sheets():
 
     mixed = 0
     for w in W[:12]:
-        e, sign = (np.outer(w, n) + np.outer(n, w)) / 2, np.sign(limits.non_monotone_drive(ALPHA, C, CHI, w, n))
+        e, sign = (np.outer(w, n) + np.outer(n, w)) / 2, np.sign(law().drive(w))
 
         def sheets(p, e=e, sign=sign):
             share, k = (1 + np.sin(p[0])) / 2, np.array([np.sin(p[1]), np.cos(p[1])])
@@ -100,14 +104,14 @@ def test_traction_is_the_derivative_of_the_energy(mixing):
     slope = [(relaxed(W + h * d, mixing)[2] - relaxed(W - h * d, mixing)[2]) / (2 * h) for d in np.eye(2)]
     assert t == pytest.approx(np.transpose(slope), abs=1e-4)
     z = np.linspace(-1, 1, 2001)[:, None]
-    all_mixtures = limits.non_monotone_energy(LMBDA, MU, ALPHA, C, CHI, W, N, z, mixing)
+    all_mixtures = law().energy(W, z, mixing)
     assert energy == pytest.approx(all_mixtures.min(axis=0), abs=1e-6)
     assert {-1, 0, 1} <= set(phase)
     for z in (-1, 0, 1):
-        pure, holds = limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, W, N, z)
+        pure, holds = law().pure(W, z)
         assert t[phase == z] == pytest.approx(pure[phase == z], abs=1e-13)
         assert holds[phase == z].all()
-        least = np.argmin([limits.non_monotone_energy(LMBDA, MU, ALPHA, C, CHI, W, N, y) for y in (-1, 0, 1)], axis=0)
+        least = np.argmin([law().energy(W, y) for y in (-1, 0, 1)], axis=0)
         assert (holds == (least == z + 1)).all()
     assert relaxed(-W, mixing)[0] == pytest.approx(-t, abs=1e-13)
 
@@ -123,14 +127,14 @@ def test_relaxed_energy_is_convex_and_a_softening_one_is_not():
 def test_traction_of_a_pure_phase():
     """Components along and across S by hand; the printed lmbda + mu, [u_1] and chi_12 [u_i] are other laws."""
     w, n = np.array([-0.3, 0.7]), np.array([0.0, 1.0])
-    t, holds = limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, w, n, 1)
+    t, holds = law(n).pure(w, 1)
     assert t == pytest.approx([MU * -0.3 + ALPHA * 0.5, (LMBDA + 2 * MU) * 0.7 - ALPHA * 0.8], rel=1e-14)
     assert holds
-    assert limits.non_monotone_drive(ALPHA, C, CHI, w, n) == pytest.approx(ALPHA * (0.5 * 0.3 + 0.8 * 0.7), rel=1e-14)
+    assert law(n).drive(w) == pytest.approx(ALPHA * (0.5 * 0.3 + 0.8 * 0.7), rel=1e-14)
     assert ALPHA * -0.5 * (-0.3 + 0.7) < C  # printed: would not hold
     assert abs(t[1] - ((LMBDA + MU) * 0.7 - ALPHA * 0.8)) > 0.1 * abs(t[1])
     assert abs(t[1] - ((LMBDA + 2 * MU) * -0.3 - ALPHA * 0.8)) > 0.1 * abs(t[1])
-    assert limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, 0 * w, n, 0)[0] == pytest.approx([0, 0])
+    assert law(n).pure(0 * w, 0)[0] == pytest.approx([0, 0])
 
 
 @SLOW
@@ -142,16 +146,16 @@ def test_orientation_turns_with_the_normal(a, b):
     turned = np.arctan2(np.linalg.norm(axis), n[1])
     assume(np.linalg.norm(axis) > 1e-5)
     turn = Rotation.from_rotvec(turned * axis / np.linalg.norm(axis)).as_matrix()
-    basis = limits.non_monotone_drive(ALPHA, C, CHI_3, np.eye(3), n)
+    basis = law(n, CHI_3).drive(np.eye(3))
     assert basis == pytest.approx(ALPHA * turn @ CHI_3 @ turn.T @ n, abs=1e-9)
     plane = np.array([np.sin(a), np.cos(a)])
     frame = np.column_stack([[plane[1], -plane[0]], plane])
-    basis = limits.non_monotone_drive(ALPHA, C, CHI, np.eye(2), plane)
+    basis = law(plane).drive(np.eye(2))
     assert basis == pytest.approx(ALPHA * frame @ CHI @ frame.T @ plane, abs=1e-13)
 
 
 def test_downward_normal_is_a_half_turn_about_the_third_axis():
-    basis = limits.non_monotone_drive(1.0, C, CHI_3, np.eye(3), np.array([0.0, -1.0, 0.0]))
+    basis = law(np.array([0.0, -1.0, 0.0]), CHI_3, alpha=1.0).drive(np.eye(3))
     turn = np.diag([-1, -1, 1])
     assert basis == pytest.approx(turn @ CHI_3 @ turn @ [0, -1, 0], abs=1e-15)
 
@@ -161,8 +165,9 @@ def test_layer_of_the_bar_is_the_interface_law(mixing):
     """lmbda = 0, chi = n (x) n, per thickness eps l: lmbda + 2 mu = kbar/l, C = l cbar; any eps."""
     U, n = np.linspace(-1.4, 1.4, 57), np.array([0.6, 0.8])
     mu, C_layer, chi = LONG.kbar / LONG.l / 2, LONG.l * LONG.cbar, np.diag([0.0, 1.0])
-    t, phase = limits.non_monotone(0, mu, LONG.alpha, C_layer, chi, U[:, None] * n, n, mixing)
-    energy = limits.non_monotone_energy(0, mu, LONG.alpha, C_layer, chi, U[:, None] * n, n, phase, mixing)
+    layer = limits.NonMonotoneLimit(0, mu, LONG.alpha, C_layer, chi, n)
+    t, phase = layer.relaxed(U[:, None] * n, mixing)
+    energy = layer.energy(U[:, None] * n, phase, mixing)
     expected = LONG.layer(U, mixing)
     assert t == pytest.approx(expected[0][:, None] * n, abs=1e-12)
     assert energy == pytest.approx(expected[1], abs=1e-12)
@@ -189,11 +194,12 @@ def test_layer_of_the_bar_is_the_interface_law(mixing):
     ],
 )
 def test_law_out_of_range(change, message):
-    values = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI, "w": W, "n": N} | change
+    values = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI, "n": N} | change
+    jump = {"w": values.pop("w", W), "mixing": values.pop("mixing", 1.0)}
     with pytest.raises(ValueError, match=message):
-        limits.non_monotone(**values)
+        limits.NonMonotoneLimit(**values).relaxed(**jump)
 
 
 def test_branch_of_no_phase():
     with pytest.raises(ValueError, match=r"phase is 0.5; allowed: -1, 0, 1"):
-        limits.non_monotone_branch(LMBDA, MU, ALPHA, C, CHI, W, N, 0.5)
+        law().pure(W, 0.5)

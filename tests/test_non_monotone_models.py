@@ -54,13 +54,14 @@ def test_relaxed_law_in_columns(eps, angle):
         assert np.abs(history.table["imbalance"]).max() < 1e-9
         assert np.abs(history.table["dissipated"]).max() < 1e-12 * history.table["energy"].max()
     n, mirrored = np.array([0.0, 1.0]), CHI * [[1, -1], [-1, 1]]
-    t, phases = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.transformation_energy, CHI, point.jumps, n)
+    limit_law = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, RELAXED.transformation_energy, CHI, n)
+    t, phases = limit_law.relaxed(point.jumps)
     assert point.tractions == pytest.approx(t, abs=1e-9 * np.abs(t).max())
     for k, phase in enumerate(phases):
         assert PhaseReport(limit.at(k + 1.0)).plus == pytest.approx(max(phase, 0), abs=1e-9)
         assert PhaseReport(full.at(k + 1.0)).minus == pytest.approx(max(-phase, 0), abs=1e-9)
     assert {-1, 1} <= {int(np.sign(phase)) for phase in phases if 0 < abs(phase) < 1}
-    wrong, _ = limits.non_monotone(LMBDA, MU, ALPHA, RELAXED.transformation_energy, mirrored, point.jumps, n)
+    wrong, _ = replace(limit_law, chi=mirrored).relaxed(point.jumps)
     assert np.abs(wrong - t).max() > 0.2 * np.abs(t).max()  # the tangent is (n_2, -n_1), not its opposite
 
 
@@ -69,10 +70,9 @@ def test_pure_phases_in_columns(eps):
     """The same phases and displacements at the ends of steps, in which facets may switch one after the other."""
     limit, full, point = column(PURE, CLEAR, eps, angle=0.7)
     surface = Surface(limit.model)
+    limit_law = limits.NonMonotoneLimit(LMBDA, MU, ALPHA, PURE.transformation_energy, CHI, np.array([0.0, 1.0]))
     for k, phase in enumerate(CLEAR_PHASES):
-        t, holds = limits.non_monotone_branch(
-            LMBDA, MU, ALPHA, PURE.transformation_energy, CHI, point.jumps[k], np.array([0.0, 1.0]), phase
-        )
+        t, holds = limit_law.pure(point.jumps[k], phase)
         assert holds
         assert point.tractions[k] == pytest.approx(t, abs=1e-9)
         one, other = limit.at(k + 1.0), full.at(k + 1.0)

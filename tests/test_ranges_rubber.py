@@ -11,7 +11,7 @@ from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, solve
-from thinlayer.solving.ranges import Stratum, free_rim, pressure_length
+from thinlayer.solving.ranges import Sublayer, free_rim, pressure_length
 
 
 @pytest.mark.parametrize("nu", [0.45, 0.499, 0.4999])
@@ -127,16 +127,16 @@ def test_rubber_in_series():
 def test_length_of_the_pressure_in_series():
     """delta^2 = B/c with B int 1/mu the variance of int_0^z dz, over what is nearly incompressible, weighted with 1/mu."""
     eps_over_width = 0.03
-    rubber, soft = Stratum(0.7, 9e3, 9.0, 36.0), Stratum(0.3, 3.0, 2.0, 4.4)
+    rubber, soft = Sublayer(0.7, 9e3, 9.0, 36.0), Sublayer(0.3, 3.0, 2.0, 4.4)
     found = pressure_length([rubber, soft], 1 / eps_over_width)
     fluidity = 0.7 / 9 + 0.3 / 2
     mean, square = (0.7**2 / 18 + 0.7 * 0.15) / fluidity, (0.7**3 / 27 + 0.7**2 * 0.15) / fluidity
     B, c = fluidity * (square - mean**2), rubber.compliance + soft.compliance
     assert found == pytest.approx((B / c) ** 0.5, rel=2e-3)  # the soft one is hardly stretched
     assert pressure_length([rubber], 10.0) == pytest.approx(rubber.length)
-    halves = [Stratum(0.35, 9e3, 9.0, 36.0)] * 2
+    halves = [Sublayer(0.35, 9e3, 9.0, 36.0)] * 2
     assert pressure_length(halves, 10.0) == pytest.approx(rubber.length)
-    shim = Stratum(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
+    shim = Sublayer(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
     assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
 
 

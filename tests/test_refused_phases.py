@@ -255,7 +255,7 @@ def test_closed_forms():
             bar.layer(0.1, mixing)
     for phase in (2.0, np.array([0.5, -1.1]), np.nan):
         with pytest.raises(ValueError, match=r"phase is .*; allowed: -1 <= phase <= 1"):
-            limits.non_monotone_energy(2.0, 3.0, 1.2, 0.9, SLIP_AND_OPENING, [0.1, 0.2], [0.0, 1.0], phase)
+            limits.NonMonotoneLimit(2.0, 3.0, 1.2, 0.9, SLIP_AND_OPENING, [0.0, 1.0]).energy([0.1, 0.2], phase)
 
 
 # ---------------------------------------------------------------- ranks

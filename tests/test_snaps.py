@@ -147,7 +147,7 @@ def test_columns_that_tie(kind):
 
 
 class Stuck(NonMonotoneUnrelaxed):
-    """Says that its phases are beaten, and does not change them."""
+    """Says that other phases have a lower energy, and does not change them."""
 
     def switched(self, phase, drive, bound):
         return phase

@@ -47,31 +47,29 @@ class SolveError(ThinlayerError, RuntimeError):
 
 
 class NoEquilibrium(SolveError):
-    """A step whose displacements grow without bound, see `thinlayer.solving.restraint`.
+    """A step without an equilibrium: its displacements run away as weak springs soften, see `thinlayer.solving.restraint`.
 
     Attributes:
-        growth: these displacements over those of an elastic layer under the same change of loads.
+        growth: norm of these displacements over that of an elastic layer under the same change of loads.
     """
 
     def __init__(self, growth: float) -> None:
-        super().__init__(
-            f"displacements grow {growth:.3g} times as fast as those of an elastic layer, and no end is found"
-        )
+        super().__init__(f"displacements run away, {growth:.3g} times as far as those of an elastic layer")
         self.growth = growth
 
 
 class LimitLoad(SolveError):
-    """A march whose loads exceed the strength of a yielding layer: even the shortest step fails.
+    """The loads of a march exceed the strength of a yielding layer: even the shortest step has no equilibrium.
 
-    The test does not depend on why the step failed: with weak springs at all nodes an equilibrium exists, and its
-    displacements grow without bound as the springs are softened. Other steps that fail raise a plain SolveError.
+    This is tested with weak springs at all nodes. With them an equilibrium exists; if its displacements grow without bound
+    as the springs soften, there is none without springs. A step that fails for another reason raises a plain SolveError.
 
     Attributes:
         t: time of the last equilibrium.
         failed_at: earliest time at which no equilibrium was found.
-        resultant: (d,) sum of the tractions and body forces on the bodies at t.
-        growth: displacements with weak springs from t to `failed_at`, over those of an elastic layer; if the layer's flow
-            is associated, an equilibrium is at least this far away.
+        resultant: (d,) sum of the tractions and body forces on the bodies at t, a force.
+        growth: norm of the displacements with the weakest springs from t to `failed_at`, over that of an elastic layer; if
+            the layer's flow is associated, an equilibrium is at least this far away.
         history: the accepted steps.
     """
 
@@ -81,8 +79,8 @@ class LimitLoad(SolveError):
         loads = ", ".join(f"{force:.6g}" for force in resultant)
         super().__init__(
             f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
-            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}), and displacements run away: "
-            f"they grow {growth:.3g} times as fast as with an elastic layer. What was found before is kept",
+            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}): displacements run away, "
+            f"{growth:.3g} times as far as with an elastic layer. The states before it are kept",
             history,
         )
         self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth

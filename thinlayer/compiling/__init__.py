@@ -1,1 +1,1 @@
-"""Compiling C and the code of laws, once for all ranks and processes."""
+"""Compilation of C sources and of the code of laws, once for all ranks and processes."""

@@ -1,4 +1,7 @@
-"""Differences between DOLFINx releases 0.9 to 0.11 in spaces and forms. Features are probed, not version strings."""
+"""Functions that hide the differences between DOLFINx 0.9 and 0.11 in spaces and forms.
+
+They try the signatures of the releases in turn, and do not ask for the version.
+"""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""The folder of compiled forms and C sources: compilations that are killed, or run at the same time, leave it whole.
+"""The folder of compiled forms and C sources. It stays intact if compilations are killed or run at the same time.
 
-FFCx compiles in the folder itself and takes a form's C file as its lock, which nobody frees after a kill: from then on
-every process that needs the form waits for it in vain. Here each compilation has a folder of its own, from which its
-files are moved when all are complete and on the disk. Who needs the same form meanwhile waits for a lock that the kernel
-frees with its process. Beside a library stands its seal, its length and SHA-256: one that has another, as the crash of a
-machine may leave it, is compiled again, for to load a part of a library may end the process. The change of FFCx is one of
-the whole process: forms that a script compiles by itself are kept in the same way.
+FFCx compiles in this folder and uses a form's C file as a lock. If the process is killed, the lock stays, and every
+process that needs the form waits in vain. Here each compilation has a folder of its own, and its files are moved to the
+common folder when all are complete and on the disk. Other processes that need the same form wait for a lock that the
+operating system frees when its process ends. Each library has a seal in a file beside it: its length and SHA-256. If they
+do not match, as after a crash of the machine, the library is compiled again, because loading an incomplete library may
+end the process. FFCx is changed for the whole process: forms that a script compiles by itself are kept in the same way.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import fcntl
 import functools
 import hashlib
+import importlib.util
 import inspect
 import os
 import shutil
@@ -27,11 +28,12 @@ import dolfinx.jit
 import ffcx
 from ffcx.codegeneration import jit as ffcx_jit
 
-import thinlayer.parallel.abort  # noqa: F401  # whoever starts DOLFINx starts PETSc
+import thinlayer.parallel.abort  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import ThinlayerError
 
-_LOCKS: dict[Path, int] = {}  # descriptors of lock files by folder; never closed, which would free the process's locks
-SEAL = b"thinlayer: a library of "
+# Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
+_LOCKS: dict[Path, int] = {}
+SEAL = b"thinlayer: a library of "  # first words of a seal
 
 
 class CacheError(ThinlayerError, OSError):
@@ -39,10 +41,10 @@ class CacheError(ThinlayerError, OSError):
 
 
 def acquire(folder: Path, name: str) -> None:
-    """Make the folder, and wait until no other process compiles what has this name.
+    """Make the folder, and wait until no other process compiles the library of this name.
 
     Raises:
-        CacheError: a folder that cannot be made or written.
+        CacheError: the folder cannot be made or written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -57,7 +59,7 @@ def acquire(folder: Path, name: str) -> None:
 
 
 def release(folder: Path, name: str) -> None:
-    """Let other processes compile what has this name."""
+    """Let other processes compile the library of this name."""
     if folder in _LOCKS:
         _lock(folder, name, fcntl.LOCK_UN)
 
@@ -69,13 +71,13 @@ def _lock(folder: Path, name: str, how: int) -> None:
         if folder not in _LOCKS:
             _LOCKS[folder] = os.open(folder / ".thinlayer.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         fcntl.lockf(_LOCKS[folder], how, 1, byte)
-    except OSError:  # a file system without locks: the same may be compiled twice, and the last one is kept
+    except OSError:  # a file system without locks: a library may be compiled twice, and the last one is kept
         pass
 
 
 @contextmanager
 def workshop(folder: Path, name: str) -> Iterator[Path]:
-    """A fresh folder to compile in, for the process that has acquired the name; those of killed ones are deleted."""
+    """An empty folder to compile in, for the process that has acquired the name; deletes those of killed processes."""
     own = f".{name}.{os.getpid()}-"
     for old in folder.glob(f".{name}.*"):
         if not old.name.startswith(own):
@@ -85,13 +87,13 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
 
 
 def seal(library: Path, beside: Path) -> None:
-    """Write what a library is known by at the end of the file beside it, in which FFCx keeps the compiler's messages."""
+    """Append the seal of a library to the file beside it, in which FFCx keeps the messages of the compiler."""
     with beside.open("ab") as file:
         file.write(_seal_of(library))
 
 
 def is_whole(library: Path, beside: Path, *, unsealed: bool = False) -> bool:
-    """Whether a library is there as it was sealed; `unsealed` says what holds of one without a seal."""
+    """Whether a library is there and matches its seal; `unsealed` is the answer for a library without a seal."""
     try:
         known = beside.read_bytes()
         return known.endswith(_seal_of(library)) if SEAL in known else unsealed
@@ -105,10 +107,10 @@ def _seal_of(library: Path) -> bytes:
 
 
 def keep(made: Path, file: Path) -> None:
-    """Move a file to where it is kept, once the disk has its content.
+    """Write a file to the disk and move it to where it is kept.
 
     Raises:
-        CacheError: there is a folder of that name.
+        CacheError: there is a folder of this name.
     """
     descriptor = os.open(made, os.O_RDONLY)
     try:
@@ -121,30 +123,48 @@ def keep(made: Path, file: Path) -> None:
         raise CacheError(f"{file} is a folder, where a compiled file belongs; remove it") from None
 
 
+def load(library: Path) -> Any:
+    """The module of a compiled library.
+
+    Raises:
+        ImportError: a file that is no such library.
+    """
+    spec = importlib.util.spec_from_file_location(library.name.split(".")[0], library)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def _mend_ffcx() -> None:
-    """Let FFCx look for a compiled form under the lock, and compile in a folder of its own."""
+    """Let FFCx look for a compiled form under our lock, and compile it in a folder of its own."""
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
     parameters = inspect.signature(build)
 
-    def kept(module_name: str, object_names: list[str], folder: Path, timeout: int) -> tuple[Any, Any]:
-        """(objects, module), or (None, None) where files are missing or broken."""
+    def kept(module_name: str, object_names: list[str], folder: Path) -> tuple[Any, Any]:
+        """(objects, module), or (None, None) where files are missing or broken.
+
+        FFCx itself would list the whole folder for each form; that takes longer than all the rest once it has thousands.
+        """
         source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
-        # FFCx itself, in a process without thinlayer, seals nothing
-        whole = (is_whole(folder / f"{module_name}{end}", ready, unsealed=True) for end in EXTENSION_SUFFIXES)
-        if not source.exists() or not any(whole):
-            return None, None
-        try:
-            return find(module_name, object_names, folder, timeout)
-        except ImportError:
-            return None, None
+        for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
+            # libraries that FFCx compiled in a process without thinlayer have no seal
+            if library.exists() and source.exists() and is_whole(library, ready, unsealed=True):
+                try:
+                    module = load(library)
+                except ImportError:
+                    break
+                return [getattr(module.lib, name) for name in object_names], module
+        return None, None
 
     @functools.wraps(find)
     def get_cached_module(module_name: str, object_names: list[str], cache_dir: Any, timeout: int) -> tuple[Any, Any]:
         folder = Path(cache_dir)
-        found = kept(module_name, object_names, folder, timeout)
+        found = kept(module_name, object_names, folder)
         if found[0] is None:
             acquire(folder, module_name)
-            found = kept(module_name, object_names, folder, timeout)  # compiled by the process waited for
+            found = kept(module_name, object_names, folder)  # another process may have compiled it
             if found[0] is not None:
                 release(folder, module_name)
         return found
@@ -162,7 +182,7 @@ def _mend_ffcx() -> None:
                 made.pop(f"{name}.o", None)
                 (library,) = (made[f"{name}{end}"] for end in EXTENSION_SUFFIXES if f"{name}{end}" in made)
                 seal(library, ready)
-                for file in [*made.values(), ready]:  # the last one says that all are there
+                for file in [*made.values(), ready]:  # `ready` last: it says that all others are there
                     keep(file, folder / file.name)
         finally:
             release(folder, name)
@@ -175,7 +195,7 @@ _mend_ffcx()
 
 
 def load_options() -> None:
-    """Read the options of FFCx and of DOLFINx's compilations now, but not from files of the working folder."""
+    """Read the options of FFCx and of DOLFINx's compiler now, without those in files of the working folder."""
     with tempfile.TemporaryDirectory() as empty, chdir(empty):
         ffcx.get_options()
         dolfinx.jit.get_options()

@@ -1,9 +1,8 @@
-"""C sources of the package, compiled when they are first needed and kept."""
+"""C sources of the package; they are compiled when they are first needed, and the library is kept."""
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import re
 import sysconfig
 from pathlib import Path
@@ -14,25 +13,27 @@ from dolfinx import jit
 from mpi4py import MPI
 
 from forms.base import ThinlayerError
-from thinlayer.compiling.compilation import acquire, is_whole, keep, release, seal, workshop
+from thinlayer.compiling.compilation import acquire, is_whole, keep, load, release, seal, workshop
 from thinlayer.identity.sources import content, contents
 
-_LOADED: dict[Any, Any] = {}  # modules of compiled sources, by path and state of the files they depend on
-_FILES: dict[Path, tuple[Path, ...]] = {}  # files that a source depended on when it was last loaded
+_LOADED: dict[Any, Any] = {}  # (source, state of the files that it includes) -> module
+_FILES: dict[Path, tuple[Path, ...]] = {}  # source -> the files that it included when it was last loaded
+# The head of a function that is not static and returns int or double.
 EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
 
 
 class SourceError(ThinlayerError, RuntimeError):
-    """A C source that cannot be read or compiled; the compiler's own messages go to standard error."""
+    """A C source cannot be read or compiled; the compiler prints its messages to standard error."""
 
 
 def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
-    """The module compiled from a C source, with `ffi` and `lib`: the functions that return int or double, not static ones.
+    """The module compiled from a C source. Its `lib` has all functions that return int or double and are not static.
 
-    Collective. With the default communicator every process that lacks the module compiles it.
+    Collective over `comm`: rank 0 compiles. With the default communicator each process compiles the module if it is not
+    there.
 
     Raises:
-        SourceError: a source that cannot be read or compiled; on all ranks.
+        SourceError: the source cannot be read or compiled; on all ranks.
     """
     key = source, _state(source)
     if comm.allreduce(int(key not in _LOADED)):
@@ -46,12 +47,12 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
             raise SourceError(f"the C source {str(source)!r} cannot be compiled: {problem}")
         _FILES[source] = tuple(contents(source))
         key = source, _state(source)
-        _LOADED[key] = _load(_module_file(source))
+        _LOADED[key] = load(_module_file(source))
     return _LOADED[key]
 
 
 def _state(source: Path) -> tuple[tuple[Path, int], ...]:
-    """The files of a source and when each was changed last."""
+    """The files that a source includes, and the time of the last change of each, in ns."""
     return tuple((file, _changed(file)) for file in _FILES.get(source, (source,)))
 
 
@@ -63,21 +64,21 @@ def _changed(file: Path) -> int:
 
 
 def _module_file(source: Path) -> Path:
-    """Where the compiled source is kept: beside FFCx's, named by its content and that of the files it includes."""
+    """The file of a compiled source, in FFCx's folder; its name has a hash of the source and the files it includes."""
     folder = Path(jit.get_options()["cache_dir"]).expanduser()
     name = hashlib.sha256(content(source) + cffi.__version__.encode()).hexdigest()[:16]
     return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
 
 
 def _build(source: Path) -> None:
-    """Compile, unless that has been done and the file is whole."""
+    """Compile a source, unless its library is there and whole."""
     file = _module_file(source)
     if is_whole(file, _seal(file)):
         return
     name = file.name.split(".")[0]
     acquire(file.parent, name)
     try:
-        if is_whole(file, _seal(file)):  # made by the process waited for
+        if is_whole(file, _seal(file)):  # another process has compiled it
             return
         text = source.read_text(encoding="utf-8")
         builder = cffi.FFI()
@@ -94,12 +95,3 @@ def _build(source: Path) -> None:
 
 def _seal(file: Path) -> Path:
     return file.with_name(f"{file.name}.cached")
-
-
-def _load(file: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(file.name.split(".")[0], file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

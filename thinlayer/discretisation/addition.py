@@ -61,7 +61,11 @@ class Addition(ABC):
         """Virtual work of the part's forces at displacements u, a UFL form linear in v."""
 
     def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:
-        """Work (m, m) on m rigid motions of the structure of the part's forces in response to each of them. Collective."""
+        """Stiffness (m, m) of the part against m rigid motions of the structure. Collective.
+
+        Entry (i, j) is the work that the part's forces do on motion j if motion i has taken place. Supports and parts
+        together must resist every rigid motion.
+        """
         rest = fem.Function(model.V)
         form = self.work(model, rest, ufl.TestFunction(model.V))
         A = dolfinx.fem.petsc.assemble_matrix(fem.form(ufl.derivative(form, rest, ufl.TrialFunction(model.V))))

@@ -1,4 +1,4 @@
-"""A layer's law at rest: its tangents, whether it is stable, and along which axes it cannot have a traction."""
+"""A layer's law at rest: its tangents, whether it is stable, and which tractions are zero where nothing jumps."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from forms.law import BulkLaw
 from forms.tangent import (
     Array,
     average_lame,
-    has_stable_rest,
-    held_along,
+    is_checked_at_rest,
     require_stable_layer,
     tangent_at_rest,
     tangent_over,
+    uncoupled_axes,
 )
 from thinlayer.errors import ModelError
 
@@ -30,21 +30,22 @@ class AtRest:
         n: mean normal of S, (d,).
 
     Attributes:
-        strata: share of the thickness, law and tangent at rest (6, 6; None: not known) of each sublayer.
+        sublayers: (share of the thickness, law, tangent at rest) of each sublayer, or of the layer if it has none. The
+            tangent is (6, 6), or None if it is not known.
     """
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
         self.n = n
-        self.strata = [
-            (share, one, tangent_at_rest(one, n) if has_stable_rest(one) else one.stiffness(n))
+        self.sublayers = [
+            (share, one, tangent_at_rest(one, n) if is_checked_at_rest(one) else one.stiffness(n))
             for share, one in law.sublayers
         ]
 
     def over(self, dt: float) -> list[Array | None]:
-        """Tangents of the sublayers under loads that have lasted dt > 0; None: not known, or as at rest."""
+        """Tangents of the sublayers under loads that have lasted dt > 0; None: it is not known, or that at rest."""
         if dt not in self._over:
             self._over[dt] = [
-                tangent_over(law, self.n, dt) if law.traits.compiled else None for _, law, _ in self.strata
+                tangent_over(law, self.n, dt) if law.traits.compiled else None for _, law, _ in self.sublayers
             ]
         return self._over[dt]
 
@@ -54,13 +55,13 @@ class AtRest:
 
     def require_stable(self) -> None:
         """Raise LawError if a stiffness at rest is negative: equilibria would be unstable."""
-        for _, law, C in self.strata:
-            if has_stable_rest(law):
+        for _, law, C in self.sublayers:
+            if is_checked_at_rest(law):
                 require_stable_layer(law, C, self.n)
 
     def require_no_locking(self) -> None:
         """Raise ModelError for laws of order 1 that would lock because displacements are linear through the layer."""
-        _, law, C = self.strata[0]
+        _, law, C = self.sublayers[0]
         if law.traits.relaxes or C is None:
             return
         lmbda, mu = average_lame(C)
@@ -71,26 +72,27 @@ class AtRest:
                 "beyond which the next term locks; use order=0, the meshed layer (structure.full), or LinearElastic"
             )
 
-    def silent(self, planar: bool, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
-        """Axes along which the traction is zero where supports hold that component of both bodies together.
+    def zero_tractions(self, planar: bool, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
+        """Which tractions are zero because supports of both bodies hold the jump at zero.
 
-        It is not zero for laws with a stress at zero strain, for the pressure of incompressible layers, and for laws with
-        memory or rate if supports move.
+        Some are not zero in spite of this: those of laws with a stress at zero strain, the pressure of incompressible
+        layers, and those of laws with memory or rate if supports move.
 
         Args:
             planar: whether S is planar.
             moving: whether supports move in time.
 
         Returns:
-            (d,) for these axes, and whether the traction is zero where supports hold all components.
+            (d,) for each axis whether the traction along it is zero where supports hold this component of both bodies;
+            and whether the whole traction is zero where they hold all components.
         """
-        none, laws = np.zeros(len(self.n), bool), [law for _, law, _ in self.strata]
+        none, laws = np.zeros(len(self.n), bool), [law for _, law, _ in self.sublayers]
         if moving and any(law.traits.rate or law.internal for law in laws):
             return none, False
         along = np.full(len(self.n), planar)
         for law in laws:
-            found = held_along(law, self.n)
-            if found is None:
+            uncoupled = uncoupled_axes(law, self.n)
+            if uncoupled is None:
                 return none, False
-            along &= found
+            along &= uncoupled
         return along, not any(law.traits.constrained for law in laws)

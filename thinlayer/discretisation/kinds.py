@@ -19,7 +19,7 @@ from geometry.joint import BASE, Joint, S
 from geometry.motion import require_no_branches
 from geometry.topology import is_tensor
 from thinlayer.discretisation.at_rest import AtRest
-from thinlayer.discretisation.broken import Colours, interface_measure
+from thinlayer.discretisation.broken import interface_measure
 from thinlayer.discretisation.joint_fields import director, relative_thickness
 from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer, constants, real_law
 from thinlayer.discretisation.model import Model
@@ -90,6 +90,7 @@ class InterfaceModel(Model):
     """
 
     name = "interface"
+    broken = True
 
     def __init__(self, structure: Setup, layer: Layer) -> None:
         self.layer = layer
@@ -113,10 +114,6 @@ class InterfaceModel(Model):
         if self.thin_layer:
             self.joint.relative_thickness(self.thin_layer.profile)  # a user's function, may fail on one rank alone
         return self.joint
-
-    @property
-    def _colours(self) -> Colours:
-        return self.sides_of_cells
 
     @cached_property
     def sides(self) -> forms.Interface:
@@ -146,15 +143,15 @@ class InterfaceModel(Model):
         return forms.surface(law, sides, eps, layer.order)
 
     @cached_property
-    def silent(self) -> tuple[npt.NDArray[np.bool_], bool]:
-        """Axes along which the interface law has no traction where supports hold that component of both bodies together.
+    def zero_tractions(self) -> tuple[npt.NDArray[np.bool_], bool]:
+        """Which tractions are zero because supports of both bodies hold the jump at zero, see `AtRest.zero_tractions`.
 
-        (d,), and whether it has none where they hold all components; see `AtRest.silent`. All False for order 1.
+        All are False for contact laws and for order 1, whose tractions also depend on gradients along S.
         """
         if self.contact or (self.thin_layer and self.thin_layer.order):
             return np.zeros(self.joint.dim, bool), False
         moving = any(callable(value) for _, given in self.supports.entries for value in given.values())
-        return self.at_rest.silent(self.joint.planar, moving)
+        return self.at_rest.zero_tractions(self.joint.planar, moving)
 
 
 class BondedModel(Model):

@@ -56,7 +56,7 @@ class Time(ufl.Constant):
 
     @property
     def breaks(self) -> set[float]:
-        """Times of the kinks of all curves whose argument is linear in the time."""
+        """The break times of all curves whose argument is linear in the time."""
         found: set[float] = set()
         for argument, curve, _ in self.followers:
             rate, start = _linear(argument, self)

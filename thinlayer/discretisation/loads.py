@@ -105,7 +105,7 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
 
     Tables of thousands of values are fine, `piecewise(dict(zip(times, forces)))`. The table may be used in a function,
     `lambda x, t: (0, x[0] * table(x, t))`, at another time than t, `table(x, t / 3600)`, and as a law's temperature. Steps
-    of a layer with memory end at its kinks.
+    of a layer with memory end at its break times.
 
     Args:
         values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.

@@ -31,6 +31,7 @@ from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.pointwise.quadrature import quadrature_degree
 
 
 class Model(ABC):
@@ -56,11 +57,13 @@ class Model(ABC):
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
         coordinates: place and time as arguments of loads.
+        broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
         made_from: description, as JSON, of the data at the time the model was built.
     """
 
     name: ClassVar[str]
+    broken: ClassVar[bool] = False
     layer_law: Law | None = None
     thin_layer: ThinLayer | None = None
     contact: ContactLaw | None = None
@@ -99,7 +102,7 @@ class Model(ABC):
         self._laws_read = self._laws()
 
     # ---------------------------------------------------------------- differences between kinds of models
-    _clamped: ClassVar[tuple[str, ...]] = ()  # facets that a rigid base holds
+    _clamped: ClassVar[tuple[str, ...]] = ()  # names of the facets that a rigid base holds
 
     @abstractmethod
     def _checked(self) -> Joint:
@@ -112,7 +115,7 @@ class Model(ABC):
     @property
     def _colours(self) -> Colours:
         """Colours of cells; displacements jump between cells of different colours."""
-        return np.zeros_like(self.sides_of_cells)
+        return self.sides_of_cells if self.broken else np.zeros_like(self.sides_of_cells)
 
     # ---------------------------------------------------------------- spaces
     @cached_property
@@ -136,13 +139,10 @@ class Model(ABC):
     # ---------------------------------------------------------------- where laws act
     @property
     def _rule(self) -> dict[str, Any]:
-        """Quadrature of laws on quadrilaterals and hexahedra: exact on straight cells, one more point per axis on others.
-
-        UFL would sum the degrees of all directions and of the geometry, which needs many times the points for no gain.
-        """
+        """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
         if not is_tensor(self.joint.cell_type):
             return {}
-        return {"metadata": {"quadrature_degree": 2 * self.structure.degree + 1 + 2 * (self.joint.degree - 1)}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
 
     @property
     def terms(self) -> list[forms.Term]:
@@ -163,7 +163,7 @@ class Model(ABC):
 
     @property
     def break_times(self) -> set[float]:
-        """Times of the kinks of piecewise loads, supports and temperatures."""
+        """The break times of all loads, supports and temperatures of the model."""
         return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:

@@ -66,7 +66,7 @@ def require_support(
     Args:
         comm, V, joint: attributes of the model.
         held: local degrees of freedom that supports prescribe.
-        resistances: functions of the m rigid motions that give the work (m, m) of forces that resist them.
+        resistances: functions of the m rigid motions, see `Addition.resistance`.
     """
     motions = rigid_motions(V, joint)
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs

@@ -116,7 +116,7 @@ class State(Configuration):
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
 
     def identity(self) -> dict[str, Any]:
-        """What it was made from."""
+        """Identity of the state: its model's and its time."""
         return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: Any) -> float:

@@ -27,16 +27,16 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
 
-MASS_TOLERANCE = 1e-14
-SAME_PLACE = 1e-12  # jump, over the largest displacement, that counts as zero
-SPREAD = 0.1  # least extent of the places with a known traction, over their distance, to extrapolate a slope
+MASS_TOLERANCE = 1e-14  # relative tolerance of the solver for the mass matrix of S
+NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
+SPREAD = 0.1  # least extent of the places of known tractions, relative to their distance, for a slope
 
 
 def reaction(state: State) -> fem.Function:
-    """Nodal forces that the bodies pass to S, tested with degree-1 functions broken at its faces. Collective.
+    """Nodal forces that the layer (or the other body) exerts on the bodies, on the nodes of the faces of S. Collective.
 
-    On the nodes of each face r_i = int_body stress(u) : e(phi_i) - L(phi_i), and what is added to the model, say springs at
-    the end of S: what the layer (or the other body) exerts.
+    r_i = int_body stress(u) : e(phi_i) - L(phi_i), with the work of additions to the model (springs at the end of S, say)
+    on the left. The functions phi_i have degree 1 and jump at the faces of S.
     """
     model = state.model
     W = model.space(1, broken_at_faces=True)
@@ -72,7 +72,9 @@ def contact_forces(state: State) -> fem.Function:
 
 @dataclass(frozen=True, init=False)
 class Surface:
-    """S as the interface model sees it; fields of a full model on the same joint can be brought here.
+    """Traction, jump and displacements on S, of states of an interface model or of a full model of the same joint.
+
+    Those of a full model are transferred to the spaces of the interface model.
 
     Attributes:
         model: an interface model.
@@ -96,7 +98,7 @@ class Surface:
             raise ModelError("this state's model has another joint than the surface; build both from the same one")
 
     def _expression(self, f: Any, *shapes: tuple[int, ...]) -> Expr:
-        """A UFL expression on S of one of these shapes (none: of any); a condition is 1 or 0."""
+        """`f` as a UFL expression on S of one of these shapes (none given: any); a condition becomes 1 or 0."""
         try:
             found = ufl.as_ufl(f)
         except Exception as error:
@@ -159,13 +161,18 @@ class Surface:
     def traction(self, state: State) -> Expr:
         """Traction t = stress n on S, (d,), a UFL expression of degree 1 on S. Collective.
 
-        Mean over both faces of the bodies' reactions. Where a support holds a component of one body, its reaction there is
-        the support's too, and the other body's tells the traction alone. Where supports hold a component of both bodies
-        (on a rigid base: of the body), no reaction tells it. Under contact it is the law's. Where they hold the bodies
-        together it is zero, if the interface law says so (`Model.silent`; a meshed layer about as hard as the bodies is
-        strained there: take a surface of order 1). Else it goes on linearly from what it is around, two nodes deep (zero
-        where supports hold all of these, too), which is right for a uniform and for a linear traction. It is zero at nodes
-        where S ends inside the bodies: nothing jumps there.
+        It is the mean of the bodies' reactions on both faces. Where a support holds a component of one body, the reaction
+        of this body contains that of the support, and the reaction of the other body alone is taken. Where supports hold
+        a component of both bodies (on a rigid base: of the body), the traction does not follow from reactions:
+
+        - under contact it is that of the law;
+        - where supports hold the bodies together it is zero, if this follows from the interface law
+          (`InterfaceModel.zero_tractions`; a meshed layer about as hard as the bodies is strained there: take a surface
+          of order 1);
+        - elsewhere it is extrapolated linearly from the nodes around, two nodes deep (zero where supports hold all of
+          these, too). This is exact for uniform and linear tractions.
+
+        At nodes where S ends inside the bodies the traction is zero, because nothing jumps there.
         """
         self._require_same_joint(state)
         r = reaction(state)
@@ -174,13 +181,13 @@ class Surface:
         held.x.scatter_forward()
         u.interpolate(state.u)
         r, held, u = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held, u))
-        untold = self._tell_by_other_side(r, held.x.array > 0)
+        unknown = self._take_from_other_side(r, held.x.array > 0)
         if state.model.contact:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
-            r.x.array[untold] = by_law.x.array[untold]
-        zero = self._silent(untold & ~self._jumps(u))
-        if not state.model.contact and self.model.comm.allreduce(int((untold & ~zero).any())):
-            self._extrapolate(r, untold, untold & ~zero)
+            r.x.array[unknown] = by_law.x.array[unknown]
+        zero = self._zero_tractions(unknown & ~self._jumps(u))
+        if not state.model.contact and self.model.comm.allreduce(int((unknown & ~zero).any())):
+            self._extrapolate(r, unknown, unknown & ~zero)
         t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, zero)
         if self.model.joint.rigid_base:
             return -self.sides.upper(t)
@@ -250,25 +257,25 @@ class Surface:
         f = self._expression(f)
         return float(np.sqrt(self.integral(self._expression(where, ()) * ufl.inner(f, f))))
 
-    def _tell_by_other_side(self, r: fem.Function, held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Replace held nodal forces by minus those of the other side; return where they are held there too.
+    def _take_from_other_side(self, r: fem.Function, held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Replace nodal forces at held components by minus those of the other side; return where both sides are held.
 
-        Both sides of a node where S ends inside the bodies are one: there nothing is replaced.
+        At a node where S ends inside the bodies both sides have the same displacement; nothing is replaced there.
         """
         if self.model.joint.rigid_base:
             return held
         there = fem.Function(self.trace_space)
         there.x.array[:] = held
         unknown = held & (self._of_other_side(there) > 0.5)
-        told = held & ~unknown & self._areas_at_corners.astype(bool)
-        r.x.array[told] = -self._of_other_side(r)[told]
+        replaced = held & ~unknown & self._areas_at_corners.astype(bool)
+        r.x.array[replaced] = -self._of_other_side(r)[replaced]
         return unknown
 
-    def _silent(self, together: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """The components without traction among those in which supports hold the bodies together."""
+    def _zero_tractions(self, together: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """The components whose traction is zero, among those in which supports hold the bodies together."""
         if not self.model.comm.allreduce(int(together.any())):
             return together
-        along, whole = self.model.silent
+        along, whole = self.model.zero_tractions
         nodes = together.reshape(-1, len(along))
         return np.asarray((nodes & (along | (whole & nodes.all(axis=1, keepdims=True)))).ravel())
 
@@ -276,18 +283,19 @@ class Surface:
         """Where a function of the trace space differs from side to side (on a rigid base: from zero)."""
         largest = self.model.comm.allreduce(float(np.abs(u.x.array).max(initial=0.0)), MPI.MAX)
         other = 0.0 if self.model.joint.rigid_base else self._of_other_side(u)
-        return np.asarray(np.abs(u.x.array - other) > SAME_PLACE * largest)
+        return np.asarray(np.abs(u.x.array - other) > NO_JUMP * largest)
 
-    def _extrapolate(self, r: fem.Function, untold: npt.NDArray[np.bool_], wanted: npt.NDArray[np.bool_]) -> None:
-        """Set those nodal forces that are wanted, among those where supports hold both sides, from those around.
+    def _extrapolate(self, r: fem.Function, unknown: npt.NDArray[np.bool_], wanted: npt.NDArray[np.bool_]) -> None:
+        """Extrapolate nodal forces to the `wanted` ones among the `unknown` ones, which do not follow from reactions.
 
-        Over the areas of the nodes they are what a linear traction is at the centroids of the nodes' functions. The linear
-        function of the place that fits them goes on, two neighbours deep, with weights of the mass matrix's square. Along
-        directions in which the places hardly spread (across S; everywhere where there is one) it is constant.
+        The known forces over the areas of their nodes are the values of a linear traction at the centroids of the nodes'
+        functions. A linear function of these places is fitted by least squares to the known values up to two nodes away,
+        weighted with the square of the mass matrix. It is constant along directions in which the places hardly spread:
+        across S, and along S if there is one place only.
         """
         _, on_s = self._mass
         owned, d = len(on_s), self.model.joint.dim
-        at, told = np.flatnonzero(on_s & wanted[:owned]), on_s & ~untold[:owned]
+        at, fitted = np.flatnonzero(on_s & wanted[:owned]), on_s & ~unknown[:owned]
         area = np.where(on_s, self._around, 1.0)
         x = self.trace_space.tabulate_dof_coordinates()[: owned // d, :d] - self.model.joint.points.mean(axis=0)
         x = np.array([self._times_mass(row) / area for row in x.repeat(d, axis=0).T])
@@ -295,7 +303,7 @@ class Surface:
         moments = np.zeros((len(at), d + 1, d + 2))
         for i in range(d + 1):
             for j in range(i, d + 2):
-                sums = self._times_mass(self._times_mass(np.where(told, known[i] * known[j], 0.0)))[at]
+                sums = self._times_mass(self._times_mass(np.where(fitted, known[i] * known[j], 0.0)))[at]
                 moments[:, i, j] = sums
                 if j <= d:
                     moments[:, j, i] = sums
@@ -333,20 +341,23 @@ class Surface:
 
     @cached_property
     def _areas_at_corners(self) -> npt.NDArray[np.float64]:
-        """What `_exchanged` weights values with."""
+        """The weights of the values in `_exchanged`: areas of S around the nodes, by the rule that takes corners alone."""
         ones = fem.Function(self.trace_space)
         ones.x.array[:] = 1.0
         return self._exchanged(ones)
 
     def _exchanged(self, f: fem.Function) -> npt.NDArray[np.float64]:
-        """Integral over S of the other side's values, by the rule that takes corners alone: each node sees one value."""
+        """Integrals over S of the other side's values, by the quadrature rule whose points are the corners of facets.
+
+        With this rule the integral at a node has only the value at the same place on the other side.
+        """
         values, form = self._exchange
         values.x.array[:] = f.x.array
         return np.asarray(nodal_forces(self.trace_space, form).x.array)
 
     @cached_property
     def _exchange(self) -> tuple[fem.Function, fem.Form]:
-        """A function of the trace space, and the form that `_exchanged` assembles of it."""
+        """A function of the trace space, and the form of its values that `_exchanged` assembles."""
         f, v = fem.Function(self.trace_space), ufl.TestFunction(self.trace_space)
         measure = self.sides.measure(metadata={"quadrature_rule": "vertex", "quadrature_degree": 1})
         return f, fem.form((ufl.inner(f("+"), v("-")) + ufl.inner(f("-"), v("+"))) * measure)
@@ -365,7 +376,7 @@ class Surface:
         return A, diagonal.array > 0
 
     def _divide_by_areas(self, r: fem.Function) -> fem.Function:
-        """Nodal forces over the areas of the nodes, as contact laws see them."""
+        """Nodal forces over the areas of the nodes: the traction as contact laws define it."""
         _, on_s = self._mass
         t = fem.Function(self.trace_space)
         t.x.array[: len(on_s)][on_s] = r.x.array[: len(on_s)][on_s] / self._around[on_s]
@@ -373,7 +384,7 @@ class Surface:
         return t
 
     def _divide_by_mass(self, r: fem.Function, zero: npt.NDArray[np.bool_]) -> fem.Function:
-        """Solve M t = r on the nodes of S but for the components that are zero."""
+        """Solve M t = r on the nodes of S, with the mass matrix M; t = 0 for the components in `zero`."""
         V = self.trace_space
         mass, on_s = self._mass
         keep = on_s & ~zero[: len(on_s)]
@@ -390,7 +401,7 @@ class Surface:
         x = A.createVecRight()
         b.array[:] = r.x.array[: len(on_s)][keep]
         size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
-        b.array[:] /= size  # the solver squares forces, which must neither underflow nor overflow
+        b.array[:] /= size  # the squares of forces in the solver must neither underflow nor overflow
         ksp.solve(b, x)
         t.x.array[: len(on_s)][keep] = x.array * size
         t.x.scatter_forward()

@@ -26,9 +26,8 @@ class Columns:
 
     def sum_of(self, values: Array) -> Array:
         """Sums (columns,) of values at the points, the same on all ranks."""
-        sums: Array = np.bincount(self.of, values, len(self.centres)).astype(
-            float
-        )  # bincount of no points gives integers
+        # np.bincount gives integers if there are no points
+        sums: Array = np.bincount(self.of, values, len(self.centres)).astype(float)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
@@ -52,14 +51,14 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def excess(self, memory: Array) -> float:
-        """Largest excess of all columns: energy of the phase less that of the best other phase, over C. Collective."""
+        """Largest excess of all columns: energy of a column's phase less the least of the others', over C. Collective."""
         return float(self.law.excess(*self._of_columns(memory)).max(initial=-np.inf))
 
     def switched(self, memory: Array, old: Array) -> Array | None:
         """Internal values `old` with the phases that columns change to; None if none changes. Collective.
 
         Args:
-            memory: internal values at the equilibrium that was found with the phases held.
+            memory: internal values at the equilibrium that was found with fixed phases.
             old: internal values at the beginning of the step, with these phases.
         """
         before = self._of_columns(memory)

@@ -19,12 +19,11 @@ from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import Origin, Quadrature
 
-UNDERFLOW = (
-    np.finfo(float).tiny / np.finfo(float).eps ** 2
-)  # size of a tangent below which underflow may have cost digits
+# Size of a tangent below which underflow may have cost digits.
+UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
 FALLING = 1e-3  # stresses fall if an eigenvalue, or the work of changes, is below minus this share of its size
 MOMENT = np.finfo(float).eps  # fraction of a step that is too short for any change
-LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # bounds of the share of the rest tangent added to a singular one
+LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # bounds of the share of the tangent at rest added to a singular one
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ class CompiledTerm(Quadrature):
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
         """Energy of strains e and internal values after a step of length dt, over this rank's points; NaN if undeclared."""
-        energies = self.material.update(self.slots, e, e, memory, self.n, MOMENT * dt, 1.0, held=True)[3]
+        energies = self.material.update(self.slots, e, e, memory, self.n, MOMENT * dt, 1.0, fixed=True)[3]
         return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
@@ -163,13 +162,13 @@ class CompiledTerm(Quadrature):
         self.at_time(0.0)
         return self.respond(none, none, self.rest(), 0.0, 1.0).tangent
 
-    def _regular(self, tangent: Array, lack: float) -> Array:
+    def _regular(self, tangent: Array, relative_residual: float) -> Array:
         """The tangents, plus a small share of the tangent at rest where they differ from it."""
         if self._at_rest is None:
             return tangent
-        part = min(max(lack, LEAST_STIFFNESS), MOST_STIFFNESS)
+        share = min(max(relative_residual, LEAST_STIFFNESS), MOST_STIFFNESS)
         change, size = (np.abs(a).max(axis=(1, 2), initial=0.0) for a in (tangent - self._at_rest, self._at_rest))
-        return tangent + part * self._at_rest * (change > 1e-9 * size)[:, None, None]
+        return tangent + share * self._at_rest * (change > 1e-9 * size)[:, None, None]
 
     def rest(self) -> Array:
         """Internal values at rest."""
@@ -182,19 +181,23 @@ class CompiledTerm(Quadrature):
         weighted.destroy()
         return self._forces
 
-    def stiffness(self, tangent: Array, lack: float = 0.0) -> PETSc.Mat:
+    def stiffness(self, tangent: Array, relative_residual: float = 0.0) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.
 
         If the tangent may be singular (`Traits.singular`), a small share of the tangent at rest is added, which grows with
-        the residual over the forces, `lack` (Levenberg-Marquardt). Without it the matrix is singular where cells through
-        the meshed layer can share a strain in several ways. The equilibrium that is found does not change.
+        the residual (Levenberg-Marquardt). Without it the matrix is singular where cells through the meshed layer can
+        share a strain in several ways. The equilibrium that is found does not change.
+
+        Args:
+            tangent: (points, m, m).
+            relative_residual: residual of the balance of forces over the force scale.
         """
         m, rows = len(self.slots), self.count * len(self.slots)
         first = self.B.getOwnershipRange()[0]
         indptr = np.arange(0, rows * m + 1, m, dtype=PETSc.IntType)
         blocks = np.arange(rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
         indices = (first + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
-        values = (self._regular(tangent, lack) * self.weights[:, None, None]).ravel()
+        values = (self._regular(tangent, relative_residual) * self.weights[:, None, None]).ravel()
         size = (self.B.getSizes()[0], self.B.getSizes()[0])
         D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.comm)
         A = D.ptap(self.B)

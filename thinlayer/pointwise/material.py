@@ -87,7 +87,7 @@ class Material:
         dt: float,
         theta: float,
         *,
-        held: bool = False,
+        fixed: bool = False,
     ) -> tuple[Array, Array, Array, Array, int]:
         """Stress (points, m), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
 
@@ -97,7 +97,7 @@ class Material:
             q: (points, memory) internal values at the beginning.
             n: (points, 3) director.
             dt, theta: the step.
-            held: whether strains, also those of sublayers, stay what they are at the beginning: for energies, there is no
+            fixed: whether strains, also those of sublayers, stay what they are at the beginning: for energies, there is no
                 stress.
 
         Raises:
@@ -120,7 +120,7 @@ class Material:
         )
         failed = self._library.lib.run(
             len(self._kernels), *law, varying,
-            m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta, held,
+            m, *self._given(components), points, self.memory, *self._given(e, e_old, q, n), dt, theta, fixed,
             *self._given(s, C, q_new, energies),
         )  # fmt: skip
         if failed < 0:

@@ -136,9 +136,10 @@ static int tractions(sublayer *layers, int count, const double *along, const dou
 }
 
 /* Steps of the sublayers' jumps and the common traction t: K_i dg_i - t = -t_i, sum a_i dg_i = 0; with `columns` 7, the
- * slopes of both along the components of strain as well. A singular K_i (a sublayer that yields) is allowed. Of several
- * nothing tells the jumps: `added` to each K_i, a part of its largest entry, does. Rows are scaled by that entry, t by the
- * smallest of them; the last rows are light, so that none of them is the pivot of a jump that its own sublayer can tell. */
+ * slopes of both along the components of strain as well. One singular K_i (a sublayer that yields) is allowed. If
+ * several are singular, their jumps are undetermined; `added`, a share of the largest entry of each K_i, is then added to its
+ * diagonal. Rows are scaled by that entry, t by the smallest of them. The last rows are light, so that none of them is the
+ * pivot of a jump that follows from the equations of its own sublayer. */
 static int linearised(sublayer *layers, int count, const frame *S, double *A, int columns, double added)
 {
     const int size = 3 * count + 3, stride = size + 7;
@@ -171,27 +172,28 @@ static int linearised(sublayer *layers, int count, const frame *S, double *A, in
     return 1;
 }
 
-/* 1, or 2 if several sublayers yield; 0: none found. */
+/* Computes the step; returns 1, 2 if several sublayers yield, or 0 if there is no step. */
 static int step_of(sublayer *layers, int count, const frame *S, double *A, int columns)
 {
     if (linearised(layers, count, S, A, columns, 0)) return 1;
     return linearised(layers, count, S, A, columns, 1e-8) ? 2 : 0;
 }
 
-/* Let the sublayers' jumps add up to that of the whole: what rounding has left goes to each in proportion to its own. */
+/* Corrects the sublayers' jumps so that they add up to that of the whole layer: the rounding error is distributed in
+ * proportion to their sizes. */
 static void add_up(sublayer *layers, int count, const double *whole)
 {
-    double lack[3], sizes = 0;
-    memcpy(lack, whole, sizeof lack);
+    double missing[3], sizes = 0;
+    memcpy(missing, whole, sizeof missing);
     for (int i = 0; i < count; i++) {
         const sublayer *a = &layers[i];
         sizes += a->fraction * (fabs(a->g[0]) + fabs(a->g[1]) + fabs(a->g[2]));
-        for (int j = 0; j < 3; j++) lack[j] -= a->fraction * a->g[j];
+        for (int j = 0; j < 3; j++) missing[j] -= a->fraction * a->g[j];
     }
     for (int i = 0; i < count; i++) {
         double *g = layers[i].g;
         const double share = sizes > 0 ? (fabs(g[0]) + fabs(g[1]) + fabs(g[2])) / sizes : 1;
-        for (int j = 0; j < 3; j++) g[j] += share * lack[j];
+        for (int j = 0; j < 3; j++) g[j] += share * missing[j];
     }
 }
 
@@ -285,11 +287,11 @@ static int in_series(sublayer *layers, int count, const double *e, const frame *
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
  * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each; parameters: of all points,
- * or, with `varying`, (points, n), of each. With `held`, strains stay e_old, those of sublayers too: nothing is solved, there is
+ * or, with `varying`, (points, n), of each. With `fixed`, strains stay e_old, those of sublayers too: nothing is solved, there is
  * no stress, and the energies are those of e_old. */
 int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *n_parameters,
         const double *fractions, const double *parameters, int varying, int m, const int32_t *slots, int points, int width,
-        const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, int held,
+        const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, int fixed,
         double *stress, double *C, double *q_new, double *energy)
 {
     sublayer *layers = calloc(count, sizeof(sublayer));
@@ -332,7 +334,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             numbers_of += a->n_parameters;
         }
         if (!varying) numbers_of = parameters;
-        if (held) {
+        if (fixed) {
             for (int i = 0; i < count; i++) memcpy(layers[i].in, layers[i].in + 6, sizeof now), evaluate(&layers[i]);
         } else if (count > 1) {
             turn_to(&S, n);

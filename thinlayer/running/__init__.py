@@ -1,1 +1,1 @@
-"""Command line, catalogue of studies, records of runs."""
+"""The command line, the catalogue of studies, and the records of their runs."""

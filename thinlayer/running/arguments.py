@@ -1,4 +1,4 @@
-"""Arguments of the command line."""
+"""The arguments of the command line: the commands, the options of the studies, PETSc options."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 from thinlayer.running.catalogue import Study, studies
 
 STATUSES = (
-    "Exit status: 0 all checks of the study hold; 1 a check failed; 2 bad input, nothing written; 3 a solve failed, what "
-    "was done is kept; 5 a file could not be written; 70 a defect, with its traceback; 130 interrupted."
+    "Exit status: 0 all checks of the study hold; 1 a check failed; 2 wrong input, nothing is written; 3 a solve failed, "
+    "results so far are kept; 5 a file could not be written; 70 a defect, with its traceback; 130 interrupted."
 )
 PETSC_PREFIX = "-thinlayer_"
 
@@ -21,10 +21,10 @@ def command_line() -> argparse.ArgumentParser:
         prog="python3 -m thinlayer", description="Thin soft layers, meshed or replaced by their interface law."
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    commands.add_parser("list", help="the studies, a line each")
-    commands.add_parser("info", help="versions of everything results depend on")
-    draw = commands.add_parser("draw", help="draw a study's curves again from the tables of an earlier run")
-    draw.add_argument("study", metavar="STUDY", choices=studies(), help="name, see the command list")
+    commands.add_parser("list", help="list the studies")
+    commands.add_parser("info", help="print the versions of the packages that results depend on")
+    draw = commands.add_parser("draw", help="draw the pictures of a study again, from the tables of an earlier run")
+    draw.add_argument("study", metavar="STUDY", choices=studies(), help="name of a study; the command list prints all")
     draw.add_argument("--out", metavar="DIR", help="folder of the run (default: out/STUDY)")
     run = commands.add_parser("run", help="run a study", description="Run a study; STUDY --help shows its options.")
     names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
@@ -41,26 +41,26 @@ def command_line() -> argparse.ArgumentParser:
         one.add_argument("--resume", action="store_true", help="continue a run that was killed, with the same options")
         one.add_argument("--out", metavar="DIR", help="folder for tables and pictures (default: out/STUDY)")
         one.add_argument(
-            "-v", "--verbose", action="count", default=0, help="tell what solves try; twice: every step of them"
+            "-v", "--verbose", action="count", default=0, help="show the attempts of solves; twice: their steps as well"
         )
     return parser
 
 
 def refuse(parser: argparse.ArgumentParser, rest: Sequence[str]) -> None:
-    """End with an error if anything is left."""
+    """End with an error if arguments are left that no command knows."""
     if rest:
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
 
 
 def folder(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> Path:
-    """The folder of a run."""
+    """The folder of a run: --out, or out/STUDY."""
     if chosen.out is not None and not chosen.out.strip():
         parser.error("--out is empty; give the name of a folder")
     return Path("out") / chosen.study if chosen.out is None else Path(chosen.out)
 
 
 def petsc_options(parser: argparse.ArgumentParser, study: Study, rest: Sequence[str]) -> dict[str, str | None]:
-    """-thinlayer_NAME [VALUE] ... as a dictionary."""
+    """PETSc options, given as -thinlayer_NAME [VALUE] ..., by their names; ends with an error at any other argument."""
     options: dict[str, str | None] = {}
     name = None
     for word in rest:

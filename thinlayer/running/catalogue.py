@@ -1,4 +1,4 @@
-"""The studies that exist and the options each takes, read from their source without importing them."""
+"""The studies and their options, read from the source of the studies without importing it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Study:
     Attributes:
         name: module name in `studies`.
         summary: first line of its docstring.
-        options: keyword arguments of its `run` -> what `add_argument` takes for them, by their annotations.
+        options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
     """
 
     name: str
@@ -46,7 +46,12 @@ def studies() -> dict[str, Study]:
 
 
 def _option(argument: ast.arg, text: str) -> dict[str, Any]:
-    """The option of an argument: a `bool`, `Sequence[float]` (thicknesses) or `Literal`; the text has its help."""
+    """Arguments of `add_argument` for a keyword argument of `run`.
+
+    Args:
+        argument: the keyword argument; its annotation is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]`.
+        text: docstring of `run`, in which its description becomes the help of the option.
+    """
     line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
     found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
     kind = ast.unparse(argument.annotation) if argument.annotation else ""
@@ -61,7 +66,7 @@ def _option(argument: ast.arg, text: str) -> dict[str, Any]:
 
 
 def thickness(text: str) -> float:
-    """A thickness on the command line."""
+    """The value of a thickness given on the command line."""
     eps = float(text)
     if not 0 < eps < float("inf"):
         raise ArgumentTypeError(f"{text}: a thickness must be > 0")

@@ -10,10 +10,10 @@ class Check:
     """A number that a study promises to lie in a range.
 
     Attributes:
-        name: what the number is.
-        value: the number found.
-        low, high: the range; None for an open end.
-        passed: whether it lies there.
+        name: description of the number.
+        value: the number.
+        low, high: ends of the range; None: no bound.
+        passed: whether the number lies in the range.
     """
 
     name: str

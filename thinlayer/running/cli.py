@@ -1,4 +1,7 @@
-"""Command line: list the studies, run one, print versions. Heavy imports happen only when a study runs."""
+"""The command line: lists the studies, runs one, draws it again, prints versions.
+
+DOLFINx and PETSc are imported only when a study runs, as that takes seconds.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,7 @@ OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit status.
-
-    The statuses are told by `run STUDY --help`. A defect raises here; `start` has a status for it.
-    """
+    """Run a command; returns the exit status, see `arguments.STATUSES`. A defect raises its exception, see `start`."""
     parser = command_line()
     chosen, rest = parser.parse_known_args(arguments)
     if chosen.command == "list":
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def start() -> int:
-    """`main` as a process of its own: the exit status of whatever happens."""
+    """`main` for a process of its own: returns an exit status for every exception, too."""
     try:
         return main()
     except KeyboardInterrupt:
@@ -54,7 +54,7 @@ def start() -> int:
 
 
 def _set_signals() -> None:
-    """Python's own handling of signals, as PETSc takes them over with reports of its own."""
+    """Restore Python's handling of signals. PETSc replaces it when it starts, and prints reports of its own."""
     startup.raise_on_interrupt()
     for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.getsignal(number))
@@ -113,7 +113,7 @@ def _run_study(
     root = MPI.COMM_WORLD.rank == 0
     if root and (elsewhere := given_elsewhere()):
         print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
-    PETSc.Options().setValue("options_left", False)  # we tell ourselves which were not read
+    PETSc.Options().setValue("options_left", False)  # options that are not read are errors of ours, not PETSc's report
     for name, value in petsc.items():
         PETSc.Options().setValue(name, value)
     record = Record(study.name, out, given | petsc, resume=resume)
@@ -133,18 +133,18 @@ def _run_study(
     except InputError as error:
         return _stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")
     except SolveError as error:
-        return _stop(root, SOLVE_FAILED, f"{error}\nwhat was done is kept in {out}")
+        return _stop(root, SOLVE_FAILED, f"{error}\nresults so far are kept in {out}")
     except OSError as error:
-        message = f"{_not_written(error)}\nwhat was done is kept in {out}, --resume continues"
+        message = f"{_not_written(error)}\nresults so far are kept in {out}; --resume continues"
         if not getattr(error, "on_all_ranks", False):
             _end_all_ranks(MPI.COMM_WORLD, NOT_WRITTEN, message)
         return _stop(root, NOT_WRITTEN, message)
     except KeyboardInterrupt:
-        message = f"interrupted; what was done is kept in {out}, --resume continues"
+        message = f"interrupted; results so far are kept in {out}; --resume continues"
         _end_all_ranks(MPI.COMM_WORLD, INTERRUPTED, message)
         return _stop(root, INTERRUPTED, message)
     except BaseException as error:
-        if MPI.COMM_WORLD.size > 1:  # it may be on one rank only: the others must not wait for it for ever
+        if MPI.COMM_WORLD.size > 1:  # the error may be on one rank only, for which the others would wait for ever
             abort.abort(error)
         raise
     if root:
@@ -157,7 +157,7 @@ def _run_study(
 
 
 def _reason(error: BaseException) -> str:
-    """For run.json."""
+    """Text of an error for run.json."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
     return str(error) if isinstance(error, (RuntimeError, OSError)) else f"{type(error).__name__}: {error}"
@@ -175,7 +175,7 @@ def _stop(root: bool, status: int, message: str) -> int:
 
 
 def _end_all_ranks(comm: Any, status: int, message: str) -> None:
-    """An error that other ranks may not know of ends them; a serial run goes on."""
+    """End all ranks of a parallel run, as the others may not know of the error; a serial run goes on."""
     if comm.size > 1:
         _stop(True, status, message)
         sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Provenance of results besides a study's options: versions, PETSc options, source code."""
+"""What results depend on besides a study's options: versions, PETSc options, source code."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ INSTALLED = (
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on; "not installed" where one lacks."""
+    """Versions of Python and of the packages that results depend on; "not installed" for a missing one."""
     import thinlayer
 
     found = {"python": platform.python_version(), "thinlayer": thinlayer.__version__}
@@ -49,7 +49,7 @@ def versions() -> dict[str, str]:
 
 
 def petsc_options() -> dict[str, Any]:
-    """The PETSc options in force, and where they may be from besides the command line."""
+    """The PETSc options in force, and the environment variable and the files that may have set them."""
     places = (Path.home() / ".petscrc", Path(".petscrc"), Path("petscrc"))
     found = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
     files = [str(path.absolute()) for path in places if path.is_file()]

@@ -1,4 +1,4 @@
-"""Record: the folder of a study's run, with tables, pictures, and a description of its input."""
+"""The record of a study's run: a folder with tables, pictures and a description of the input."""
 
 from __future__ import annotations
 
@@ -33,11 +33,10 @@ LOG = logger("study")
 
 
 class Record:
-    """Results of a study's run: tables, pictures, checks; `run.json` describes their input.
+    """The results of a study's run: tables, pictures, checks. The file run.json describes the input they are from.
 
-    Used in a `with` statement it owns its folder: another run is refused as long as it lasts, and the files of an earlier
-    run are in previous-1, previous-2, ... from the start; nothing is left if the study stops before it writes anything.
-    Only rank 0 writes.
+    In a `with` statement the record owns its folder: other runs there are refused, and the files of an earlier run are
+    moved to previous-1, previous-2, ... They come back if the study stops before it writes anything. Only rank 0 writes.
 
     Attributes:
         study: name of the study.
@@ -45,7 +44,10 @@ class Record:
         options: options chosen by the user.
         resume: whether to continue an earlier run of the study with the same options.
         checks: the checks so far.
-        parameters, results: what the study was made from, and numbers that it found besides its tables; for run.json.
+        parameters: parameters of the study, for run.json.
+        results: numbers that the study found besides its tables, for run.json.
+        solves: how each state was found, for run.json.
+        root: whether this is rank 0.
     """
 
     def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -60,16 +62,16 @@ class Record:
         self.root = MPI.COMM_WORLD.rank == 0
 
     def __enter__(self) -> Self:
-        """Take the folder; errors as in `RunFolder.take`. Collective."""
+        """Lock the folder; errors as in `RunFolder.take`. Collective."""
         on_root(MPI.COMM_WORLD, lambda: self._folder.take(self._problem if self.resume else None))
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the folder back; on each rank by itself."""
+        """Unlock the folder; not collective."""
         self._folder.free()
 
     def withdraw(self) -> None:
-        """Leave nothing behind if no more than run.json has been written; not collective."""
+        """Remove run.json if the run has written nothing else; not collective."""
         if self.root:
             self._folder.withdraw()
 
@@ -78,15 +80,15 @@ class Record:
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def path(self, name: str) -> Path:
-        """Path of a file in the folder (whoever writes it makes the folder); from now on it is one of the run's files."""
+        """Path of a file in the folder. From now on it counts as one of the run's files; its writer makes the folder."""
         if name not in self._folder.files and name != RUN:
             self._folder.files.add(name)
-            if self._folder.taken and self.root:  # a run that is killed leaves the names of what it had begun
+            if self._folder.taken and self.root:  # so that run.json names the files even if the run is killed
                 self.stop("not finished")
         return self.out / name
 
     def table(self, name: str) -> Table:
-        """A table of the folder to add rows to: each is on the disk before the next one is computed. Collective."""
+        """A new table in the folder; every row is written to the disk as it is added. Collective."""
         return Table(path=self.path(name))
 
     def write(self, name: str, table: Table) -> None:
@@ -94,11 +96,11 @@ class Record:
         table.write(self.path(name))
 
     def has(self, name: str) -> bool:
-        """Whether the run has left a file. Collective."""
+        """Whether the folder has a file of this name. Collective."""
         return on_root(MPI.COMM_WORLD, (self.out / name).exists)
 
     def load(self, name: str) -> Table:
-        """A table of the folder. Collective."""
+        """Read a table of the folder. Collective."""
         return Table.load(self.path(name))
 
     def say(self, text: object) -> None:
@@ -110,7 +112,7 @@ class Record:
         """Raise ModelError if the tables in the folder are not those of a run of the study. Collective."""
 
         def check() -> None:
-            run = self._folder.told()
+            run = self._folder.read_run()
             if run["study"] != self.study:
                 raise ModelError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
             for name, found in dict(run.get("tables", {})).items():
@@ -121,7 +123,7 @@ class Record:
 
     def _problem(self) -> str | None:
         """Reason why the run in the folder cannot be resumed; None if it can."""
-        run = self._folder.told("--resume: ")
+        run = self._folder.read_run("--resume: ")
         if run["study"] != self.study:
             return f"--resume: the run in {self.out} is of the study {run['study']}, not {self.study}"
         if run["options"] != self.identity()[1]:
@@ -138,7 +140,7 @@ class Record:
         return None
 
     def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
-        """`thinlayer.sweep` into a table of the folder, resumed if the run is. Collective."""
+        """Run `thinlayer.sweep`, with its table in the folder; it is resumed if the run is. Collective."""
 
         def noted(e: float) -> Mapping[str, Any]:
             row = run(e)
@@ -149,8 +151,8 @@ class Record:
         return sweep(noted, eps, self.path(name), resume=self.resume)
 
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
-        """`thinlayer.march` with files to resume from until the run is done; notes its solves. Collective."""
-        if not (self._begun or self.resume):  # of a run that was killed
+        """Run `thinlayer.march`; files to resume it from are kept until the run is done. Collective."""
+        if not (self._begun or self.resume):  # files of a run that was killed
             on_root(MPI.COMM_WORLD, lambda: shutil.rmtree(self.path(MARCHES), ignore_errors=True))
         self._begun = True
         try:
@@ -167,13 +169,13 @@ class Record:
             self.solved(state)
 
     def _begin(self) -> None:
-        """Write down the options once there is something to resume."""
+        """Write run.json as soon as there is a result that a later run can resume."""
         if not self._noted:
             self._noted = True
             self.close("not finished")
 
     def solved(self, state: State) -> State:
-        """Note how a state was found; returns it."""
+        """Note for run.json how a state was found; returns the state."""
         layer, report = state.model.thin_layer, state.report
         noted = {"model": repr(state.model), "eps": layer.eps if layer else None, "t": state.t}
         self.solves.append(noted | asdict(report))
@@ -200,7 +202,7 @@ class Record:
         on_root(MPI.COMM_WORLD, lambda: self._write(error))
 
     def stop(self, error: str) -> None:
-        """Write run.json if that can be done; not collective."""
+        """Write run.json, unless that raises OSError; not collective."""
         if self.root:
             with suppress(OSError):
                 self._write(error)
@@ -220,4 +222,4 @@ class Record:
             "solves": self.solves,
             "error": error,
         }
-        self._folder.tell(content, done=error is None)
+        self._folder.write_run(content, done=error is None)

@@ -1,4 +1,4 @@
-"""The folder of a run: its lock, the files of earlier runs in it, and its own."""
+"""The folder of a run: its lock, the files of the run, and those of earlier runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RunFolder:
 
     Attributes:
         path: the folder.
-        files: names of the run's files, run.json apart.
+        files: names of the run's files without run.json.
         taken: whether the run owns the folder.
     """
 
@@ -31,14 +31,15 @@ class RunFolder:
         self._lock, self._moved = Lock(path), dict[Path, Path]()
 
     def take(self, problem: Callable[[], str | None] | None) -> None:
-        """Own the folder, and move files of an earlier run away.
+        """Lock the folder, and move the files of an earlier run away unless that run is resumed.
 
         Args:
-            problem: gives the reason why the existing run cannot be resumed; None: do not resume.
+            problem: returns the reason why the earlier run cannot be resumed, None if it can; without a function nothing is
+                resumed.
 
         Raises:
-            ModelError: no files can be written there, another run is at work, tables of unknown origin are there, or the
-                run to resume was another one.
+            ModelError: the folder cannot be written, belongs to a run that goes on, or has tables without a run.json; or
+                the earlier run cannot be resumed.
         """
         self._lock.take()
         try:
@@ -58,7 +59,7 @@ class RunFolder:
         self.taken = True
 
     def free(self) -> None:
-        """Give the folder back, with the files that were moved if the run has left none."""
+        """Unlock the folder; if the run has left no files, move those of the earlier run back."""
         if not self.taken:
             return
         if self._moved and not self._has(RUN, MARCHES, *self.files):
@@ -67,7 +68,7 @@ class RunFolder:
         self._lock.free()
 
     def withdraw(self) -> None:
-        """Leave nothing behind if no more than run.json has been written."""
+        """Remove run.json if the run has written nothing else."""
         if not self._has(MARCHES, *self.files):
             with suppress(OSError):
                 (self.path / RUN).unlink(missing_ok=True)
@@ -82,10 +83,14 @@ class RunFolder:
             names = [name for name in names if Path(name).name == name]
         except (OSError, ValueError, LookupError, TypeError):
             names = [path.name for path in self.path.iterdir() if path.suffix in (".csv", ".png")]
-        return [*names, MARCHES, RUN]  # run.json last: who is killed amid moving them leaves it with the others
+        return [*names, MARCHES, RUN]  # run.json last: it is still there if the process is killed while files are moved
 
-    def told(self, what: str = "") -> dict[str, Any]:
-        """What run.json says, with a study and options at least; raises ModelError, which starts with `what`."""
+    def read_run(self, what: str = "") -> dict[str, Any]:
+        """The content of run.json, with a study and options at least.
+
+        Raises:
+            ModelError: the file cannot be read, or has other content; the message starts with `what`.
+        """
         path = self.path / RUN
         try:
             run = json.loads(path.read_text(encoding="utf-8"))
@@ -93,8 +98,8 @@ class RunFolder:
         except (OSError, ValueError, LookupError, TypeError) as error:
             raise ModelError(f"{what}{path} cannot be read ({error})") from error
 
-    def tell(self, content: dict[str, Any], *, done: bool) -> None:
-        """Write run.json, with the names of the run's files and, of a run that is done, what stands for its tables."""
+    def write_run(self, content: dict[str, Any], *, done: bool) -> None:
+        """Write run.json, with the names of the run's files and, if the run is done, the hashes of its tables."""
         tables = sorted(name for name in self.files if done and name.endswith(".csv"))
         content |= {"files": sorted(self.files), "tables": {name: hash_of(self.path / name) for name in tables}}
         with replaced(self.path / RUN) as file:

@@ -1,4 +1,4 @@
-"""What `python3 -m thinlayer` settles before a study runs: interrupts, and files of the working folder."""
+"""Settings of `python3 -m thinlayer` before a study runs: interrupts, and options in files of the working folder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import FrameType
 
 
 def end_on_interrupt() -> None:
-    """An interrupt ends the process at once, with a line: raised in modules of C++ that load, it would abort them."""
+    """Let an interrupt end the process with a message. An exception raised while C++ modules load would abort them."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
 
@@ -20,13 +20,13 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 def raise_on_interrupt() -> None:
-    """An interrupt raises KeyboardInterrupt again."""
+    """Let an interrupt raise KeyboardInterrupt again."""
     if signal.getsignal(signal.SIGINT) is _end:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def ignore_working_folder() -> None:
-    """Options of PETSc, of FFCx and of compilers are not read from files in the working folder. Before PETSc starts."""
+    """Start PETSc, and let neither it nor FFCx and compilers read options from files in the working folder."""
     import petsc4py
 
     petsc4py.init(["thinlayer", "-skip_petscrc"])

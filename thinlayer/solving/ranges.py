@@ -1,4 +1,4 @@
-"""Whether a model and its result lie in the range of its interface law; RangeWarnings where they do not."""
+"""Tests of whether a model and its results lie in the range of its interface law; a RangeWarning says where not."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.parallel.exchange import carry
 
-# Length delta of the pressure along S, relative to eps:
-NEARLY_INCOMPRESSIBLE = 0.5  # (nu = 3/8) a shorter pressure has no effect along S
-LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter pressure changes jumps only within a thickness of free ends
+# Length delta over which the pressure of a layer falls to zero at a free end of S, relative to eps:
+NEARLY_INCOMPRESSIBLE = 0.5  # (nu = 3/8) a shorter length has no effect along S
+LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter length changes jumps only within a thickness of free ends
 LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 VOLUME = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # trace of a strain, as a row over its six components
-BULK_MODULUS = 1e8  # penalty that keeps the volume, relative to the tangent
+BULK_MODULUS = 1e8  # bulk modulus that stands for incompressibility, relative to the tangent
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
 NEGLIGIBLE = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
@@ -50,13 +50,13 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     if found is None:
         return
     limit, layer = found
-    strata = _strata(limit)
+    sublayers = _sublayers(limit)
     _warn_of_facets(limit, layer)
-    if not _of_jumps(strata):
+    if not _of_jumps(sublayers):
         _warn_of_thickness(limit, layer)
-        _warn_of_hard_layer(limit, layer, strata)
-    at_once = [] if lasting and layer.law.traits.rate else [strata]
-    _warn_of_free_ends(limit, layer, [*at_once, *(_strata(limit, dt) for dt in lasting)])
+        _warn_of_hard_layer(limit, layer, sublayers)
+    at_once = [] if lasting and layer.law.traits.rate else [sublayers]
+    _warn_of_free_ends(limit, layer, [*at_once, *(_sublayers(limit, dt) for dt in lasting)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -70,11 +70,11 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     if thin is None:
         return
     model, layer = thin
-    strata = _strata(model)
+    sublayers = _sublayers(model)
     found = [faces for faces in (_Faces.of(state, layer) for state in states) if faces]
     if not found:
         return
-    if not (model.linear or _of_jumps(strata)):
+    if not (model.linear or _of_jumps(sublayers)):
         _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
     if layer.law.traits.linear and not layer.law.traits.phases:  # the strain of a phase brings about no pressure
         _warn_of_pressure(model, found, start)
@@ -102,13 +102,13 @@ def free_rim(model: Model) -> Rim:
 
 # ---------------------------------------------------------------- before a solve
 @dataclass(frozen=True)
-class Stratum:
-    """A sublayer, or the whole layer.
+class Sublayer:
+    """One of the sublayers of a layer whose law is a `Stack`, or the whole layer.
 
     Attributes:
-        fraction: share of the thickness.
-        lmbda, mu: moduli at rest or, if lmbda/mu changes in time, under loads that have lasted.
-        along: modulus of the sublayer as a sheet in the plane of S.
+        fraction: share of the layer's thickness.
+        lmbda, mu: Lame moduli at rest or, if lmbda/mu changes in time, under loads that have lasted; a stress.
+        along: modulus of the sublayer as a sheet in the plane of S; a stress.
         when: words for a warning that say how long loads last; "" at rest.
     """
 
@@ -120,12 +120,12 @@ class Stratum:
 
     @property
     def nearly(self) -> bool:
-        """Whether it is nearly incompressible."""
+        """Whether the sublayer is nearly incompressible."""
         return self.length > NEARLY_INCOMPRESSIBLE * self.fraction
 
     @property
     def length(self) -> float:
-        """Length of the pressure along S, over the thickness of the layer; infinite if the layer is incompressible."""
+        """Length over which the pressure falls to zero at a free end, over the layer's thickness; may be infinite."""
         return self.fraction * math.sqrt(max(self.lmbda, 0.0) / (12 * self.mu))
 
     @property
@@ -134,8 +134,8 @@ class Stratum:
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
-    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Stratum | None:
-        """A stratum from the tangent C at rest; None if the law does not resist shear."""
+    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Sublayer | None:
+        """A sublayer from the tangent C at rest; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained:
             held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * BULK_MODULUS
@@ -143,24 +143,24 @@ class Stratum:
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
-def _strata(model: InterfaceModel, dt: float = 0.0) -> list[Stratum]:
-    """The strata of a layer under loads that have lasted dt (0: at rest); [] if their tangents are not known."""
-    n, strata = model.at_rest.n, model.at_rest.strata
-    later = model.at_rest.over(dt) if dt > 0 else [None] * len(strata)
-    found: list[Stratum] = []
-    for (a, law, C), C_later in zip(strata, later, strict=True):
+def _sublayers(model: InterfaceModel, dt: float = 0.0) -> list[Sublayer]:
+    """The sublayers of a model's layer under loads that have lasted dt (0: at rest); [] if tangents are not known."""
+    n, sublayers = model.at_rest.n, model.at_rest.sublayers
+    later = model.at_rest.over(dt) if dt > 0 else [None] * len(sublayers)
+    found: list[Sublayer] = []
+    for (a, law, C), C_later in zip(sublayers, later, strict=True):
         if C is None and C_later is None:
             return []
-        rest, then = (None if one is None else Stratum.of(a, law, one, n) for one in (C, C_later))
+        rest, then = (None if one is None else Sublayer.of(a, law, one, n) for one in (C, C_later))
         if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=SAME_RATIO)):
             then = replace(then, when=f" under loads that last {dt:.4g}")
         found += [one for one in (then or rest,) if one]
     return found
 
 
-def _of_jumps(strata: list[Stratum]) -> bool:
+def _of_jumps(sublayers: list[Sublayer]) -> bool:
     """Whether strains along S cause no stress, as in springs: the traction then does not depend on the thickness."""
-    return bool(strata) and all(stratum.along <= NEGLIGIBLE * stratum.mu for stratum in strata)
+    return bool(sublayers) and all(one.along <= NEGLIGIBLE * one.mu for one in sublayers)
 
 
 def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
@@ -200,7 +200,7 @@ def _warn_of_facets(model: InterfaceModel, layer: ThinLayer) -> None:
 def stiffness_of_jumps(model: InterfaceModel, layer: ThinLayer) -> tuple[float, float]:
     """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
     n, compliances = model.at_rest.n, np.zeros(2)
-    for fraction, _, C in model.at_rest.strata:
+    for fraction, _, C in model.at_rest.sublayers:
         if C is None:
             return 0.0, 0.0
         A = across(C, n)
@@ -227,16 +227,16 @@ def _warn_of_thickness(model: InterfaceModel, layer: ThinLayer) -> None:
         )
 
 
-def _warn_of_hard_layer(model: InterfaceModel, layer: ThinLayer, strata: list[Stratum]) -> None:
+def _warn_of_hard_layer(model: InterfaceModel, layer: ThinLayer, sublayers: list[Sublayer]) -> None:
     """Warn if the layer is harder than a body.
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
     """
     n, bodies = model.at_rest.n, model.structure.bodies_at_rest
-    if layer.order == 1 or not strata or any(C is None for C in bodies):
+    if layer.order == 1 or not sublayers or any(C is None for C in bodies):
         return
     softest = min(in_plane_modulus(C, n) for C in bodies if C is not None)
-    hardest = max(stratum.along for stratum in strata)
+    hardest = max(one.along for one in sublayers)
     if hardest > softest > 0:
         warn(
             f"the layer is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S; the layer's "
@@ -246,19 +246,24 @@ def _warn_of_hard_layer(model: InterfaceModel, layer: ThinLayer, strata: list[St
         )
 
 
-def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence[list[Stratum]]) -> None:
+def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence[list[Sublayer]]) -> None:
     """Warn if the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta.
 
-    Laws leave this out. Between rigid faces a strip of half-width l carries 1 - tanh(l/delta) delta/l of the load that
-    the laws give. The warning names the largest factor; `layers` are the strata of the layer at several times.
+    Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
+    1 - tanh(l/delta) delta/l of the load that the law gives. The warning names the largest factor.
+
+    Args:
+        limit: the interface model.
+        layer: its layer.
+        layers: the sublayers at several times.
     """
-    layers = [strata for strata in layers if any(stratum.nearly for stratum in strata)]
+    layers = [sublayers for sublayers in layers if any(one.nearly for one in sublayers)]
     if not layers:
         return
     rim = free_rim(model)
     if not len(rim.vertices):
         return
-    if any(stratum.length == math.inf for strata in layers for stratum in strata):
+    if any(one.length == math.inf for sublayers in layers for one in sublayers):
         warn(
             "the layer is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
             "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; mesh the layer "
@@ -267,8 +272,8 @@ def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence
         )
         return
     width = float(model.structure.sheet.areas.sum() / rim.length.sum())
-    lengths = [pressure_length(strata, width / layer.eps) for strata in layers]
-    worst = max(layers[lengths.index(max(lengths))], key=lambda stratum: stratum.length)
+    lengths = [pressure_length(sublayers, width / layer.eps) for sublayers in layers]
+    worst = max(layers[lengths.index(max(lengths))], key=lambda one: one.length)
     delta = layer.eps * max(lengths)
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
@@ -282,21 +287,22 @@ def _warn_of_free_ends(model: InterfaceModel, layer: ThinLayer, layers: Sequence
         )
 
 
-def pressure_length(strata: list[Stratum], width: float) -> float:
-    """Length delta of the pressure along S, relative to the thickness of the layer.
+def pressure_length(sublayers: list[Sublayer], width: float) -> float:
+    """Length delta over which the pressure falls to zero at a free end of S, relative to the thickness of the layer.
 
-    All strata have one normal traction t. The layer opens by w = c t - B t'': c is the sum of their compliances, and B t''
-    the flow along S that a slope of t drives in nearly incompressible strata. The flow shears the other strata and, as
-    strains along S grow in proportion to the place, stretches them; delta^2 = B/c. For one stratum delta is its `length`.
-    B is the minimum of a quadratic form of displacements along S, of degree 2 through each stratum.
+    All sublayers have one normal traction t. The layer opens by w = c t - B t'': c is the sum of their compliances, and
+    B t'' is the flow along S that a slope of t drives in nearly incompressible sublayers. The flow shears the other
+    sublayers. It also stretches them, as strains along S grow in proportion to the distance. delta^2 = B/c; for one
+    sublayer delta is its `length`. B is the minimum of a quadratic form of displacements along S, of degree 2 through
+    each sublayer.
 
     Args:
-        strata: from below.
+        sublayers: from below.
         width: length of the flow along S, relative to the thickness of the layer.
     """
-    count = 2 * len(strata) + 1
+    count = 2 * len(sublayers) + 1
     A, b = np.zeros((count, count)), np.zeros(count)
-    for k, one in enumerate(strata):
+    for k, one in enumerate(sublayers):
         at = slice(2 * k, 2 * k + 3)
         A[at, at] += one.mu / (3 * one.fraction) * SHEAR_MATRIX
         if one.nearly:
@@ -305,7 +311,7 @@ def pressure_length(strata: list[Stratum], width: float) -> float:
             A[at, at] += 3 / width**2 * max(one.along, 0.0) * one.fraction / 30 * STRETCH_MATRIX
     inside = slice(1, -1)  # the bodies do not move
     flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
-    return math.sqrt(flow / sum(one.compliance for one in strata))
+    return math.sqrt(flow / sum(one.compliance for one in sublayers))
 
 
 # ---------------------------------------------------------------- after a solve
@@ -401,18 +407,18 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
     openings = [float(np.abs(faces.opening).max()) for faces in found]
     most = openings.index(max(openings))
     last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
-    worst, stratum = LEAST_ERROR, None
+    worst, sublayer = LEAST_ERROR, None
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
-        strata = _strata(model, 0.0 if start is None else state.t - start)
-        if len(strata) != 1 or not LONG_PRESSURE < strata[0].length < math.inf:
+        sublayers = _sublayers(model, 0.0 if start is None else state.t - start)
+        if len(sublayers) != 1 or not LONG_PRESSURE < sublayers[0].length < math.inf:
             continue
-        excess = pressure_excess(faces, strata[0])
+        excess = pressure_excess(faces, sublayers[0])
         if excess > worst:
-            worst, stratum = excess, strata[0]
-    if stratum:
+            worst, sublayer = excess, sublayers[0]
+    if sublayer:
         warn(
-            f"the layer is nearly incompressible{stratum.when} (lmbda/mu = {stratum.lmbda / stratum.mu:.4g}): with the "
+            f"the layer is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
             f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
             "flow along S; the structure is off by less where the bodies are soft; mesh the layer (structure.full) to see "
             "by how much",
@@ -420,7 +426,7 @@ def _warn_of_pressure(model: InterfaceModel, found: Sequence[_Faces], start: flo
         )
 
 
-def pressure_excess(faces: _Faces, layer: Stratum) -> float:
+def pressure_excess(faces: _Faces, layer: Sublayer) -> float:
     """Excess of the law's work over the work of the layer, int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2).
 
     The law is 1 + excess times too stiff for the jumps found; the excess is zero if they only shear the layer. With

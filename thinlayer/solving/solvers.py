@@ -12,7 +12,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import is_number
-from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import ModelError, SolveError, warn
@@ -38,7 +37,7 @@ from thinlayer.solving.options import (
 from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
 
-SEARCHES = ("bt", "l2")  # PETSc's line searches that are tried in turn for laws that yield
+SEARCHES = ("bt", "l2")  # line searches of PETSc, tried in turn for laws that yield
 
 
 def solve(
@@ -95,7 +94,7 @@ def solve(
 
 def require_hardening(model: Model, what: str) -> None:
     """Raise ModelError if the layer's law softens: at the same loads there may be several equilibria."""
-    if isinstance(model, InterfaceModel) and model.layer_law and model.layer_law.traits.softens:
+    if model.layer_law and model.layer_law.traits.softens:
         raise ModelError(
             f"{what}: the stress of {model.layer_law!r} falls as jumps grow, and an equilibrium may be one of several; "
             "follow them from rest with march(model, ArcLength(...))"
@@ -124,7 +123,7 @@ def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
         raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
-    if model.contact is None or not isinstance(like.model, InterfaceModel) or like.model.element != model.element:
+    if model.contact is None or not like.model.broken or like.model.element != model.element:
         raise ModelError("like is for contact laws: a state of an interface model with the same element")
 
 
@@ -161,7 +160,7 @@ class Solver:
         self._finder: Finder = (
             ContactFinder(self.equations, self.method, like) if self.method in METHODS else self._equilibrium()
         )
-        self._warned = False  # whether there was a warning of a law that softens
+        self._warned = False  # whether the user was warned of a law that softens
 
     def _check(self, method: Any, like: Any) -> None:
         """Raise an error unless the method and the state `like` suit the model."""
@@ -196,7 +195,9 @@ class Solver:
         """The state at rest, before the first step."""
         return self.equations.rest(t)
 
-    def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, *, held: bool = False) -> State:
+    def step(
+        self, old: State, t: float, theta: float = 1.0, thorough: bool = True, *, keep_phases: bool = False
+    ) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
 
         With t = old.t it is the response to a sudden load. Errors as in `solve`.
@@ -205,9 +206,9 @@ class Solver:
             old: the state before the step.
             t: time at the end of the step.
             theta: forces balance at old.t + theta (t - old.t).
-            thorough: if Newton's method fails, try further line searches and then eased laws.
-            held: keep the phases of `old`; otherwise columns change phase, and the equilibrium is found again, until all
-                columns have the phase of lowest energy.
+            thorough: whether further line searches and then eased laws are tried if Newton's method fails.
+            keep_phases: whether columns keep the phases of `old`; otherwise they switch and the equilibrium is found again
+                until all columns are in the phase of lowest energy.
         """
         start = time.perf_counter()
         self.equations.begin(Interval(old, t, t - old.t, theta))
@@ -216,7 +217,7 @@ class Solver:
             attempts = [one for one in attempts if one.options == attempts[0].options and not one.eased]
         found, eased = self._work_through(attempts)
         iterations = found.iterations
-        while not held and self.equations.switch():
+        while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
             found, again = self._work_through(attempts)
             iterations, eased = iterations + found.iterations, eased + again

@@ -12,7 +12,6 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from geometry.topology import IntArray
-from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
@@ -34,9 +33,9 @@ def pieces(model: Model) -> tuple[IntArray, int]:
     Cells that share a node are connected, unless they lie on different sides of S there.
     """
     joint = model.domain.joint
-    nodes = joint.cells * 3 + (joint.side + 1)[:, None] if isinstance(model, InterfaceModel) else joint.cells * 3
+    nodes = joint.cells * 3 + (joint.side + 1)[:, None] if model.broken else joint.cells * 3
     links: list[tuple[Any, Any]] = [(nodes[:, :1].repeat(nodes.shape[1] - 1, axis=1).ravel(), nodes[:, 1:].ravel())]
-    if isinstance(model, InterfaceModel) and len(joint.bonded):
+    if model.broken and len(joint.bonded):
         at = np.unique(joint.table.vertices[joint.bonded]) * 3
         links += [(at, at + 1), (at, at + 2)]
     first, second = (np.concatenate(ends) for ends in zip(*links, strict=True))

@@ -6,9 +6,9 @@ P that is normal to the direction. The scalar product is du.dv/U^2 + dt ds/T^2, 
 Turning points of t need no special treatment: K is nearly singular there and indefinite beyond, and the factorisation
 allows both.
 
-Laws with kinks lead to paths with corners, which may be sharp: beyond a peak the path may fall steeply and lead almost all
-the way back. The plane through P then misses the path, however short the step. A step that turns uses the direction at P
-instead, with the sign that leads into the branch of P.
+Where the tangent of a law jumps (a kink of the law), the path has a corner. It may be sharp: beyond a peak the path may
+fall steeply and lead almost all the way back. The plane through P then misses the path, however short the step. A step
+that turns takes the plane normal to the direction found at P instead, which is that of the branch beyond the corner.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from thinlayer.time.path_equations import PathEquations
 
 ITERATIONS = 12  # largest number of Newton steps
 TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
-MOST_MISSED = (
-    0.25  # largest distance of the equilibrium from the predictor, relative to the step: else it is another path
-)
+# Largest distance of the equilibrium from the predictor, relative to the step; one farther away is on another path.
+MOST_MISSED = 0.25
 TURN_MISSED = 3.0  # the same for a step that turns
 RUN_AWAY = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
 BEYOND_CORNER = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
-BEND_FACTOR, BEND_OFFSET = 2.0, 0.01  # bound of the relative distance from the predictor: factor * (turn) + offset
+# Bound of the distance from the predictor, relative to the step: factor * (change of direction) + offset.
+BEND_FACTOR, BEND_OFFSET = 2.0, 0.01
 QUOTIENT_STEP = 1e-6  # step of difference quotients along the path, relative to the step
 SMALL = 1e-7  # change of forces in a step, relative to the forces, that counts as zero
 
@@ -113,7 +113,7 @@ class EquilibriumPath:
         self._slope = slope
 
     def _check(self, last: State, direction: PETSc.Vec, slope: float, length: float) -> None:
-        """Raise SolveError unless the direction at a new equilibrium fits that of the path at the state `last`."""
+        """Raise SolveError unless the direction at a new equilibrium fits the direction at the state `last` before it."""
         if self._crossing(last, direction, slope, length) < 0:
             raise SolveError("the path turns within the step")
         direction.copy(self._work)
@@ -122,11 +122,20 @@ class EquilibriumPath:
             raise SolveError("the equilibrium found is beside the path: its direction is that of the predictor")
 
     def _crossing(self, last: State, direction: PETSc.Vec, slope: float, length: float) -> float:
-        """Whether the path turns back at a kink: > 0 no, < 0 yes, 0 if there is no kink.
+        """Whether a direction is to be reversed beyond a kink of a law: > 0 no, < 0 yes, 0 if there is no kink.
 
-        At a kink of a law the derivatives A = [K, dR/dt] of its two branches differ by c n', where n is the normal of the
-        boundary between them. Directions d_1 at the state `last` and d_2 at the last linearisation cross it the same way
-        if the changes (A_2 - A_1) d = c (n.d) have the same sign. Changes as small as their errors count as zero.
+        The angle with the last increment, by which Crisfield (1981) chooses between two solutions and `aim` the sign of the
+        direction, does not tell at corners sharper than 90 degrees. R is continuous at a kink, so its derivatives
+        A = [K, dR/dt] on the two branches differ by c n', where n is the normal of the boundary between the branches.
+        The direction d_1 at the state `last` (A_1 d_1 = 0) crosses this boundary, and the path goes on along the direction
+        d_2 of the last linearisation (A_2 d_2 = 0) if d_2 crosses it in the same sense: (n.d_1)(n.d_2) > 0. As n is not
+        known, the forces (A_2 - A_1) d = c (n.d) are computed, and the result is their scalar product,
+        |c|^2 (n.d_1)(n.d_2). Forces as small as their errors count as zero.
+
+        Args:
+            last: the state before the kink.
+            direction, slope: d_2, found at the last linearisation.
+            length: length of the step.
         """
         balance, beyond, across = self.balance, self._work, self._more
         balance.derivative(self._direction, self._slope, beyond)  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0
@@ -214,7 +223,7 @@ class EquilibriumPath:
         return self._work
 
     def _turn(self, last: State, length: float) -> tuple[float, float]:
-        """Make the plane normal to the direction at the predictor; returns its slope, its distance from the predictor."""
+        """Make the plane normal to the direction found at the predictor; returns its slope, and its distance from there."""
         size = self._size(self.balance.change, 1.0)
         self.balance.change.copy(self._row)
         self._row.scale(1 / size)

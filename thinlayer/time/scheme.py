@@ -8,7 +8,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.solving.equations import Equations
 
-ALLOWED_THETA = "theta = 1"  # end of the errors
+ALLOWED_THETA = "theta = 1"  # the last words of errors
 
 
 def remembers(model: Model) -> bool:
@@ -35,8 +35,8 @@ def require_ends(model: Model, theta: float) -> None:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ALLOWED_THETA}")
         if law.traits.bounded:
             raise ModelError(
-                f"theta is {theta}; {name} bounds stresses: a stress within its bound where forces balance may "
-                f"exceed it at the end of the step: {ALLOWED_THETA}"
+                f"theta is {theta}; {name} bounds stresses: with theta < 1 they are kept within the bound at t + theta dt, "
+                f"where forces balance, and may exceed it at the end of the step; allowed: {ALLOWED_THETA}"
             )
         if not (law.traits.linear or law.traits.rate or law.traits.compiled):
             raise ModelError(f"theta is {theta}; {_oscillates(name)}")

@@ -1,4 +1,4 @@
-"""Steps of a layer whose columns switch their phases: a step ends where the first column switches."""
+"""Steps of a layer whose columns switch their phases: each step ends at the time at which the first column switches."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ def steps(solver: Solver, old: State, end: float) -> Iterator[State]:
     """
 
     def excess(t: float) -> float:
-        solver.step(old, t, held=True)
+        solver.step(old, t, keep_phases=True)
         return solver.equations.excess - 2 * TIE
 
     while True:
         bound = (
             end if _bends_up(solver, old.t, end) else next(filter(lambda t: excess(t) > 0, _probes(old.t, end)), end)
         )
-        held = solver.step(old, bound, held=True)
+        kept = solver.step(old, bound, keep_phases=True)
         if solver.equations.excess <= 2 * TIE:
             if old.t < end:
-                yield held
+                yield kept
             return
         t = _first(excess, old.t, bound)
         if t > old.t:
-            old = solver.step(old, t, held=True)
+            old = solver.step(old, t, keep_phases=True)
             yield old
             if excess(t) <= -TIE:  # Newton's tolerance may make the excess smaller from the new start
                 continue

@@ -1,4 +1,4 @@
-"""Rates and curves from tables, drawn by matplotlib."""
+"""Pictures of convergence rates and of curves, drawn by matplotlib."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from geometry.parallel import on_root
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table, replaced
 
-SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}
+SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}  # options of all pictures that are saved
+# Colours and markers of the curves of a picture, in turn.
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
-ERRORS = {"traction": "error_traction", "jump": "error_jump"}
+ERRORS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
 
 
 def rates(
@@ -31,16 +32,16 @@ def rates(
     reference: float = 1.0,
     errors: Mapping[str, str] = ERRORS,
 ) -> Figure:
-    """Errors of a sweep against eps on logarithmic axes, with a reference slope.
+    """Draw the errors of sweeps against eps on logarithmic axes, with a line of a reference order.
+
+    Collective if the picture is saved or a file is read, both by rank 0.
 
     Args:
-        table: a sweep, or the csv file it was committed to; or label -> sweep.
-        save: PNG file.
+        table: table of a sweep, or its csv file; or label -> table.
+        save: name of a file to save the picture to.
         title: title of the picture.
         reference: order of the reference line.
-        errors: label -> column of the sweeps.
-
-    Collective, if the picture is saved or a file is read: rank 0 does that.
+        errors: label -> column of the tables.
 
     Raises:
         ModelError: a table without rows or without these columns. OSError: the picture could not be written.
@@ -95,19 +96,20 @@ def curves(
     xscale: str = "linear",
     ylim: tuple[float, float] | None = None,
 ) -> Figure:
-    """Curves over a common axis.
+    """Draw curves in one picture.
 
     Args:
-        lines: label -> (x, y).
-        xlabel, ylabel, title: texts, units included.
-        save: PNG file.
+        lines: label -> (x, y), as many numbers each.
+        xlabel, ylabel: labels of the axes, units included.
+        title: title of the picture.
+        save: name of a file to save the picture to.
         styles: label -> line style (default "-").
-        logarithmic: whether both axes are.
-        xscale: "linear" or "log", of the first axis alone.
-        ylim: range of the second axis.
+        logarithmic: whether both axes are logarithmic.
+        xscale: scale of the x axis, "linear" or "log"; has no effect with `logarithmic`.
+        ylim: range of the y axis.
 
     Raises:
-        ModelError: a line that is no pair of as many numbers.
+        ModelError: x and y of a line are not as many numbers.
     """
     figure, axes = _figure(6.5, 4.5)
     _plot(axes, lines, styles or {}, {})
@@ -131,17 +133,17 @@ def panels(
     yscale: str = "linear",
     ylims: Mapping[str, tuple[float, float]] | None = None,
 ) -> Figure:
-    """Curves in several pictures with one legend.
+    """Draw curves in several panels with one legend.
 
     Args:
-        parts: title -> label -> (x, y); the same labels in every part.
-        xlabel: text, units included.
-        ylabels: title -> text, units included.
+        parts: title of a panel -> label of a curve -> (x, y); all panels have the same labels.
+        xlabel: label of the x axes, units included.
+        ylabels: title -> label of the y axis, units included.
         styles, colours: label -> line style, colour.
-        save: PNG file.
-        columns: pictures in a row.
-        yscale: "linear" or "log".
-        ylims: title -> range of the second axis (default: all of the curves).
+        save: name of a file to save the picture to.
+        columns: number of panels in a row.
+        yscale: scale of the y axes, "linear" or "log".
+        ylims: title -> range of the y axis (default: the whole curves).
     """
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
@@ -178,7 +180,7 @@ def _numbers(label: str, line: Any) -> list[npt.NDArray[np.float64]]:
 
 
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:
-    """A picture with one set of axes; outside pyplot, so that a notebook keeps its own backend."""
+    """A picture with one set of axes. It is made without pyplot, so that a notebook keeps its backend."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots()
 
@@ -192,16 +194,17 @@ def finish(figure: Figure, save: str | Path | None) -> Figure:
 
 
 def require_name(save: Any) -> None:
-    """Raise ModelError for what is no name of a file."""
+    """Raise ModelError unless `save` is the name of a file."""
     if not isinstance(save, (str, Path)):
         raise ModelError(f"save is {save!r}; it must be the name of a picture")
 
 
 def put(figure: Figure, path: Path) -> None:
-    """Save a picture, on this rank; what is there is replaced by a whole picture, or not at all.
+    """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
 
     Raises:
-        ModelError: a folder, or an ending that matplotlib does not know. OSError: it could not be written.
+        ModelError: the name is that of a folder, or has an ending that matplotlib does not know.
+        OSError: the file could not be written.
     """
     if path.is_dir():
         raise ModelError(f"{str(path)!r} is a folder; give the name of a picture")

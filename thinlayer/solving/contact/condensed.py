@@ -53,7 +53,7 @@ class Condensed:
         diagonal = problem.A.getDiagonal()
         springs = diagonal.array_r[dofs] / len(problem.nodes.upper)
         diagonal.destroy()
-        return SchurFactor(problem.A, problem.nodes.dim, dofs, springs, oblique_order(problem))
+        return SchurFactor(problem.rows, problem.nodes.dim, dofs, springs, oblique_order(problem))
 
     @cached_property
     def _system(self) -> DenseSystem:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
+import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.discretisation.contact_nodes import CONTACT
+from thinlayer.discretisation.contact_nodes import CONTACT, Array
 from thinlayer.parts.contact import ContactPart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.force_scale import AIM, TINY
 from thinlayer.solving.linear_solvers import rigid_modes
+
+Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]
 
 LARGE = 3e-5  # residual, relative to `largest`, above which the rounding of a body far away is no force
 
@@ -54,7 +58,8 @@ class ContactProblem:
     @cached_property
     def A(self) -> PETSc.Mat:
         """The stiffness with supports."""
-        A = self.K.copy()
+        alone = self.comm.size == 1
+        A = PETSc.Mat().createAIJWithArrays(self.K.getSizes(), self._arrays) if alone else self.K.copy()
         first = A.getOwnershipRange()[0]
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         A.zeroRowsColumns((first + self.held).astype(PETSc.IntType), self.diagonal)
@@ -62,6 +67,17 @@ class ContactProblem:
         A.setBlockSize(self.nodes.dim)
         A.setNearNullSpace(self.near)
         return A
+
+    @cached_property
+    def _arrays(self) -> Rows:
+        """On one rank, the arrays in which A lies; before A is made, those of a stiffness without supports."""
+        return self.K.getValuesCSR()
+
+    @property
+    def rows(self) -> Rows:
+        """Row starts, columns and entries of A on one rank, without a copy."""
+        assert self.A  # its supports are set in these arrays
+        return self._arrays
 
     def begin(self) -> None:
         """Take over the step that the equations have begun."""

@@ -1,16 +1,19 @@
-/* The upper triangle of a symmetric sparse matrix, its nodes renumbered. */
+/* The upper triangle of a symmetric sparse matrix whose nodes are numbered anew. */
 #include <stdint.h>
 
-/* The matrix has n nodes with d rows each, whose entries come in d x d blocks; place[i] is the new number of node i and
- * nodes its inverse. Fills the rows of the upper triangle, columns in ascending order, and returns the number of its
- * entries; -1 where the entries do not come in blocks, or are more than there is room for. */
+/* Copies the upper triangle of a matrix to new arrays; returns the number of its entries, or -1 if the matrix is not as
+ * described here or has more entries than there is room for.
+ *
+ * The matrix has n nodes with d rows each, and its entries form blocks of d x d. place[i] is the new number of node i, and
+ * nodes[place[i]] = i. In each row of the triangle columns ascend. */
 int upper_triangle(int n, int d, int room, const int32_t *indptr, const int32_t *indices, const double *values,
                    const int32_t *place, const int32_t *nodes, int32_t *rows, int32_t *columns, double *entries)
 {
-    int32_t filled = 0, block[4096], number[4096]; /* of a row: its blocks in the new order, and where they are */
+    int32_t filled = 0, block[4096], number[4096]; /* of a node's row: place of a block in it, its new column */
     rows[0] = 0;
     for (int r = 0; r < n; r++) {
-        if (r + 16 < n) __builtin_prefetch(&indptr[nodes[r + 16] * d]); /* rows are far apart in memory */
+        /* rows that follow each other here are far apart in memory: fetch them some steps ahead */
+        if (r + 16 < n) __builtin_prefetch(&indptr[nodes[r + 16] * d]);
         if (r + 8 < n) {
             const int32_t at = indptr[nodes[r + 8] * d];
             const int ahead = d * (indptr[nodes[r + 8] * d + 1] - at);

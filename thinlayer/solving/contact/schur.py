@@ -17,6 +17,7 @@ from petsc4py import PETSc
 
 from forms.base import ThinlayerError
 from thinlayer.compiling.compiled import library
+from thinlayer.solving.contact.problem import Rows
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 from thinlayer.solving.petsc_missing import keep_unknowns, schur_of
 
@@ -41,7 +42,7 @@ class SchurFactor:
     PETSc options mat_mumps_NAME are read under our prefix.
 
     Args:
-        A: sparse matrix (AIJ) of n nodes with d rows each, in d x d blocks; only read.
+        A: row starts, columns and entries of a sparse matrix of n nodes with d rows each, in d x d blocks; only read.
         d: number of rows of a node.
         kept: (c,) the unknowns that stay after condensation.
         springs: (c,) stiffness added to these unknowns, > 0, so that the factorised matrix is definite.
@@ -51,7 +52,7 @@ class SchurFactor:
         FactorError: MUMPS failed.
     """
 
-    def __init__(self, A: PETSc.Mat, d: int, kept: npt.NDArray[Any], springs: Array, order: npt.NDArray[Any]) -> None:
+    def __init__(self, A: Rows, d: int, kept: npt.NDArray[Any], springs: Array, order: npt.NDArray[Any]) -> None:
         self._order = (order[:, None] * np.int32(d) + np.arange(d, dtype=np.int32)).ravel()
         self._place = np.empty_like(self._order)
         self._place[self._order] = np.arange(len(self._order), dtype=np.int32)
@@ -135,7 +136,7 @@ class SchurFactor:
         self._pc.destroy()
 
 
-def _upper_triangle(A: PETSc.Mat, d: int, order: npt.NDArray[Any], kept: Indices, springs: Array) -> PETSc.Mat:
+def _upper_triangle(A: Rows, d: int, order: npt.NDArray[Any], kept: Indices, springs: Array) -> PETSc.Mat:
     """The upper triangle of A + springs with renumbered nodes; MUMPS does not read the rest of a symmetric matrix.
 
     `kept` has the new numbers of the springs' unknowns.
@@ -144,7 +145,7 @@ def _upper_triangle(A: PETSc.Mat, d: int, order: npt.NDArray[Any], kept: Indices
     order = np.ascontiguousarray(order, np.int32)
     place = np.empty(n, np.int32)
     place[order] = np.arange(n, dtype=np.int32)
-    begins, indices, data = A.getValuesCSR()
+    begins, indices, data = A
     size = (len(indices) + n * d) // 2
     rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
     c = library(SOURCE)

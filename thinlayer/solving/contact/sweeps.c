@@ -1,7 +1,8 @@
-/* Gauss-Seidel sweeps for normal compliance and Coulomb friction at nodes.
+/* Gauss-Seidel sweeps over the nodes of S, for normal compliance and Coulomb friction.
  *
- * Jumps w and tractions have d = 2 or 3 components, d - 1 tangential ones and the normal one, positive where S opens. The
- * law is p = K_N max(-w_N, 0), t_N = -p, t_T = K_T (w_T - slip) shortened to the threshold of p. */
+ * Jumps w and tractions t have d = 2 or 3 components: d - 1 tangential ones, then the normal one, which is positive where S
+ * opens. The law is p = K_N max(-w_N, 0), t_N = -p, t_T = K_T (w_T - slip). If t_T is longer than the threshold, cohesion +
+ * friction p, it is shortened to it. */
 #include <float.h>
 #include <math.h>
 #include <stddef.h>
@@ -11,7 +12,7 @@ typedef struct {
     double K_N, K_T, friction, cohesion;
 } law_numbers;
 
-/* The law of a node, with the threshold of the law or with a given one. */
+/* The law of node i. A given threshold replaces that of the law. */
 static law_numbers law_of(const double *numbers, const double *threshold, int i)
 {
     law_numbers law = {numbers[0], numbers[1], numbers[2], numbers[3]};
@@ -19,22 +20,24 @@ static law_numbers law_of(const double *numbers, const double *threshold, int i)
     return law;
 }
 
+/* The threshold: the largest tangential traction at a pressure p. */
 static double largest(const law_numbers *law, double p) { return law->cohesion + law->friction * p; }
 
-/* D w + b t(w) = q of one node, in the axes of S; y = w_T - slip. */
+/* The equation D w + b t(w) = q of one node, in the axes of S, where b is the node's area. The unknowns are y = w_T - slip
+ * and w_N. */
 typedef struct {
-    int m; /* tangential components */
-    double T[2][2], TN[2], NT[2], N; /* blocks of D */
-    double c[2], c_N; /* q without what D does with the slip */
+    int m; /* number of tangential components, d - 1 */
+    double T[2][2], TN[2], NT[2], N; /* tangential, mixed and normal blocks of D */
+    double c[2], c_N; /* q less the forces of D on the slip */
     double b;
     law_numbers law;
-    double y[2], w_N; /* the state that `excess` leaves */
+    double y[2], w_N; /* the unknowns that `excess` was called for last */
 } node;
 
-/* State with the tangential traction b t_T = k y; returns by how much that is above the threshold.
+/* Solves the node for a tangential force b t_T = k y; returns by how much this force exceeds the threshold times b.
  *
- * For each k >= 0 there is one state: without the tangential unknowns, the normal one is that of a spring that acts in one
- * direction. Where the traction is shortened, k is between 0 and b K_T, and the excess there is zero. */
+ * For each k >= 0 there is one solution: with y eliminated, w_N is that of a spring that resists closing alone. If the
+ * traction is shortened, the solution of the node has a k between 0 and b K_T, at which the excess is zero. */
 static double excess(node *a, double k)
 {
     double z[2], x[2]; /* (T + k)^-1 applied to c and to TN */
@@ -53,12 +56,14 @@ static double excess(node *a, double k)
     return k * sqrt(size) - a->b * largest(&a->law, a->law.K_N * fmax(-a->w_N, 0));
 }
 
-/* Solve a node: leaves y and w_N, returns whether it succeeded (it does when D is positive definite and all is finite).
+/* Solves a node: leaves y and w_N in it, and returns whether this succeeded. It does if D is positive definite and all
+ * numbers are finite.
  *
- * Of several solutions, which strong friction allows, one without tangential traction goes before one that sticks, and
- * that before one that slides. There the excess is zero, between its signs at k = 0 and at k = b K_T. As a function of
- * f = s / (s + k), where s is the tangential stiffness of the node, it is piecewise linear in two dimensions and nearly
- * so in three: regula falsi (Anderson and Bjorck's) takes a few steps; every fourth step is a bisection. */
+ * Strong friction allows several solutions. One without tangential traction is preferred to one that sticks, and that to
+ * one that slides. For a node that slides the excess is negative at k = 0, positive at k = b K_T, and its zero between them
+ * is found. As a function of f = s / (s + k), where s is the tangential stiffness of the node, it is piecewise linear in
+ * two dimensions and nearly so in three. So regula falsi (in Anderson and Bjorck's form) takes a few steps; every fourth
+ * step is a bisection, which bounds their number. */
 static int solve_node(node *a)
 {
     const double most = a->b * a->law.K_T, normal = a->N + a->b * a->law.K_N;
@@ -67,7 +72,7 @@ static int solve_node(node *a)
     double above = excess(a, most);
     if (!(above > 0)) return isfinite(above) && isfinite(a->w_N);
     for (int i = 0; i < a->m; i++) s += 1 / (a->T[i][i] - a->TN[i] * a->NT[i] / normal);
-    s = a->m / s; /* of the softer component, if one is held by an endless stiffness */
+    s = a->m / s; /* harmonic mean: that of the other component, if the stiffness of one is infinite */
     double old = s / (s + most), old_excess = above, last = 1, last_excess = below;
     for (int step = 1; step < 300; step++) {
         double f = last - last_excess * (last - old) / (last_excess - old_excess);
@@ -97,10 +102,12 @@ static double dot(const double *a, const double *x, int n)
     return (s0 + s1) + (s2 + s3);
 }
 
-/* Sweep over nodes; returns the largest change of a component in the last sweep, NaN when a node could not be solved.
+/* Sweeps over the nodes; returns the largest change of a component of u in the last sweep, NaN if a node was not solved.
  *
- * The matrix has n x n blocks of d x d: rows of all numbers, or, when indptr is given, rows of blocks. u, base, g: (n, d);
- * frames: (n, d, d); slip: (n, d - 1) or NULL; threshold: (n,) or NULL; moves: (n,). */
+ * The matrix has n x n blocks of d x d. It is dense, row by row, or, if indptr is given, sparse in blocks.
+ * g: (n, d) forces; u: (n, d) displacements; base: (n, d) displacements of the other side, so that u - base is the jump;
+ * frames: (n, d, d) axes of S as rows; weights: (n,) areas; numbers: K_N, K_T, friction, cohesion; slip: (n, d - 1) or
+ * NULL; threshold: (n,) or NULL; moves: (n,) whether a node is solved. */
 double sweep_nodes(int n, int d, const double *matrix, const int32_t *indptr, const int32_t *indices, const double *g,
                    double *u, const double *base, const double *frames, const double *weights, const double *numbers,
                    const double *slip, const double *threshold, const uint8_t *moves, int sweeps)
@@ -168,7 +175,7 @@ double sweep_nodes(int n, int d, const double *matrix, const int32_t *indptr, co
     return change;
 }
 
-/* b_i - sum a_ij u_j over all j but i, whose a_ii is put in `own`. */
+/* Returns b_i - sum a_ij u_j over all j other than i, and puts a_ii in `own`. */
 static double remainder_of_row(int i, const int32_t *indptr, const int32_t *indices, const double *data, const double *b,
                                const double *u, double *own)
 {
@@ -189,12 +196,14 @@ static void move(double *u, double target, double omega, double *squares)
     *u += step, *squares += step * step;
 }
 
-/* Relaxation, unknown by unknown, over all dofs; stops when the change, a Euclidean norm, is at most tolerance times that
- * of u, or when it is not finite. Returns the number of sweeps; their changes and the norms of u are left in two arrays.
+/* Relaxation over all degrees of freedom, one after the other. Ends when the Euclidean norm of the change of u in a sweep
+ * is at most `tolerance` times that of u, or is not finite. Returns the number of sweeps; `changes` and `norms` have the
+ * norms of the change and of u after each of them.
  *
- * steps: what a sweep does one after the other: a dof, or, of contact node i, -1 - 2 i for its normal component and
- * -2 - 2 i for its tangential ones, together. contact: (n, d) dofs of the nodes, the normal one last; slip: (n, d - 1) or
- * NULL; threshold: (n,) or NULL. */
+ * steps: the order within a sweep. An entry >= 0 is a degree of freedom; -1 - 2 i is the normal component of contact node
+ * i, and -2 - 2 i are its tangential components, which are solved together. contact: (n, d) degrees of freedom of the
+ * nodes, the normal one last; slip: (n, d - 1) or NULL; threshold: (n,) or NULL; omega: relaxation factor of degrees of
+ * freedom off S, omega_contact: of those of contact nodes. */
 int relax_sweeps(int count, const int32_t *steps, int dofs, const int32_t *indptr, const int32_t *indices,
                  const double *data, const double *b, double *u, int d, const int32_t *contact, const double *weights,
                  const double *numbers, const double *slip, const double *threshold, double omega, double omega_contact,
@@ -221,7 +230,7 @@ int relax_sweeps(int count, const int32_t *steps, int dofs, const int32_t *indpt
                 continue;
             }
             law.cohesion = largest(&law, law.K_N * fmax(-u[normal], 0)), law.friction = 0;
-            node a = {.m = m, .N = 1, .b = weights[i], .law = law}; /* its normal component plays no part */
+            node a = {.m = m, .N = 1, .b = weights[i], .law = law}; /* the normal block has no effect */
             for (int k = 0; k < m; k++) {
                 a.c[k] = remainder_of_row(here[k], indptr, indices, data, b, u, &a.T[k][k]);
                 for (int p = indptr[here[k]]; m == 2 && p < indptr[here[k] + 1]; p++)
