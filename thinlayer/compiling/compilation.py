@@ -13,6 +13,7 @@ from __future__ import annotations
 import fcntl
 import functools
 import hashlib
+import importlib.util
 import inspect
 import os
 import shutil
@@ -122,30 +123,48 @@ def keep(made: Path, file: Path) -> None:
         raise CacheError(f"{file} is a folder, where a compiled file belongs; remove it") from None
 
 
+def load(library: Path) -> Any:
+    """The module of a compiled library.
+
+    Raises:
+        ImportError: a file that is no such library.
+    """
+    spec = importlib.util.spec_from_file_location(library.name.split(".")[0], library)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def _mend_ffcx() -> None:
     """Let FFCx look for a compiled form under our lock, and compile it in a folder of its own."""
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
     parameters = inspect.signature(build)
 
-    def kept(module_name: str, object_names: list[str], folder: Path, timeout: int) -> tuple[Any, Any]:
-        """(objects, module), or (None, None) where files are missing or broken."""
+    def kept(module_name: str, object_names: list[str], folder: Path) -> tuple[Any, Any]:
+        """(objects, module), or (None, None) where files are missing or broken.
+
+        FFCx itself would list the whole folder for each form; that takes longer than all the rest once it has thousands.
+        """
         source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
-        # libraries that FFCx compiled in a process without thinlayer have no seal
-        whole = (is_whole(folder / f"{module_name}{end}", ready, unsealed=True) for end in EXTENSION_SUFFIXES)
-        if not source.exists() or not any(whole):
-            return None, None
-        try:
-            return find(module_name, object_names, folder, timeout)
-        except ImportError:
-            return None, None
+        for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
+            # libraries that FFCx compiled in a process without thinlayer have no seal
+            if library.exists() and source.exists() and is_whole(library, ready, unsealed=True):
+                try:
+                    module = load(library)
+                except ImportError:
+                    break
+                return [getattr(module.lib, name) for name in object_names], module
+        return None, None
 
     @functools.wraps(find)
     def get_cached_module(module_name: str, object_names: list[str], cache_dir: Any, timeout: int) -> tuple[Any, Any]:
         folder = Path(cache_dir)
-        found = kept(module_name, object_names, folder, timeout)
+        found = kept(module_name, object_names, folder)
         if found[0] is None:
             acquire(folder, module_name)
-            found = kept(module_name, object_names, folder, timeout)  # another process may have compiled it
+            found = kept(module_name, object_names, folder)  # another process may have compiled it
             if found[0] is not None:
                 release(folder, module_name)
         return found

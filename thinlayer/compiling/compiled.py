@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import re
 import sysconfig
 from pathlib import Path
@@ -14,7 +13,7 @@ from dolfinx import jit
 from mpi4py import MPI
 
 from forms.base import ThinlayerError
-from thinlayer.compiling.compilation import acquire, is_whole, keep, release, seal, workshop
+from thinlayer.compiling.compilation import acquire, is_whole, keep, load, release, seal, workshop
 from thinlayer.identity.sources import content, contents
 
 _LOADED: dict[Any, Any] = {}  # (source, state of the files that it includes) -> module
@@ -48,7 +47,7 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
             raise SourceError(f"the C source {str(source)!r} cannot be compiled: {problem}")
         _FILES[source] = tuple(contents(source))
         key = source, _state(source)
-        _LOADED[key] = _load(_module_file(source))
+        _LOADED[key] = load(_module_file(source))
     return _LOADED[key]
 
 
@@ -96,12 +95,3 @@ def _build(source: Path) -> None:
 
 def _seal(file: Path) -> Path:
     return file.with_name(f"{file.name}.cached")
-
-
-def _load(file: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(file.name.split(".")[0], file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
