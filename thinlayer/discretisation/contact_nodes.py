@@ -23,6 +23,11 @@ CONTACT = "contact"  # key of the slip at nodes (n, d - 1) in states and in file
 NONE = np.empty(0, np.int32)
 
 
+def contact_key(model: Model, name: str) -> str:
+    """Key of the slip on a seam; it has the seam's name if several seams have contact laws."""
+    return f"{CONTACT} {name}" if len(model.contacts) > 1 else CONTACT
+
+
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
     """The facets of S that this rank owns, and the cells on their two sides.
@@ -42,9 +47,8 @@ class ContactSurface:
     lower: npt.NDArray[np.int32] | None
 
     @classmethod
-    def of(cls, model: Model) -> ContactSurface:
-        """The seam of an interface model that has a contact law."""
-        (name,) = (one.name for one in model.layers.values() if one.contact)
+    def of(cls, model: Model, name: str) -> ContactSurface:
+        """A seam of an interface model."""
         domain, topology = model.domain, model.domain.mesh.topology
         for a, b in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
             topology.create_connectivity(a, b)

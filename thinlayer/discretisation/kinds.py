@@ -96,8 +96,6 @@ class InterfaceModel(Model):
     def _checked(self) -> Joint:
         for one in self.layers.values():
             one.check()
-        if self.contact and len(self.layers) > 1:
-            raise ModelError("contact laws are for a joint with one seam")
         return self.joint
 
     @cached_property

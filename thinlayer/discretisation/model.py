@@ -162,9 +162,14 @@ class Model(ABC):
         return self.bodies + self.layer_terms
 
     @property
+    def contacts(self) -> dict[str, ContactLaw]:
+        """Name of a seam -> its contact law."""
+        return {name: one.contact for name, one in self.layers.items() if one.contact}
+
+    @property
     def contact(self) -> ContactLaw | None:
-        """The contact law, if a layer has one."""
-        return next((one.contact for one in self.layers.values() if one.contact), None)
+        """A contact law, if a layer has one."""
+        return next(iter(self.contacts.values()), None)
 
     @property
     def layer_laws(self) -> list[Law]:
@@ -180,7 +185,7 @@ class Model(ABC):
     @cached_property
     def symmetric(self) -> bool:
         """Whether all laws and all additions have symmetric tangents."""
-        laws = [p.law for p in self.terms] + ([self.contact] if self.contact else [])
+        laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
 
     @property

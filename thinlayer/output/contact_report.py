@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,11 +16,11 @@ from scipy.sparse.csgraph import connected_components
 from forms.contact import Status
 from forms.work import work
 from geometry.order import edges_of_s, order_on_s
-from thinlayer.discretisation.contact_nodes import CONTACT, Array, ContactNodes, ContactSurface
+from thinlayer.discretisation.contact_nodes import Array, ContactNodes, ContactSurface, contact_key
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
-from thinlayer.output.surface import nodal_forces
+from thinlayer.output.surface import contact_forces, nodal_forces
 
 PINNED = "pinned"
 NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
@@ -72,15 +73,20 @@ class ContactReport:
             over the largest of the four: zero in equilibrium.
     """
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: State, seam: str | None = None) -> None:
         if not isinstance(state, State) or state.model.contact is None:
             given = f"one of {state.model!r}" if isinstance(state, State) else repr(state)[:200]
             raise ModelError(f"a contact report needs a state of a model with a contact law, not {given}")
-        model, law = state.model, state.model.contact
+        model = state.model
+        if seam is None and len(model.contacts) == 1:
+            (seam,) = model.contacts
+        if seam not in model.contacts:
+            raise ModelError(f"seam is {seam!r}; name one with a contact law: {', '.join(model.contacts)}")
+        law = model.contacts[seam]
         held = model.supports.held(model.V)
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
-        nodes = ContactNodes(ContactSurface.of(model), held[held < owned])
-        slip, d = state.memory[CONTACT], nodes.dim
+        nodes = ContactNodes(ContactSurface.of(model, seam), held[held < owned])
+        slip, d = state.memory[contact_key(model, seam)], nodes.dim
         w = nodes.jump(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)
         threshold = law.threshold(p)
@@ -106,7 +112,7 @@ class ContactReport:
         self.threshold, self.weights, self.frames = bound.ravel(), weights.ravel(), frames.reshape(-1, d, d)
         force = -model.comm.allreduce(np.einsum("n,nki,nk->i", nodes.weights, nodes.frames, t))
         self.force: Array = np.asarray(force)
-        self.equilibrium, self.clapeyron = _balance(state, nodes, held[held < owned], t)
+        self.equilibrium, self.clapeyron = _balance(state, held[held < owned])
         nodes.destroy()
 
     @property
@@ -177,18 +183,20 @@ class ContactReport:
         return "\n".join(lines)
 
 
-def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: Array) -> tuple[float, float]:
-    """Sum of the forces on free nodes and the work balance, relative. Collective."""
-    model, comm, d = state.model, nodes.comm, nodes.dim
+def _balance(state: State, held: npt.NDArray[np.int32]) -> tuple[float, float]:
+    """Sum of the forces on free nodes and the work balance, relative; NaN beside compiled laws. Collective."""
+    model, comm, d = state.model, state.model.comm, state.model.joint.dim
+    if any(p.law.traits.compiled for p in model.terms):
+        return math.nan, math.nan
     v = ufl.TestFunction(model.V)
     stresses, loads = (
-        nodal_forces(model.V, work(model.bodies, state.u, v) + model.added_work(state.u, v)),
+        nodal_forces(model.V, work(model.terms, state.u, v) + model.added_work(state.u, v)),
         nodal_forces(model.V, model.external_work(v, state.t)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec
-    on_s = inner.duplicate()
-    on_s.set(0.0)
-    nodes.add_forces(t, on_s)
+    of_contact = contact_forces(state)  # owns the vector
+    on_s = of_contact.x.petsc_vec
+    on_s.scale(-1.0)
     u = state.u.x.petsc_vec
     spent, tractions, supplied = float(u.dot(inner)), float(u.dot(on_s)), float(u.dot(outer))
     total = inner.array_r + on_s.array_r - outer.array_r
@@ -197,7 +205,6 @@ def _balance(state: State, nodes: ContactNodes, held: npt.NDArray[np.int32], t: 
     sums = comm.allreduce(total.reshape(-1, d).sum(axis=0))
     sizes = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner, outer, on_s)))
     largest = max(map(abs, (spent, tractions, supplied, at_supports)))
-    on_s.destroy()
     return (
         float(np.abs(sums).max() / sizes) if sizes else 0.0,
         abs(spent + tractions - supplied - at_supports) / largest if largest else 0.0,

@@ -21,7 +21,7 @@ from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.joint import S, unknown
 from geometry.order import order_on_s
-from thinlayer.discretisation.contact_nodes import CONTACT, ContactNodes, ContactSurface
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
@@ -58,16 +58,16 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
 
 def contact_forces(state: State) -> fem.Function:
     """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
-    model, law = state.model, state.model.contact
-    assert law is not None
-    nodes = ContactNodes(ContactSurface.of(model))
-    out = nodes.zero()
-    nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[CONTACT]), out)
-    forces = fem.Function(model.V)
-    forces.x.array[: out.getLocalSize()] = out.array_r
+    model, forces = state.model, fem.Function(state.model.V)
+    for name, law in model.contacts.items():
+        nodes = ContactNodes(ContactSurface.of(model, name))
+        out = nodes.zero()
+        slip = state.memory[contact_key(model, name)]
+        nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), slip), out)
+        forces.x.array[: out.getLocalSize()] += out.array_r
+        nodes.destroy()
+        out.destroy()
     forces.x.scatter_forward()
-    nodes.destroy()
-    out.destroy()
     return forces
 
 

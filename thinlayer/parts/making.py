@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from thinlayer.discretisation.contact_nodes import ContactSurface
+from thinlayer.discretisation.contact_nodes import ContactSurface, contact_key
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
@@ -30,6 +30,6 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
     ]
     constrained = [p for p in model.terms if p.law.traits.constrained]
     parts += [PressurePart(model.V, p, forms.largest, model.origin) for p in constrained[:1]]
-    if model.contact:
-        parts.append(ContactPart(model.contact, ContactSurface.of(model), held))
+    for name, law in model.contacts.items():
+        parts.append(ContactPart(law, ContactSurface.of(model, name), held, contact_key(model, name)))
     return parts + [addition.part(model) for addition in model.parts]

@@ -55,12 +55,17 @@ def default_method(model: Model) -> str:
     "newton" for bodies that are not linear and laws without sweeps; "condensed" on one rank if S has few displacements;
     else "multigrid".
     """
-    if model.contact is None or model.contact.numbers is None or not _linear_bodies(model):
+    if model.contact is None or model.contact.numbers is None or not _linear_bodies(model) or _is_network(model):
         return "newton"
     vertices = len(np.unique(model.joint.surface))
     sides = 1 if model.joint.rigid_base else 2
     narrow = vertices * sides * model.joint.dim <= CONDENSED_UP_TO[model.joint.dim]
     return "condensed" if narrow and model.comm.size == 1 else "multigrid"
+
+
+def _is_network(model: Model) -> bool:
+    """Whether several layers meet, or share a body, so that a displacement may belong to several pairs of nodes."""
+    return len(model.joint.seams) > 1 or model.joint.branch is not None
 
 
 def _linear_bodies(model: Model) -> bool:
@@ -121,6 +126,11 @@ def check_method(model: Model, method: Any) -> None:
         raise ModelError(f"method={method!r} is for contact laws; the model has none")
     if method in ("condensed", "relaxation") and model.comm.size > 1:
         raise ModelError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
+    if method in METHODS and _is_network(model):
+        raise ModelError(
+            f"method={method!r} is for one seam without branches, whose jumps are independent of each other; use "
+            "method='newton'"
+        )
     if method in METHODS and not _linear_bodies(model):
         raise ModelError(
             f"method={method!r} needs linear bodies without eigenstrains, and linear, symmetric parts; use method='newton'"
