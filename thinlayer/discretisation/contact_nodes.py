@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -38,6 +38,7 @@ class ContactSurface:
         facets: (n,) local numbers, ascending.
         upper: (n,) local cells on the upper side.
         lower: (n,) local cells on the lower side; None on a rigid base.
+        rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
     """
 
     V: fem.FunctionSpace
@@ -45,6 +46,7 @@ class ContactSurface:
     facets: npt.NDArray[np.int32]
     upper: npt.NDArray[np.int32]
     lower: npt.NDArray[np.int32] | None
+    rows: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     @classmethod
     def of(cls, model: Model, name: str) -> ContactSurface:
@@ -54,10 +56,11 @@ class ContactSurface:
             topology.create_connectivity(a, b)
         facets = domain.facets(name)
         facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
+        rows = domain.numbers(topology.dim - 1, facets)
         if name in model.joint.base_seams:
-            return cls.on_rigid_base(model.V, model.comm, facets)
+            return replace(cls.on_rigid_base(model.V, model.comm, facets), rows=rows)
         entities = seam_entities(domain, name)
-        return cls(model.V, model.comm, facets, entities[:, 0], entities[:, 2])
+        return cls(model.V, model.comm, facets, entities[:, 0], entities[:, 2], rows)
 
     @classmethod
     def on_rigid_base(cls, V: fem.FunctionSpace, comm: MPI.Intracomm, facets: npt.NDArray[np.int32]) -> ContactSurface:
@@ -76,6 +79,7 @@ class ContactNodes:
         surface: the facets.
         upper: (n,) local number of the node of V on the upper side.
         numbers: (n,) number of its vertex in the joint, or in the file or arrays that the mesh was made from.
+        file_numbers: (n,) another number for each, also where several share a vertex; the same on any number of ranks.
         x: (n, d) places.
         weights: (n,) areas (lengths in 2D).
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
@@ -117,6 +121,8 @@ class ContactNodes:
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
         self.numbers = kept[0][first, 3 + d].astype(np.int64)
+        self.file_numbers = np.full(len(upper), np.iinfo(np.int64).max)
+        np.minimum.at(self.file_numbers, at, kept[0][:, 4 + d].astype(np.int64))
         self.x = V.tabulate_dof_coordinates()[self.upper, :d]
         if not self.comm.allreduce(len(upper)):
             raise ModelError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
@@ -134,7 +140,7 @@ class ContactNodes:
         """A row for each vertex of each facet of S that this rank owns.
 
         Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
-        normal (d), number of the vertex.
+        normal (d), number of the vertex, number of this vertex of this facet.
         """
         V, facets, d = self.surface.V, self.surface.facets, self.dim
         upper, lower = self.surface.upper, self.surface.lower
@@ -159,7 +165,10 @@ class ContactNodes:
         below = np.full(above.size, -1.0) if lower is None else self._global(self._nodes(lower, vertices).ravel())
         numbers = np.asarray(mesh.geometry.input_global_indices, np.int64)[places.ravel()]
         vectors = (areas[:, :, None] * normals[:, None]).reshape(-1, d)
-        rows = np.column_stack([above, below, areas.ravel(), vectors, numbers])
+        of_facet = numbers.reshape(vertices.shape).argsort(axis=1).argsort(axis=1)
+        if len(self.surface.rows):
+            of_facet += self.surface.rows[:, None] * vertices.shape[1]
+        rows = np.column_stack([above, below, areas.ravel(), vectors, numbers, of_facet.ravel()])
         return np.asarray(rows[below != self._global(above)])  # at a tip of S there is no jump
 
     def _nodes(self, cells: npt.NDArray[np.int32], vertices: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:

@@ -80,7 +80,7 @@ class ContactPart(Part):
 
     @property
     def file_order(self) -> FileOrder:
-        numbers = self.nodes.numbers
+        numbers = self.nodes.file_numbers
         return FileOrder(numbers, np.arange(len(numbers))[:, None])
 
     def destroy(self) -> None:

@@ -1,0 +1,118 @@
+"""mpirun -n N python3 -m tests.network_cases: networks with known numbers, which an independent program has found."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from mpi4py import MPI
+
+from forms import HolonomicCoulomb, LinearElastic, MohrCoulomb
+from geometry import Joint, Seam, wall
+from geometry.topology import FacetTable
+from thinlayer import ContactReport, Structure, Surface, ThinLayer, march, solve
+
+WALL = {"P1": 0.011796375720487, "P2": 0.011640644960255, "Q1": 0.011718794213387, "Q2": 0.011631044498488}
+PANEL = {"P2": 0.00029830576641769, "Q2": 0.00029827111412196}
+YIELDED = {"P2": (0.000297263054, 6.1261783e-7), "Q2": (0.000297225625, 6.1393934e-7)}  # stored, dissipated
+PUSHED = {("triangle", 0.6): 0.14971313219837, ("triangle", -0.6): 0.21456359531576}  # |u|^2
+
+
+def springs(K_N: float, K_T: float, eps: float = 0.01) -> ThinLayer:
+    """A layer whose law on S is that of springs."""
+    return ThinLayer(LinearElastic(K_N - 2 * K_T, K_T), eps)
+
+
+def cell_of(element: str) -> str:
+    return "triangle" if element[0] == "P" else "quadrilateral"
+
+
+def wall_energy(element: str, joint: Joint | None = None) -> float:
+    """Energy of a wall of 14 bricks under a shift of its top."""
+    joint = joint or wall(3, 4, (1.0, 0.5), 0.25, cell=cell_of(element))
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
+    bricks = Structure(joint, body=LinearElastic.young(20.0, 0.2), supports=supports, element=element)
+    found = solve(bricks.interface({"BED": springs(5.0, 2.1), "HEAD": springs(3.0, 1.3)})).energies()
+    return found["bodies"] + found["layer"]
+
+
+def panel(element: str, h: float = 0.0625, **layers: ThinLayer):
+    """A panel of two courses, under the shift of its top at t = 1."""
+    joint = wall(2, 2, (1.0, 0.5), h, cell=cell_of(element))
+    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.02 * t}}
+    bricks = Structure(joint, body=LinearElastic.young(1.0, 0.2), supports=supports, element=element)
+    given = {"BED": springs(2.0, 0.7, 0.01), "HEAD": springs(1.2, 0.45, 0.007)} | layers
+    return bricks.interface(given)
+
+
+def panel_energy(element: str) -> tuple[float, float, float]:
+    """Energy, and norms of traction and jump on S."""
+    model = panel(element)
+    state, surface = solve(model, 1.0), Surface(model)
+    found = state.energies()
+    return found["bodies"] + found["layer"], surface.norm(surface.traction(state)), surface.norm(surface.jump(state))
+
+
+def yielded(element: str) -> tuple[float, float, float]:
+    """Stored and dissipated energy of the panel whose heads yield, and the largest imbalance of its steps."""
+    mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
+    history = march(panel(element, HEAD=ThinLayer(mortar, 0.007)), [0.25, 0.5, 0.75, 1.0])
+    audits = [state.audit for state in history]
+    return audits[-1].total, sum(one.dissipated for one in audits), max(abs(one.imbalance) for one in audits)
+
+
+def three_bricks(m: int, cell: str, cross: bool = False) -> Joint:
+    """Two bricks 1 x .5 on one of 2 x .5, or on two; m cells along their height."""
+    grid = wall(2, 2, (1.0, 0.5), 0.5 / m, cell=cell)
+    x = grid.points[grid.corners].mean(axis=1)
+    region = np.where(x[:, 1] < 0.5, (x[:, 0] > 1) * 3 * cross, 1 + (x[:, 0] > 1))
+    table = FacetTable.of(grid.cells, cell)
+    first, second = table.cells.T
+    cut = (second >= 0) & (region[first] != region[second])
+    upright = np.ptp(grid.points[table.vertices][..., 0], axis=1) < 1e-12
+    middle = grid.points[table.vertices].mean(axis=1)
+    facets = {"BED": table.vertices[cut & ~upright], "HEAD": table.vertices[cut & upright]}
+    facets["LEFT"] = table.vertices[(second < 0) & (middle[:, 0] < 1e-9) & (middle[:, 1] > 0.5)]
+    facets |= {name: grid.facets[name] for name in ("BOTTOM", "TOP")}
+    seams = {"BED": Seam(direction=(0.0, 1.0)), "HEAD": Seam(direction=(1.0, 0.0))}
+    names = ("FOOT", "LEFT BRICK", "RIGHT BRICK", "RIGHT FOOT")[: 3 + cross]
+    return Joint(grid.points, grid.cells, cell, region, names, facets, seams)
+
+
+def pushed(joint: Joint, push: float, layer):
+    """The state of three bricks under a pressure of 1 and a push on the upper left one."""
+    structure = Structure(
+        joint,
+        body=LinearElastic.young(50.0, 0.2),
+        supports={"BOTTOM": 0.0},
+        tractions={"TOP": (0.0, -1.0), "LEFT": (push, 0.0)},
+        element="P1" if joint.cell_type == "triangle" else "Q1",
+    )
+    return solve(structure.interface(layer))
+
+
+def square(state) -> float:
+    """Sum of the squares of all displacements."""
+    dofmap = state.u.function_space.dofmap
+    own = state.u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
+    return float(state.model.comm.allreduce(float(own @ own)))
+
+
+BED = HolonomicCoulomb(K_N=200.0, K_T=80.0, friction=0.5)
+HEAD = HolonomicCoulomb(K_N=100.0, K_T=40.0, friction=0.3)
+
+
+def main() -> None:
+    """Print the numbers as JSON."""
+    found = {f"wall {element}": wall_energy(element) for element in ("P1", "Q2")}
+    found["panel"] = panel_energy("Q2")
+    found["yielded"] = yielded("P2")
+    found |= {f"pushed {push}": square(pushed(three_bricks(8, "triangle"), push, BED)) for push in (0.6, -0.6)}
+    state = pushed(three_bricks(4, "quadrilateral"), 0.6, {"BED": BED, "HEAD": HEAD})
+    found["head force"] = ContactReport(state, "HEAD").force.tolist()
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,245 @@
+"""Networks of layers: split numbers, a law for each seam, junctions, contact between several bricks, on several ranks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forms import IncrementalCoulomb, LinearElastic
+from geometry import GeometryError, Joint, Seam, inflate, sandwich, wall
+from geometry.splitting import Splitting
+from geometry.topology import FacetTable, facet_normals
+from tests.meshes import renumbered
+from tests.network_cases import (
+    BED,
+    HEAD,
+    PANEL,
+    PUSHED,
+    WALL,
+    YIELDED,
+    cell_of,
+    panel_energy,
+    pushed,
+    springs,
+    square,
+    three_bricks,
+    wall_energy,
+    yielded,
+)
+from tests.ranks import mpirun
+from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
+
+ROCK = LinearElastic.young(10.0, 0.25)
+
+
+def cut_at(joint: Joint, cut) -> Joint:
+    """The mesh of a joint as one region, with seams where functions of places (n, d) and normals hold."""
+    table, (first, second) = joint.table, joint.table.cells.T
+    x = joint.points[table.vertices].mean(axis=1)
+    nodes = table.nodes(np.arange(len(table.vertices)), joint.cells, joint.cell_type)
+    normal = np.abs(facet_normals(joint.points, nodes, joint.cell_type).mean(axis=1))
+    facets = {name: table.vertices[(second >= 0) & holds(x, normal)] for name, (holds, _) in cut.items()}
+    facets |= {name: rows for name, rows in joint.facets.items() if name not in joint.seams}
+    seams = {name: Seam(direction=tuple(map(float, way))) for name, (_, way) in cut.items()}
+    return Joint(joint.points, joint.cells, joint.cell_type, 0 * joint.region, ("ROCK",), facets, seams)
+
+
+def counts(joint: Joint) -> dict[int, int]:
+    """Number of vertices with each number of components."""
+    number, times = np.unique(joint.splitting.valence, return_counts=True)
+    return dict(zip(number.tolist(), times.tolist(), strict=True))
+
+
+def on(axis: int, place: float):
+    """Whether facets lie in a plane."""
+    return lambda x, n: (np.abs(x[:, axis] - place) < 1e-9) & (n[:, axis] > 0.9)
+
+
+# ---------------------------------------------------------------- split numbers
+SQUARE = sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral")
+
+
+def test_components_around_vertices():
+    cross = cut_at(SQUARE, {"FLAT": (on(1, 0.0), (0, 1)), "STEEP": (on(0, 4.0), (1, 0))})
+    assert counts(cross) == {1: 64, 2: 16, 4: 1}
+    assert cross.splitting.pieces.max() == 3
+    tip = cut_at(SQUARE, {"S": (lambda x, n: on(1, 0.0)(x, n) & (x[:, 0] < 5), (0, 1))})
+    assert counts(tip) == {1: 76, 2: 5}
+    assert tip.splitting.components(1).sum() == 5  # facets
+    one = cut_at(SQUARE, {"S": (lambda x, n: on(1, 0.0)(x, n) & (np.abs(x[:, 0] - 3.5) < 0.1), (0, 1))})
+    assert counts(one) == {1: 81}
+    assert one.splitting.components(1).sum() == 1
+    bond = wall(3, 4, (1.0, 0.5), 0.25)
+    assert counts(bond) == {1: 63, 2: 39, 3: 15}
+    assert bond.splitting.pieces.max() + 1 == 14
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_components_in_space(cell):
+    """Two blocks on one: 24 vertices on two, 4 on the line where three meet."""
+    grid = wall(1, 2, (4.0, 2.0), 1.0, depth=3.0, cell=cell)
+    upper = lambda x, n: on(0, 2.0)(x, n) & (x[:, 1] > 2)
+    joint = cut_at(grid, {"FLAT": (on(1, 2.0), (0, 1, 0)), "STEEP": (upper, (1, 0, 0))})
+    assert counts(joint) == {1: 72, 2: 24, 3: 4}
+
+
+def test_components_follow_cells_not_numbers():
+    bond = wall(2, 3, (1.0, 0.5), 0.25, cell="triangle")
+    assert counts(renumbered(bond)) == counts(bond)
+    table = FacetTable.of(bond.cells, bond.cell_type)
+    whole = Splitting(bond.cells, bond.cell_type, table, np.empty(0, np.int64))
+    assert whole.valence.max() == 1
+    assert not whole.components(0).any()
+    assert whole.pieces.max() == 0
+
+
+# ---------------------------------------------------------------- the interface model
+@pytest.mark.parametrize("element", WALL)
+def test_wall(element):
+    assert wall_energy(element) == pytest.approx(WALL[element], rel=1e-12)
+
+
+def test_a_wall_does_not_depend_on_numbers_or_orientation():
+    joint = wall(3, 4, (1.0, 0.5), 0.25)
+    assert wall_energy("Q2", renumbered(joint)) == pytest.approx(WALL["Q2"], rel=1e-12)
+    assert wall_energy("Q2", joint.swapped()) == pytest.approx(WALL["Q2"], rel=1e-12)
+    aside = replace(joint, seams={"BED": Seam(direction=(0.3, -1.0)), "HEAD": Seam(direction=(-1.0, 0.2))})
+    assert wall_energy("Q2", aside) == pytest.approx(WALL["Q2"], rel=1e-12)
+    assert wall_energy("Q2", replace(joint, seams=dict(reversed(joint.seams.items())))) == pytest.approx(WALL["Q2"])
+
+
+@pytest.mark.parametrize("element", PANEL)
+def test_a_law_for_each_seam(element):
+    energy, traction, jump = panel_energy(element)
+    assert energy == pytest.approx(PANEL[element], rel=1e-12)
+    if element == "P2":
+        assert (traction, jump) == pytest.approx((0.01974486643, 0.0109003443), rel=1e-9)
+
+
+@pytest.mark.parametrize("element", YIELDED)
+def test_elastic_beds_and_heads_that_yield(element):
+    stored, dissipated, imbalance = yielded(element)
+    assert (stored, dissipated) == pytest.approx(YIELDED[element], rel=1e-8)  # the digits that are known
+    assert imbalance < 1e-12
+
+
+def test_two_layers_in_parallel():
+    """Three plates, two glue lines: in series with the plates, each with its law, by name."""
+    column = cut_at(SQUARE, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
+    structure = Structure(
+        column, body=LinearElastic(0.0, 5.0), supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}},
+        tractions={"TOP": (0.0, 2.0)},
+    )  # fmt: skip
+    model = structure.interface({"LOW": springs(4.0, 1.0), "HIGH": springs(8.0, 1.0)})
+    state = solve(model)
+    for name, K in (("LOW", 4.0), ("HIGH", 8.0)):
+        surface = Surface(model, name)
+        assert surface.integral(surface.jump(state)[1]) == pytest.approx(8 * 2.0 / K, rel=1e-12)
+        assert surface.integral(surface.traction(state)[1]) == pytest.approx(16.0, rel=1e-12)
+    assert state.energies()["layer"] == pytest.approx(8 * 2.0**2 / 2 * (1 / 4 + 1 / 8), rel=1e-12)
+
+
+def test_an_open_joint_has_no_law():
+    """Without mortar in the heads a wall is softer than with a weak one, which tends to it."""
+    joint = wall(2, 3, (1.0, 0.5), 0.25)
+    bricks = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.2, -1.0)})
+
+    def work(head):
+        return solve(bricks.interface({"BED": springs(5.0, 2.0), "HEAD": head})).energies()["loads"]
+
+    open_, *filled = (work(head) for head in (None, springs(2e-3, 1e-3), springs(2.0, 1.0)))
+    assert open_ > filled[0] > 1.01 * filled[1]
+    assert open_ == pytest.approx(filled[0], rel=1e-3)
+
+
+# ---------------------------------------------------------------- contact
+@pytest.mark.parametrize(("cell", "push"), PUSHED)
+def test_three_bricks(cell, push):
+    assert square(pushed(three_bricks(8, cell), push, BED)) == pytest.approx(PUSHED[cell, push], rel=1e-12)
+
+
+@pytest.mark.parametrize(("m", "force"), [(4, 0.10392), (8, 0.10473)])
+def test_a_contact_law_for_each_seam(m, force):
+    """The push goes through the head and the left part of the bed; all pressure through the bed."""
+    joint = three_bricks(m, "quadrilateral")
+    state = pushed(joint, 0.6, {"BED": BED, "HEAD": HEAD})
+    bed, head = ContactReport(state, "BED"), ContactReport(state, "HEAD")
+    assert bed.force == pytest.approx([-0.3, 2.0], rel=1e-12)
+    assert head.force[0] == pytest.approx(force, abs=5e-6)
+    assert max(bed.equilibrium, bed.clapeyron) < 1e-12
+    away = pushed(joint, -0.6, {"BED": BED, "HEAD": HEAD})
+    assert ContactReport(away, "HEAD").counts["separated"] == m + 1
+    assert not ContactReport(away, "HEAD").force.any()
+
+
+def test_bricks_that_cross():
+    """Four bricks meet: the bed and the head each part in two at the junction."""
+    joint = three_bricks(4, "quadrilateral", cross=True)
+    state = pushed(joint, 0.6, {"BED": BED, "HEAD": HEAD})
+    assert ContactReport(state, "BED").force == pytest.approx([-0.3, 2.0], rel=1e-12)
+
+
+def test_slip_on_two_seams_is_remembered():
+    laws = {
+        "BED": IncrementalCoulomb(K_N=200.0, K_T=80.0, friction=0.2),
+        "HEAD": IncrementalCoulomb(K_N=100.0, K_T=40.0, friction=0.3),
+    }
+    joint = three_bricks(4, "quadrilateral")
+    structure = Structure(
+        joint, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",
+        tractions={"TOP": (0.0, -1.0), "LEFT": lambda x, t: (0.7 * t * (2 - t), 0.0)},
+    )  # fmt: skip
+    history = march(structure.interface(laws), [0.5, 1.0, 2.0])
+    assert set(history.last.memory) == {"contact BED", "contact HEAD"}
+    assert all(np.abs(slip).max() > 0 for slip in history.last.memory.values())
+    assert max(abs(state.audit.imbalance) for state in history) < 1e-10
+
+
+def test_same_on_two_ranks():
+    found, alone = (json.loads(mpirun(ranks, "-m", "tests.network_cases").stdout) for ranks in (2, 1))
+    assert found.keys() == alone.keys()
+    for name, values in alone.items():
+        assert np.ravel(found[name])[:2] == pytest.approx(np.ravel(values)[:2], rel=1e-10), name
+
+
+# ---------------------------------------------------------------- what is refused
+def test_refused_joints():
+    joint = wall(2, 2, (1.0, 0.5), 0.25)
+    with pytest.raises(GeometryError, match=r"facets are in two seams, 'BED' and 'HEAD', the first at \("):
+        replace(joint, facets=joint.facets | {"HEAD": joint.facets["BED"]})
+    with pytest.raises(GeometryError, match="'HEAD' does not separate two bodies.*one region on both sides; give the"):
+        replace(joint, seams={"BED": Seam(), "HEAD": Seam()})
+    with pytest.raises(GeometryError, match=r"direction \(1.0, 0.0\) does not tell the upper side of 'BED'"):
+        replace(joint, seams=joint.seams | {"BED": Seam(direction=(1.0, 0.0))})
+    with pytest.raises(GeometryError, match="no facets named 'CRACK'"):
+        replace(joint, seams=joint.seams | {"CRACK": Seam(direction=(1.0, 0.0))})
+    with pytest.raises(GeometryError, match="'S' is all seams together"):
+        replace(joint, facets=joint.facets | {"S": joint.facets["TOP"]}, seams=joint.seams | {"S": Seam()})
+    for bad in (dict(bricks=1, courses=1), dict(bricks=1.5, courses=2), dict(bricks=2, courses=0)):
+        with pytest.raises(GeometryError, match="brick is no wall|whole number"):
+            wall(**bad, brick=(1.0, 0.5))
+
+
+def test_refused_layers():
+    joint = wall(2, 2, (1.0, 0.5), 0.25)
+    bricks = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0})
+    layer = springs(2.0, 1.0)
+    with pytest.raises(ModelError, match="unknown seam 'BEDS', did you mean 'BED'"):
+        bricks.interface({"BEDS": layer, "HEAD": layer})
+    with pytest.raises(ModelError, match="the seam 'HEAD' has no layer"):
+        bricks.interface({"BED": layer})
+    with pytest.raises(ModelError, match=r"order=1 needs an S without junctions, .*meet at \("):
+        bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1), "HEAD": layer})
+    with pytest.raises(ModelError, match="unknown seam 'BEDS'"):
+        Surface(bricks.interface(layer), "BEDS")
+    with pytest.raises(ModelError, match="several seams.*use structure.interface"):
+        bricks.full(layer)
+    with pytest.raises(GeometryError, match="several seams"):
+        inflate(joint, 0.01)
+    with pytest.raises(ModelError, match="method='condensed' is for one seam without branches"):
+        solve(
+            Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, element="Q1").interface({"BED": BED, "HEAD": HEAD}),
+            method="condensed",
+        )
+    assert cell_of("Q1") == "quadrilateral"
