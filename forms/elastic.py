@@ -74,7 +74,7 @@ class LinearElastic(LinearLaw):
 
     @classmethod
     def young(cls, E: float, nu: float) -> LinearElastic:
-        """From Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
+        """The law with Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
         if not (is_number(E) and math.isfinite(E) and E > 0):
             raise LawError(f"LinearElastic: E is {E!r}; allowed: > 0")
         if not (is_number(nu) and -1 < nu < 0.5):
@@ -83,7 +83,7 @@ class LinearElastic(LinearLaw):
 
     @classmethod
     def shear(cls, mu: float, nu: float) -> LinearElastic:
-        """From the shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
+        """The law with shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
         if not (is_number(mu) and is_number(nu)):
             raise LawError(f"LinearElastic: mu is {mu!r}, nu is {nu!r}; allowed: numbers")
         return cls.young(2 * mu * (1 + nu), nu)

@@ -286,8 +286,8 @@ class BulkLaw(Law):
         """
         return e
 
-    def told(self, step: Step) -> Step:
-        """The step that `stress` gets: only the strain at t + theta dt for laws without rate and internal variables."""
+    def own_step(self, step: Step) -> Step:
+        """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""
         return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def remainder(self, step: Step) -> Expr:
@@ -301,7 +301,7 @@ class BulkLaw(Law):
             increments = {name: new[name] - step.q[name] for name in new}
             return (2 * step.theta - 1) * self.energy(Step(step.e - step.e_old, step.n, q=increments))
         stored = self.energy(Step(step.e, step.n, q=new)) - self.energy(Step(step.e_old, step.n, q=step.q))
-        return ufl.inner(self.stress(self.told(step)), step.e - step.e_old) - stored - self.dissipated(step)
+        return ufl.inner(self.stress(self.own_step(step)), step.e - step.e_old) - stored - self.dissipated(step)
 
     # ---------------------------------------------------------------- numbers
     @property

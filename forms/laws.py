@@ -1,4 +1,4 @@
-"""All laws by name."""
+"""The names that users import from `forms`: laws, contracts of laws, and what laws are written with."""
 
 from forms.contact import ContactLaw, HolonomicCoulomb, IncrementalCoulomb, Tresca
 from forms.elastic import Anisotropic, LinearElastic

@@ -111,11 +111,11 @@ def _stress_is_symmetric(sample: Sample) -> None:
 
 
 def _memory_is_symmetric(sample: Sample) -> None:
-    told = sample.law.methods[1]
+    method = sample.law.methods[1]
     for name, tensor in sample.tensors().items():
         if skew := _skew(tensor):
             raise LawError(
-                f"{type(sample.law).__name__}.{told}[{name!r}] is not symmetric: it differs from its transpose by "
+                f"{type(sample.law).__name__}.{method}[{name!r}] is not symmetric: it differs from its transpose by "
                 f"{skew:.1e} of its size; internal tensors (3, 3) are symmetric: use ufl.sym, or vectors (3,)"
             )
 
@@ -195,7 +195,7 @@ class Sample:
 
     def stress(self, change: Array | float = 0.0) -> Array | None:
         """Stress (3, 3) with a change of the strain; None if it cannot be evaluated."""
-        return _evaluated(lambda: self.law.stress(self.law.told(self._step(change))))
+        return _evaluated(lambda: self.law.stress(self.law.own_step(self._step(change))))
 
     def tensors(self) -> dict[str, Array]:
         """New internal variables of shape (3, 3) that can be evaluated."""
@@ -211,7 +211,7 @@ class Sample:
 
     def energy(self, change: Array | float) -> float | None:
         """Energy at the time of the stress, with a change of the strain; None if it cannot be evaluated."""
-        energy = _evaluated(lambda: self.law.energy(self.law.told(self._step(np.asarray(change / THETA)))))
+        energy = _evaluated(lambda: self.law.energy(self.law.own_step(self._step(np.asarray(change / THETA)))))
         return None if energy is None else float(energy)
 
     def skew(self, one: Array, other: Array, change: float) -> float:

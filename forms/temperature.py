@@ -62,7 +62,7 @@ def real(values: Any) -> npt.NDArray[np.float64]:
 
 
 def place(x: npt.NDArray[np.float64], t: float, k: int) -> str:
-    """Where and when the k-th of places x (d, n) is, for messages."""
+    """Text of the k-th of the places x (d, n) and of the time t, for messages."""
     return f" at x = ({', '.join(f'{c:g}' for c in x[:, k])}), t = {t:g}"
 
 

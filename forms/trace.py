@@ -71,7 +71,7 @@ def symbolic(law: BulkLaw) -> Symbolic:
 
 
 def _shape(value: Any) -> tuple[int, ...]:
-    """Of a parameter, a number, an array or a Constant."""
+    """Shape of a parameter: a number, an array or a Constant."""
     return tuple(value.ufl_shape) if isinstance(value, Node) else np.shape(value)
 
 

@@ -13,9 +13,8 @@ from forms.elastic import isotropic_stiffness, lame, require_moduli
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Step, positive, require
 
-MOST_STIFFNESS = (
-    1e6  # largest tangent of a power-law dashpot in a step, over its spring's modulus; stiffer ones are linear
-)
+# Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
+MOST_STIFFNESS = 1e6
 REST_STRAIN = 1e-12  # largest strain of a step below which the dashpot may be linear
 
 

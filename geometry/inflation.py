@@ -60,7 +60,7 @@ class _Levels:
         return np.where(level == self.top, nodes, new)
 
     def drop(self, rows: IntArray) -> IntArray:
-        """The same cells or facets with the lower face of the band in place of S."""
+        """Cells or facets, given by their nodes, with nodes of S replaced by those of the band's lower face."""
         on_s = np.isin(rows, self.nodes)
         out = rows.copy()
         out[on_s] = self.number(rows[on_s], 0)

@@ -69,7 +69,7 @@ def require_no_branches(joint: Joint) -> None:
 
 
 def _outer_moments(joint: Joint, side: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """For every node the sum of m m^T over the unit normals m of outer faces there, except S, and their number."""
+    """Sum of m m^T over the unit normals m of outer faces without S at each node, and the number of these faces."""
     table = joint.table
     outer = np.setdiff1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
     if side is not None:

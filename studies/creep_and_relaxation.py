@@ -19,11 +19,13 @@ from thinlayer.running.record import Record
 Array = npt.NDArray[np.floating[Any]]
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 LMBDA, MU = 60.0, 40.0
-EPS = 0.1  # any thickness gives the same in kept geometry
+EPS = 0.1  # thickness; if the bodies are kept, results do not depend on it
 THETA_LMBDA, THETA_MU, T1 = 0.3, 0.5, 0.7
-DT, END, AT = 0.1, 2.0, 1.0  # of the curves; the time at which errors are measured
+DT, END = 0.1, 2.0  # step and end of the curves
+AT = 1.0  # time at which errors are measured
 STEPS = (0.05, 0.025, 0.0125)
-EXACT = 1e-9  # error below which a scheme has no error of its own: a Maxwell layer's jump grows linearly
+# Relative error that counts as rounding: schemes are exact where the jump of a Maxwell layer grows linearly.
+EXACT = 1e-9
 SCHEMES = {"Euler": (1.0, 1), "midpoint": (0.5, 2)}  # theta, order
 INTERFACE, FULL, CLOSED = "interface law", "meshed layer", "closed form"
 
@@ -115,7 +117,7 @@ CASES = {
 def run(record: Record, *, quick: bool = False) -> None:
     """Columns sheared and pulled by a sudden load that is held: both models over time, then the error at t = 1.
 
-    The curves are those of the midpoint rule. Adaptive steps are told a tolerance of 1e-4 for each.
+    The curves are those of the midpoint rule. Adaptive steps have a tolerance of 1e-4.
 
     Args:
         record: where to write.
@@ -172,7 +174,7 @@ class Column:
         self.surface = Surface(self.models[INTERFACE])
 
     def follow(self, model: Model, times: Sequence[float]) -> Array:
-        """What is measured at the ends of the steps of the midpoint rule."""
+        """The measured component at the ends of steps of the midpoint rule."""
         history = march(model, times, theta=0.5)
         self.record.solved(history.last)
         return np.array([self._measured(history.at(t)) for t in times])

@@ -30,9 +30,9 @@ EPS = 1.0  # mm
 STEEL = LinearElastic.young(E=210e3, nu=0.3)  # MPa
 GLUE = LinearElastic.young(E=30e3, nu=0.3).per_thickness(EPS)  # MPa/mm
 OMEGA = 30.0
-H = 0.02  # elastic fraction, in both models where the layer is meshed
-R_X, U_T_50 = 0.7760, 2.9706e-5  # N/mm and mm, of R1 in one step, from an independent code
-R_X_REFINED = 0.792  # N/mm, likewise, the pressure first, then the shear in many steps
+H = 0.02  # elastic fraction of both models where the meshed layer is compared
+R_X, U_T_50 = 0.7760, 2.9706e-5  # N/mm and mm: loads R1 in one step, by an independent code
+R_X_REFINED = 0.792  # N/mm: by the same code with the pressure first, then the shear in many steps
 STEPS = (1, 5, 20, 80)
 
 
@@ -43,7 +43,7 @@ class Loads:
     Attributes:
         pressure, shear: side and traction (MPa) of each.
         supports: prescribed displacements.
-        why: what to expect, for the picture.
+        why: expected result, as text in the picture.
         scale: of the displacements in the picture of the layer's left end.
         shown: range of the ratio in the picture, 10^3 N/mm^3; the free ends of the meshed layer lie outside.
     """
@@ -130,11 +130,11 @@ class YieldingBar:
         return kind(Structure(self.joint, body=STEEL, supports=supports, tractions=tractions, element="S2"), layer)
 
     def solved(self, kind: Callable[..., Model], h: float) -> State:
-        """All loads in one step."""
+        """The state under all loads, found in one step."""
         return self.record.solved(solve(self.model(kind, h, self.loads.tractions)))
 
     def sheared(self, steps: int) -> State:
-        """The pressure at once, then the shear in equal steps; interface law."""
+        """The state of the interface model after the pressure in one step and then the shear in equal steps."""
         side, (x_part, y_part) = self.loads.shear
         tractions = dict([self.loads.pressure]) | {side: lambda x, t: (t * x_part, t * y_part)}
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
@@ -184,7 +184,7 @@ class YieldingBar:
 
 
 def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
-    """The pressure first, then the shear in more and more steps: the shear force depends on the path, not on the mesh."""
+    """Refine the steps of the shear, after the pressure: the shear force depends on the path of loads, not on the mesh."""
     forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
     table = Table()
     last = forces[counts[-1]]

@@ -25,16 +25,16 @@ from thinlayer.time.journal import Observe
 
 Array = npt.NDArray[np.float64]
 BAR = limits.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
-EPS = (BAR.eps, 0.05, 0.01, 0.0)  # of the length; 0: the interface law
-END = 2.0  # of delta, on the way up; then back
+EPS = (BAR.eps, 0.05, 0.01, 0.0)  # thicknesses over the length of the bar; 0: the interface law
+END = 2.0  # largest prescribed displacement delta
 NAMES = ("delta_0", "delta_1", "up", "down", "loop_area")
 DIGITS = {BAR.eps: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1.775, 1.875, 1.275, 0.288)}
 AT = 1.6
 DIGITS_AT = {"U": 0.8575, "boundary": 0.23125 * BAR.eps * BAR.l, "energy": 1.5736875}
 BRANCHES = ((0.0, 1.25), (1.38, 1.65), (1.78, END))  # ranges of delta inside the straight parts, for all eps
-COUNTS = (1, 2, 8, 64)  # elements through the layer
+COUNTS = (1, 2, 8, 64)  # numbers of elements through the layer
 OTHER_STEPS = (3, 17)
-EXACT = 1e-9  # relative
+EXACT = 1e-9  # largest relative error against closed forms
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -106,7 +106,7 @@ class Strip:
         return rows
 
     def least(self, history: History) -> Table:
-        """The same of the relaxed law on the way up, with the boundary and closed forms; checks both ways against them."""
+        """Rows of the relaxed law on the way up, with the phase boundary and the closed forms; checks both ways."""
         rows = self.rows(history)
         delta, bar = rows["delta"], self.bar
         exact = {name: getattr(bar, name)(delta) for name in ("U", "sigma", "energy", "phase", "boundary")}
@@ -123,7 +123,7 @@ class Strip:
         return table
 
     def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
-        """Where computed branches meet, where the layer snaps, and the energy lost in a cycle; checks them."""
+        """Values of delta where branches meet and where the layer snaps, and the energy lost in a cycle; checks them."""
         delta, sigma = moved(relaxed.t), relaxed.table["sigma"]
         first, mixed, last = (straight(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
         up, down = moved(np.array([snap.t for snap in unrelaxed.snaps]))
@@ -137,7 +137,7 @@ class Strip:
         return {"eps": self.bar.eps} | found
 
     def check_steps(self, history: History) -> None:
-        """Other steps, the same snaps."""
+        """Check that other steps give the same snaps."""
         for steps in OTHER_STEPS:
             other = self.march(NonMonotoneUnrelaxed, steps)
             pairs = [(a.t - b.t, a.lost - b.lost) for a, b in zip(history.snaps, other.snaps, strict=True)]
@@ -177,7 +177,7 @@ def check_digits(record: Record, table: Table, limit: Table) -> None:
 
 
 def moved(t: Array) -> Array:
-    """Delta at times."""
+    """The prescribed displacement delta at given times."""
     return END - np.abs(t - END)
 
 
@@ -187,7 +187,7 @@ def straight(x: Array, y: Array, inside: npt.NDArray[np.bool_]) -> Array:
 
 
 def meet(a: Array, b: Array) -> float:
-    """Where two lines (slope, value at 0) meet."""
+    """Place at which two lines (slope, value at 0) meet."""
     return float((b[1] - a[1]) / (a[0] - b[0]))
 
 

@@ -16,7 +16,8 @@ from thinlayer.output.plotting.contacts import STATUS
 from thinlayer.output.plotting.curves import finish
 from thinlayer.running.record import Record
 
-NO_PRESSURE, AT_LIMIT = 1e-3, 1e-2  # of the largest pressure, of the threshold: what counts as separated, as sliding
+NO_PRESSURE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
+AT_LIMIT = 1e-2  # relative distance from the threshold at which a node counts as sliding
 CONTACT: dict[str, Any] = {"color": "black", "linewidth": 1.8, "label": "contact on S"}
 
 
@@ -32,9 +33,9 @@ def profile_of(band: State, contact: State, friction: float) -> Table:
 
 
 def statuses(t: npt.NDArray[np.float64], friction: float) -> list[str]:
-    """What tractions (n, 2) in the frame of S say of the nodes.
+    """Status of nodes, from their tractions (n, 2) in the frame of S.
 
-    The same question for both models: in a band the ends of zones are where two cells meet that do different things.
+    It is found in the same way for both models. In a meshed layer zones end between two cells of different status.
     """
     p, shear = -t[:, 1], np.abs(t[:, 0])
     slides = shear >= (1 - AT_LIMIT) * friction * p

@@ -20,8 +20,8 @@ from thinlayer.running.record import Record
 
 LMBDA, MU, C, OMEGA, PSI = 60.0, 40.0, 0.1, 30.0, 10.0
 PLANE, SPACE = (0, 1, 3), tuple(range(6))  # Mandel components of strains in plane strain and in 3D
-SIZE = 0.02  # of the strains; the elastic stresses are several times the cohesion
-LEAST = 5e5  # points per second of the return mapping
+SIZE = 0.02  # size of the strains, at which elastic stresses are several times the cohesion
+LEAST = 5e5  # least number of points per second for the return mapping
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,13 @@ NU = LMBDA / (2 * (LMBDA + MU))
 OMEGA = 30.0
 DILATANCIES = (10.0, 20.0, 30.0)
 DILATANT = {psi: f"psi = {psi:g}" for psi in DILATANCIES}
-CLOSING = -0.01  # jump that is held; the compression of the elastic layer, 1.4, is the stress that is held
-DIRECTION = 75.0  # of the proportional path, degrees from the normal
-SHEAR = 5.0  # end of the curves, mu w_T over the pressure at the start
-LOOSENED = 0.6  # of the closing, when the normal stress is taken away
-COHESION, STRONG_SHEAR = 0.1, 0.03  # of the number to six digits, at w_T = STRONG_SHEAR
-DIGITS = (0.573611999372, -1.12276731876)  # t_T, t_N there in the limit of small steps
-LASTING = 60.0  # shear at which friction is taken for the lasting one
+CLOSING = -0.01  # constant normal jump; the constant normal stress is that of the elastic layer at this jump, -1.4
+DIRECTION = 75.0  # direction of the proportional path, degrees from the normal
+SHEAR = 5.0  # shear at the end of the curves: mu w_T over the pressure at the start
+LOOSENED = 0.6  # share of the closing by which the layer is opened when the normal stress is taken away
+COHESION, STRONG_SHEAR = 0.1, 0.03  # cohesion and w_T of the case whose tractions are checked to many digits
+DIGITS = (0.573611999372, -1.12276731876)  # its t_T and t_N in the limit of small steps
+LASTING = 60.0  # shear, as in SHEAR, at which friction has its lasting value
 
 PRESSURE = -(LMBDA + 2 * MU) * CLOSING
 HELD_STRESS, HELD_JUMP = "normal stress held", "normal jump held"

@@ -1,4 +1,4 @@
-"""What studies measure in every state of a march, with forms that are compiled once."""
+"""Quantities that studies measure in every state of a march, with forms that are compiled once."""
 
 from __future__ import annotations
 

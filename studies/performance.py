@@ -27,10 +27,10 @@ from thinlayer.solving.solvers import Solver
 
 STIFFNESS = (15e8, 5e8)  # lmbda, mu per thickness, N/mm^3
 FRICTION = 1.0
-TOLERANCE = 1e-10  # of the iterative reference, as of the contact solver
+TOLERANCE = 1e-10  # relative residual of the iterative reference, as of the contact solver
 LIMITS = {"2D": {128: 1.40, 256: 1.25, 512: 1.25, 724: 1.25}, "3D": {24: 1.7, 32: 1.7, 46: 1.7}}
-PREDICTED_LIMIT = 1.5  # in 3D with a prediction of the status
-RELAXED = (32, 64)  # squares
+PREDICTED_LIMIT = 1.5  # largest ratio in 3D if the contact status is predicted
+RELAXED = (32, 64)  # squares along each side for the paper's relaxation
 
 
 def run(record: Record, *, quick: bool = False) -> None:

@@ -14,7 +14,7 @@ from thinlayer.running.record import Record
 
 STIFFNESS = ((15e8, 5e8), (15e4, 5e4), (15.0, 5.0))  # lmbda, mu per thickness, N/mm^3
 OMEGAS = (0.8, 1.0, 1.2, 1.4, 1.6, 1.7, 1.8, 1.85, 1.9, 1.93, 1.95)
-TOLERANCE = 1e-8  # of the relative increment
+TOLERANCE = 1e-8  # largest relative increment of a converged relaxation
 MAX_SWEEPS = 30_000
 EXPECTED = {  # sweeps of an independent code on the same meshes: (squares, lmbda, omega)
     (8, 15e8, 1.0): 605, (8, 15e4, 1.8): 90, (8, 15.0, 1.9): 621,

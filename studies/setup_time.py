@@ -25,7 +25,7 @@ from thinlayer.running.record import Record
 from thinlayer.solving.solvers import Solver
 
 BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), ThinLayer(LinearElastic(lmbda=60.0, mu=40.0), 0.01)
-SIZES = {"2D": 700, "3D": 40}  # cells along each side: 984,204 and 211,806 unknowns
+SIZES = {"2D": 700, "3D": 40}  # cells along each side, for 984,204 and 211,806 unknowns
 QUICK = {"2D": 100, "3D": 8}
 LIMIT = 1.5  # time of a model over that of the plain script
 
@@ -115,7 +115,7 @@ def compare(name: str, n: int, repeats: int) -> list[Row]:
 
 
 def plain(joint: Joint, load: tuple[float, ...]) -> tuple[fem.Form, fem.Form, list[fem.DirichletBC]]:
-    """What a script in plain DOLFINx has before it assembles: mesh, tags, space, supports and compiled forms."""
+    """The set-up of a script in plain DOLFINx: mesh, tags, space, supports and compiled forms."""
     dim, cell = joint.dim, joint.cell_type
     mesh = create_mesh(MPI.COMM_SELF, joint.points, joint.cells, cell)
     original = mesh.topology.original_cell_index

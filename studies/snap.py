@@ -23,13 +23,13 @@ from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]
 OTHER_STEPS = (7, 33)
-MIXINGS = (0.4, 0.2, 0.1)  # r of paths of the strip; pure phases are r -> 0
-FIRST = (0.1, 0.037)  # steps of these paths
-EPS = (0.02, 0.01)  # of the block's meshed layer
+MIXINGS = (0.4, 0.2, 0.1)  # mixing r of the strip's paths; they tend to pure phases as r -> 0
+FIRST = (0.1, 0.037)  # first steps of these paths
+EPS = (0.02, 0.01)  # thicknesses of the block's meshed layer
 SHOWN = (1.32, 1.45, 1.61)  # displacements at which phases are drawn
-SAME = 1e-8  # snaps and turning points, relative
-ROUNDING = 1e-9  # of states that are the same, relative
-ALONG = 5e-3  # between two polygons along one path, relative to its size
+SAME = 1e-8  # largest relative difference of snaps and turning points that should be the same
+ROUNDING = 1e-9  # largest relative difference of states that should be the same
+ALONG = 5e-3  # largest distance of two polygons along one path, relative to its size
 
 
 def run(record: Record, *, quick: bool = False) -> None:
@@ -95,7 +95,7 @@ def note(snaps: Table, response: Table, structure: Block, curve: str, history: H
 
 
 def follow_strip(record: Record, bar: Block, pure: History, *, quick: bool) -> list[Row]:
-    """Paths of the strip against closed forms, whichever end they start from; their turns tend to the snaps as r -> 0."""
+    """Check paths of the strip, from both ends, against closed forms; their turning points tend to the snaps as r -> 0."""
     rows, turns, mixings = [], [], MIXINGS[-2 if quick else 0 :]
     for r in track(mixings, "snap", "strip, r = {:g}"):
         exact = LIMIT.path(r, END)
@@ -116,7 +116,7 @@ def follow_strip(record: Record, bar: Block, pure: History, *, quick: bool) -> l
 
 
 def turning_points(path: Table) -> tuple[float, float]:
-    """Displacements where the straight parts of a uniform layer's path meet."""
+    """The displacements at which the straight parts of a uniform layer's path meet."""
     delta, force, phase = (path[name] for name in ("delta", "force", "phase"))
     pure = (phase < ROUNDING, phase > 1 - ROUNDING)
     first, mixed, last = (straight(force, delta, part) for part in (pure[0], ~pure[0] & ~pure[1], pure[1]))
@@ -125,7 +125,7 @@ def turning_points(path: Table) -> tuple[float, float]:
 
 
 def follow_block(record: Record, body: Block, relaxed: History, r: float, step: float, *, quick: bool) -> list[Row]:
-    """One path, whichever end it starts from and with shorter steps; it ends where the relaxed law does."""
+    """Check that the path is the same from both ends and with shorter steps, and ends where the relaxed law does."""
     path, shown, name = body.path(r, step), ("delta", "force", "phase"), f"block, r = {r:g}"
     others = {"from the other end": body.path(r, step, back=True)}
     if not quick:
@@ -143,12 +143,12 @@ def follow_block(record: Record, body: Block, relaxed: History, r: float, step: 
 
 
 def turns_back(path: Table) -> float:
-    """By how much delta falls along a path, in all."""
+    """Sum of all decreases of delta along a path."""
     return float(np.maximum(-np.diff(path["delta"]), 0).sum())
 
 
 def check_steps(record: Record, body: Block, pure: History) -> None:
-    """The energy lost is the area of the loop; other steps, the same snaps."""
+    """Check that the energy lost is the area of the loop, and that other steps give the same snaps."""
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)
     record.check_near("block: energy lost in all snaps over the area of the loop", lost / area, 1.0, EXACT)
@@ -160,7 +160,7 @@ def check_steps(record: Record, body: Block, pure: History) -> None:
 
 
 def check_energies(record: Record, pure: History, relaxed: History) -> None:
-    """The relaxed energy is never above that of pure phases; where all of S is in one phase both laws are the same."""
+    """Check that the relaxed energy is never above that of pure phases, and equal where all of S is in one phase."""
     same = np.searchsorted(relaxed.t, moved(pure.t) - ROUNDING)
     found = {name: (pure.table[name], relaxed.table[name][same]) for name in ("energy", "force", "plus")}
     excess = np.subtract(*found["energy"])

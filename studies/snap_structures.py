@@ -19,9 +19,9 @@ from thinlayer import ArcLength, History, Model, PhaseReport, Structure, Table, 
 from thinlayer.discretisation.loads import Support
 
 Array = npt.NDArray[np.float64]
-END = 2.4  # largest displacement, of every march
-LIMIT = replace(BAR, eps=0.0)  # of the strip: its interface law
-THIN = 0.02  # any thickness gives the same interface law
+END = 2.4  # largest prescribed displacement
+LIMIT = replace(BAR, eps=0.0)  # the bar with its interface law
+THIN = 0.02  # thickness; the interface law does not depend on it
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def pulled_block(cells: int) -> Block:
 
 
 def moved(t: npt.ArrayLike) -> Array:
-    """Delta at times of a cycle."""
+    """The prescribed displacement delta at times of a cycle."""
     return np.asarray(END - np.abs(np.asarray(t, float) - END))
 
 

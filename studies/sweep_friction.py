@@ -27,7 +27,7 @@ INCREMENTAL = IncrementalCoulomb.of_layer(**MODULI, friction=FRICTION)
 ONCE = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
 TO_AND_FRO = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
 TIMES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
-CELLS, FRACTION = 4, 1e-5  # through the thickness, and the elastic fraction that their inner nodes need
+CELLS, FRACTION = 4, 1e-5  # cells through the thickness, and the elastic fraction that their inner nodes need
 TITLES = {
     "": "at once",
     "history": "to and fro",
@@ -186,7 +186,7 @@ def _check_zones(record: Record, case: str, table: Table, h: float) -> None:
 
 
 def _check_fraction(record: Record, h: float, eps: float) -> None:
-    """What half the elastic fraction of four cells changes at one thickness."""
+    """Check how little the error on four cells through the layer changes with half the elastic fraction."""
     rows = []
     for fraction in (FRACTION, FRACTION / 2):
         sweep = replace(FINER, band=replace(BAND, elastic_fraction=fraction)).sweep(record, h, "cells")

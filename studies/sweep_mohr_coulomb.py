@@ -26,8 +26,11 @@ LAYERS = {
 COULOMB = MohrCoulombMonodirectional(
     60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02
 )  # slips on S, as Coulomb's law does
-FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors that it leaves, however thin the layer
-SHEAR = 5.0  # largest on the upper side, over the pressure there
+FLOOR = {
+    "traction": (0.14, 0.18),
+    "jump": (0.26, 0.31),
+}  # ranges of the relative errors that COULOMB leaves as eps -> 0
+SHEAR = 5.0  # largest shear on the upper side, over the pressure there
 TIMES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 BARS: dict[str, Plastic] = {
     "bar": glue(0.02),
@@ -36,7 +39,7 @@ BARS: dict[str, Plastic] = {
         GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=0.01
     ),
 }
-MM = 32.0  # thickness of the bar's layer over that of the blocks'
+MM = 32.0  # thickness of the bar's layer, mm, over that of the blocks'
 
 
 def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:

@@ -13,7 +13,7 @@ from thinlayer import ThinLayer
 from thinlayer.running.record import Record
 
 SLIPPING = MohrCoulombMonodirectional(lmbda=60.0, mu=40.0, cohesion=0.05, friction_angle=25.0)
-FRACTION, LESS = 0.01, 1e-4  # elastic, where there is no strength in shear or none along n
+FRACTION, LESS = 0.01, 1e-4  # elastic fractions: pulled layers have no strength in shear, open ones none along n
 OPENING = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
 STACK = Stack((0.4, LinearElastic(lmbda=90.0, mu=30.0)), (0.6, SLIPPING))
 PUSHED = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}

@@ -33,11 +33,11 @@ CASES: dict[str, tuple[NonMonotone, float, float]] = {
 }
 PURE = NonMonotoneUnrelaxed(60.0, 40.0, alpha=0.6, transformation_energy=0.0025, chi=OBLIQUE)
 MOVED, TIMES = (0.04, 0.03), (0.25, 0.5, 0.75, 1.0)
-COLUMNS = 16  # facets of S, each in one phase
+COLUMNS = 16  # number of facets of S, each of which is in one phase
 TITLES = {"": "oblique chi", "across": "n (x) n", "along": "sym(t (x) n)", "unrelaxed": "oblique chi, pure phases"}
 MESHED, ON_S = "meshed layer", "interface law"
-CLOSE = 1e-9  # to a pure phase
-SHARE = 0.15  # of S, that each phase and the mixtures have at least
+CLOSE = 1e-9  # distance of a phase fraction from a pure phase that counts as rounding
+SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 
 
 @dataclass(frozen=True)

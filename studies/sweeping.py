@@ -1,4 +1,4 @@
-"""What several studies do: the meshed layer against the interface law over decreasing thickness."""
+"""Sweeps, shared by several studies: the meshed layer against the interface law over decreasing thickness."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Sweep:
         joint: the joint.
         setup: data of the structure besides the joint, see `thinlayer.Structure`.
         layer: thickness -> the layer.
-        instead: a law in place of the layer's in the interface model alone, to see what a wrong law costs.
+        instead: a law in place of the layer's in the interface model alone, to show the error of a wrong law.
         bodies, cells_through: of the meshed layer, see `Structure.full`.
         where: part of S to measure on, see `thinlayer.compare`.
         times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
             compared. None: a static solve.
         more: full and interface model's solutions -> further columns of the table.
-        case: what tells the sweep from others of the study, in the names of its files and checks.
+        case: name of the sweep among those of the study, in names of files and checks.
     """
 
     record: Record

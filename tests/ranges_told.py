@@ -30,7 +30,7 @@ def opened(model, upper):
     cells = np.flatnonzero(model.sides_of_cells > 0).astype(np.int32)
     u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
     u.x.scatter_forward()
-    return _Faces.of(State(model, u, 0.0, Report("none", 0, 0.0, 0.0)), model.thin_layer)
+    return _Faces.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.thin_layer)
 
 
 def excess(model, upper):

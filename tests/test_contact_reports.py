@@ -12,7 +12,7 @@ from studies.problems import sliding_bar
 from tests.contact_bars import bar, coulomb, solved, stacked
 from thinlayer import ModelError, OptionError, Structure, Surface, ThinLayer, march, plotting, solve
 from thinlayer.discretisation import contact_nodes as nodes_module
-from thinlayer.discretisation.contact_nodes import ContactNodes
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.output.contact_report import ContactReport
 from thinlayer.solving.contact import dense
 
@@ -58,7 +58,7 @@ def test_frames_in_three_dimensions():
 def test_nodes_of_two_bodies_see_the_jump():
     joint, setup = stacked()
     model = Structure(joint, **setup).interface(coulomb("soft"))
-    nodes = ContactNodes(model, model.supports.held(model.V))
+    nodes = ContactNodes(ContactSurface.of(model), model.supports.held(model.V))
     u = fem.Function(model.V)
     for body, sign in (("LOWER", -1.0), ("UPPER", 2.0)):
         cells = model.domain.cell_tags.find(model.domain.cell_values(body)[0])

@@ -100,9 +100,9 @@ def test_inflation(shape, cell, bodies):
     angle=st.floats(-3.0, 3.0),
 )
 def test_inflation_of_any_layer(eps, layers, fractions, angle):
-    strata = tuple(f / sum(fractions) for f in fractions)
+    shares = tuple(f / sum(fractions) for f in fractions)
     base = SANDWICH.rotated(angle)
-    joint = inflate(base, eps, cells_through=layers, fractions=strata if abs(sum(strata) - 1) < 1e-13 else ())
+    joint = inflate(base, eps, cells_through=layers, fractions=shares if abs(sum(shares) - 1) < 1e-13 else ())
     body = areas(joint)[: len(base.cells)]
     assert body == pytest.approx(areas(base), rel=1e-6)
     assert areas(joint)[len(base.cells) :].sum() == pytest.approx(2.0 * eps, rel=1e-6)

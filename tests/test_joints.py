@@ -61,10 +61,10 @@ def test_thickness_in_the_middle_of_curved_edges():
         assert np.ptp(radii) == pytest.approx(eps * found[node], rel=0.003)
 
 
-@pytest.mark.parametrize(("strata", "cells"), [((0.3, 0.7), (1, 3)), ((0.45, 0.1, 0.45), (2, 1, 2)), ((), (4,))])
-def test_cells_of_sublayers(strata, cells):
+@pytest.mark.parametrize(("fractions", "cells"), [((0.3, 0.7), (1, 3)), ((0.45, 0.1, 0.45), (2, 1, 2)), ((), (4,))])
+def test_cells_of_sublayers(fractions, cells):
     """The share of the number of cells that is nearest to the sublayer's share of the thickness, at least one."""
-    layer = inflate(two_quadrilaterals(), 0.2, cells_through=4, fractions=strata)
+    layer = inflate(two_quadrilaterals(), 0.2, cells_through=4, fractions=fractions)
     assert tuple(np.bincount(layer.region)[2:]) == cells
 
 

@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 from forms import (
     HolonomicCoulomb,
     Incompressible,
+    IncrementalCoulomb,
     LinearElastic,
     Maxwell,
     MohrCoulomb,
@@ -28,7 +29,20 @@ from forms.work import body, energy, work
 from geometry import Joint
 from tests.ranks import CLONE, mpirun
 from tests.test_readme import OWN, README
-from thinlayer import BrokenMesh, ModelError, SolveError, StepProblem, Structure, ThinLayer, march
+from thinlayer import (
+    BrokenMesh,
+    ContactPart,
+    ModelError,
+    SolveError,
+    Springs,
+    StepProblem,
+    Structure,
+    ThinLayer,
+    march,
+)
+from thinlayer.parts.forms import FormPart, matrix
+from thinlayer.parts.part import Block, Outcome, Part
+from thinlayer.parts.pressure import PressurePart
 
 SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[2].partition("\n## ")[0], re.DOTALL)
 STONE = LinearElastic.young(E=100.0, nu=0.3)
@@ -47,7 +61,7 @@ def numbers(text: str) -> list[float]:
     return [float(x) for x in re.findall(r"-?\d+\.\d+", text)]
 
 
-@pytest.mark.parametrize("name", ["glue", "mortar", "wall", "creep"])
+@pytest.mark.parametrize("name", ["glue", "mortar", "wall", "creep", "contact"])
 def test_script_on_one_rank_and_two(tmp_path, name):
     """What it prints is the same, to all digits but the last, and what README says."""
     texts = {"glue": SCRIPTS[0], "mortar": SCRIPTS[0] + SCRIPTS[1]}
@@ -61,11 +75,28 @@ def test_script_on_one_rank_and_two(tmp_path, name):
         assert [line.strip() in README for line in one.stdout.splitlines()] == [True] * len(one.stdout.splitlines())
 
 
+def test_contact_in_a_script_as_in_a_model(tmp_path):
+    """Jumps on S and dissipation of a step problem and of a march, with nodes that stick, slide and are open."""
+    done = mpirun(1, "contact.py", cwd=CLONE / "tests" / "own_scripts")
+    mine, march, status = done.stdout.splitlines()
+    assert numbers(mine) == pytest.approx(numbers(march), rel=1e-8)
+    assert min(map(int, status.split()[-3:])) > 0
+
+
 def test_scripts_are_short():
     assert len([line for line in SCRIPTS[0].splitlines() if line.strip()]) <= 40
 
 
 # ---------------------------------------------------------------- two blocks, as a script makes them
+def snes_of(problem: StepProblem) -> PETSc.SNES:
+    snes = PETSc.SNES().create(MPI.COMM_WORLD)
+    snes.setTolerances(rtol=1e-13, atol=1e-13, max_it=50)
+    snes.getKSP().getPC().setType("lu")
+    snes.getKSP().getPC().setFactorSolverType("mumps")
+    problem.attach(snes)
+    return snes
+
+
 def tagged(grid, dim, value):
     """Tags of cells or facets by their centres (n, 3); -1: none."""
     grid.topology.create_connectivity(dim, grid.topology.dim)
@@ -100,13 +131,9 @@ class Blocks:
         self.rest = ufl.inner(fem.Constant(self.grid, np.zeros(self.d)), self.v) * ufl.dx
         self.dx = ufl.Measure("dx", domain=self.grid, subdomain_data=self.cells)
 
-    def solve(self, terms, moves, dt, form=None) -> StepProblem:
-        problem = StepProblem(form or self.rest, self.u, self.bcs, terms)
-        snes = PETSc.SNES().create(MPI.COMM_WORLD)
-        snes.setTolerances(rtol=1e-13, atol=1e-13, max_it=50)
-        snes.getKSP().getPC().setType("lu")
-        snes.getKSP().getPC().setFactorSolverType("mumps")
-        problem.attach(snes)
+    def solve(self, terms, moves, dt, form=None, parts=(), after=lambda: None) -> StepProblem:
+        problem = StepProblem(form or self.rest, self.u, self.bcs, terms, parts)
+        snes = snes_of(problem)
         for move in moves:
             self.move.value[:] = move
             problem.begin(dt)
@@ -114,6 +141,7 @@ class Blocks:
             while problem.switch():
                 snes.solve(None, self.u.x.petsc_vec)
             problem.accept()
+            after()
         snes.destroy()
         return problem
 
@@ -187,7 +215,7 @@ def test_same_as_a_model(kind, name):
     history = march(model, [0.5, 1.0, 1.5])
     assert blocks.difference(history.last.u, model.domain.original_cells) < 1e-8
     if problem.compiled:
-        assert problem.energies[1] == pytest.approx(np.sum(history.table["dissipated"]), rel=1e-8)
+        assert sum(problem.energies.values())[1] == pytest.approx(np.sum(history.table["dissipated"]), rel=1e-8)
 
 
 # ---------------------------------------------------------------- closed forms
@@ -235,7 +263,8 @@ def test_relaxing_body(kind):
         snes.solve(None, u.x.petsc_vec)
         problem.accept()
         stress = law.mu * shear / (1 + dt / law.t1) ** n
-        assert problem.energies[0] == pytest.approx(2 * stress**2 / (2 * law.mu), rel=1e-10)
+        stored = problem.energies["body 1"][0] + problem.energies["body 2"][0]
+        assert stored == pytest.approx(2 * stress**2 / (2 * law.mu), rel=1e-10)
     assert problem.t == 3 * dt
 
 
@@ -265,12 +294,7 @@ def test_wall_in_running_bond():
         ends = [fem.locate_dofs_geometrical(V, lambda x, y=y: np.isclose(x[1], y)) for y in (0, 2)]
         bcs = [fem.dirichletbc(np.array(w), dofs, V) for w, dofs in zip([(0.0, 0.0), (0.1, -0.05)], ends, strict=True)]
         problem = StepProblem(work(terms[:1], u, ufl.TestFunction(V)), u, bcs, terms[1:])
-        snes = PETSc.SNES().create(MPI.COMM_WORLD)
-        snes.setTolerances(rtol=1e-14)
-        snes.getKSP().getPC().setType("lu")
-        snes.getKSP().getPC().setFactorSolverType("mumps")
-        problem.attach(snes)
-        snes.solve(None, u.x.petsc_vec)
+        snes_of(problem).solve(None, u.x.petsc_vec)
         problem.accept()
         assert fem.assemble_scalar(fem.form(energy(terms, u))) == pytest.approx(0.011640644960255, rel=1e-11)
 
@@ -286,6 +310,9 @@ def test_rigid_base():
     terms = broken.layer(TOP, ThinLayer(LinearElastic(6.0, 4.0), 0.1))
     stored = fem.assemble_scalar(fem.form(energy(terms, u)))
     assert stored == pytest.approx(2 * (14.0 * 0.2**2 + 4.0 * 0.3**2) / 2, rel=1e-12)
+    nodes = ContactPart(HolonomicCoulomb(1.0, 1.0, 0.3), broken.contact_surface(TOP, V)).nodes
+    assert nodes.jump(u.x.petsc_vec) == pytest.approx(np.tile([0.3, -0.2], (7, 1)))
+    assert nodes.weights.sum() == pytest.approx(2.0)
 
 
 def test_phases_without_a_joint():
@@ -299,10 +326,107 @@ def test_phases_without_a_joint():
             [body(LinearElastic.young(1e6, 0.0), blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.1))],
             [np.array([0.0, -push * 0.1])], 1.0,
         )  # fmt: skip
-        (term,), (memory,) = problem.compiled, problem.memory
+        term, memory = problem.compiled["layer"], problem.state.memory["layer"]
         phase = memory[:, list(law.internal).index("phase")]
         assert len(term.columns.centres) == 6
         assert np.abs(phase) == pytest.approx(share)
+
+
+@pytest.mark.parametrize("up", [1, -1])
+def test_contact_where_bodies_branch(up):
+    """Two bricks on one, pressed evenly: where three meet are two nodes, each with its own share of the load."""
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (2, 1)], (8, 4), mesh.CellType.quadrilateral)
+    bricks = tagged(grid, 2, lambda x: np.where(x[:, 1] < 0.5, 0, np.where(x[:, 0] < 1, 1, 2)))
+    on_bed = lambda x: abs(x[:, 1] - 0.5) < 1e-9
+    on_head = lambda x: (abs(x[:, 0] - 1) < 1e-9) & (x[:, 1] > 0.5)
+    facets = tagged(grid, 1, lambda x: np.select([on_bed(x), on_head(x)], [LAYER, TOP], -1))
+    wall = BrokenMesh(grid, bricks, facets, {LAYER: (0, up), TOP: (1, 0)})
+    V = wall.space(("Lagrange", 1, (2,)))
+    u, v, push = fem.Function(V), ufl.TestFunction(V), 0.01
+    ends = [fem.locate_dofs_geometrical(V, lambda x, y=y: np.isclose(x[1], y)) for y in (0, 1)]
+    bcs = [fem.dirichletbc(np.array([0.0, -y]), dofs, V) for y, dofs in zip((0.0, push), ends, strict=True)]
+    law = IncrementalCoulomb(K_N=300.0, K_T=50.0, friction=0.2)
+    contact = ContactPart(law, wall.contact_surface(LAYER, V))
+    stone = body(LinearElastic.young(100.0, 0.0), ufl.Measure("dx", domain=grid))
+    problem = StepProblem(work([stone], u, v), u, bcs, parts=[contact])
+    problem.begin(0.0)
+    snes_of(problem).solve(None, u.x.petsc_vec)
+    problem.accept()
+    w = contact.nodes.jump(u.x.petsc_vec)
+    assert law.pressure(w) == pytest.approx(np.full(10, push / (1 / 100 + 1 / 300)), rel=1e-9)
+    assert problem.energies["contact"][0] == pytest.approx(2 * 300 * w[0, 1] ** 2 / 2, rel=1e-9)
+
+
+# ---------------------------------------------------------------- parts of one's own
+class Dashpots(Part):
+    """Forces C (u - u_old)/dt: a part as a script may write it; its memory is the number of steps."""
+
+    key = "dashpots"
+
+    def __init__(self, C: PETSc.Mat) -> None:
+        self.C = C
+
+    def rest(self):
+        return np.zeros((1, 1))
+
+    def evaluate(self, u, mid):
+        self.rate = u.x.petsc_vec - self.interval.old.u.x.petsc_vec
+        self.rate.scale(1 / self.interval.dt if self.interval.dt else 0.0)
+
+    def add_forces(self, out):
+        out.axpy(1.0, self.C * self.rate)
+        return 0.0
+
+    def tangents(self, relative_residual):
+        return [Block(self.C, 1 / self.interval.dt if self.interval.dt else 0.0, kept=True)]
+
+    def commit(self):
+        lost = self.interval.dt * self.rate.dot(self.C * self.rate)
+        return Outcome(dissipated=lost, memory=self.interval.old.memory[self.key] + 1)
+
+
+def test_parts_of_ones_own():
+    """Springs and dashpots at the top, as parts and as terms of the form: the same displacements."""
+    moves, c, k = [np.array([0.01, 0.0])] * 2, 3.0, 20.0
+    layer = ThinLayer(Maxwell(6.0, 4.0, t1=1.5), 0.02)
+    found = []
+    for as_parts in (True, False):
+        blocks = Blocks("triangle", 1)
+        V, u, v, du = blocks.V, blocks.u, blocks.v, ufl.TrialFunction(blocks.V)
+        sides = ufl.Measure("ds", domain=blocks.grid)
+        old, terms = fem.Function(V), [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, layer)]
+        form = blocks.rest + ufl.inner(k * u + c * (u - old) / 0.5, v) * sides
+        if as_parts:
+            springs = FormPart("springs", fem.Function(V), matrix(k * ufl.inner(du, v) * sides), kept=True)
+            parts = [springs, Dashpots(matrix(c * ufl.inner(du, v) * sides))]
+            problem = blocks.solve(terms, moves, 0.5, parts=parts)
+            assert problem.state.memory["dashpots"] == [[2.0]]
+            assert problem.state.stored["springs"] == problem.energies["springs"][0]
+            stored = fem.assemble_scalar(fem.form(k / 2 * ufl.inner(u, u) * sides))
+            assert problem.energies["springs"][0] == pytest.approx(stored, rel=1e-12)
+            assert problem.energies["dashpots"][1] > 0
+        else:
+            problem = blocks.solve(terms, moves, 0.5, form, after=lambda u=u, old=old: old.interpolate(u))
+        assert problem.compiled.keys() == {"layer"}
+        found.append(u.x.array.copy())
+    assert found[0] == pytest.approx(found[1], abs=1e-12 * np.abs(found[0]).max())
+
+
+def test_refused_parts():
+    blocks = Blocks("triangle", 2)
+    V, rest = blocks.V, blocks.rest
+    (term,) = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1))
+    springs = FormPart("springs", blocks.u, F=ufl.inner(blocks.u, blocks.v) * ufl.ds)
+    for parts, message in [
+        ([PressurePart(V, term, 1.0)], "'pressure' has unknowns of its own"),
+        ([springs, springs], "two parts are called 'springs'"),
+        ([FormPart("forms", blocks.u)], "two parts are called 'forms'"),
+        ([Springs("TOP", normal=1.0)], "allowed: objects that derive from"),
+    ]:
+        with pytest.raises(ModelError, match=message):
+            StepProblem(rest, blocks.u, blocks.bcs, [], parts)
+    with pytest.raises(ModelError, match="contact laws act at vertices"):
+        blocks.broken.contact_surface(LAYER, V)
 
 
 # ---------------------------------------------------------------- what is refused
@@ -329,7 +453,7 @@ def test_refused_tags():
         blocks.broken.interface(9)
     with pytest.raises(LawError, match="pressure of its own"):
         blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1))
-    with pytest.raises(LawError, match="contact laws need a Model"):
+    with pytest.raises(LawError, match="a ContactLaw is for ContactPart"):
         blocks.broken.layer(LAYER, HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3))
 
 
@@ -344,7 +468,7 @@ def test_refused_steps():
         problem.begin(-1.0)
     problem.begin(0.0)
     blocks.move.value[:] = (0.1, 0.0)
-    with pytest.raises(SolveError, match="of the forces are out of balance"):
+    with pytest.raises(SolveError, match="of the forces of loads and stresses is out of balance"):
         problem.accept()
     with pytest.raises(ModelError, match=r"dx\(1\) has no tags"):
         StepProblem(blocks.rest, blocks.u, (), [body(law, ufl.Measure("dx", domain=blocks.grid)(1))])

@@ -71,7 +71,7 @@ def test_fronts_around_a_circle():
     memory = np.zeros((quadrature.count, sum(int(np.prod(s)) for s in PURE.internal.values())))
     x = quadrature.columns.centres[quadrature.columns.of]
     memory[:, list(PURE.internal).index("phase")] = 0.5 + (x[:, 1] - 0.3) / 1.6
-    report = PhaseReport(State(model, None, 0.0, Report("newton", 0, 0.0, 0.0), memory={key: memory}))
+    report = PhaseReport(State(None, 0.0, {key: memory}, model=model, report=Report("newton", 0, 0.0, 0.0)))
     places, phase = report.profile()
     assert (np.abs(np.diff(polar(places))) < 0.4).all()
     assert phase == pytest.approx(0.5 + (places[:, 1] - 0.3) / 1.6)

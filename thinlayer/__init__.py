@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
+    from thinlayer.parts.contact import ContactPart
     from thinlayer.parts.phases import PhaseReport
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
@@ -51,6 +52,7 @@ _NAMES = {
     "output.surface": ["Surface"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
+    "parts.contact": ["ContactPart"],
     "parts.phases": ["PhaseReport"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],

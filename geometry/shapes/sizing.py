@@ -77,7 +77,7 @@ class Cells:
             raise GeometryError(unknown("arrangement", self.arrangement, ARRANGEMENTS))
 
     def scaled(self, factor: float) -> Cells:
-        """The same with sizes times a factor."""
+        """The cells with all sizes times a factor."""
         h, h_S, h_ends = (size and times(size, factor) for size in (self.h, self.h_S, self.h_ends))
         return replace(self, h=h, h_S=h_S, h_ends=h_ends)
 
@@ -127,7 +127,7 @@ class Grading:
 
     @property
     def layers(self) -> list[float]:
-        """Where the cells end, as fractions of the line that grow to 1."""
+        """The ends of the cells, as increasing fractions of the line, up to 1."""
         k = np.arange(self.n)
         sizes = self.growth ** (np.minimum(k, k[::-1]) if self.symmetric else k[::-1] if self.backwards else k)
         ends = np.cumsum(sizes) / sizes.sum()

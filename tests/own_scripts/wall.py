@@ -58,5 +58,5 @@ for t in (0.25, 0.5, 0.75, 1.0):
     snes.solve(None, u.x.petsc_vec)
     problem.accept()
     if comm.rank == 0:
-        stored, dissipated, _ = problem.energies
+        stored, dissipated, _ = problem.energies["layer"]
         print(f"t = {t}: {snes.getIterationNumber()} steps, bed joints store {stored:.9f}, dissipated {dissipated:.9f}")

@@ -19,6 +19,7 @@ from forms.work import Interface, Term, surface
 from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.broken import broken_space
+from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import ThinLayer, constants, real_law
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
@@ -69,7 +70,7 @@ class BrokenMesh:
         self._body = self._bodies()
         self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned(tag) for tag in rules)]))
         self._bases: set[int] = set()
-        oriented = []
+        self._sides: dict[int, Facets] = {}
         for tag, upper in rules.items():
             facets = self._owned(tag)
             total, outer = self._sum(len(facets), np.isin(facets, self._outer).sum())
@@ -82,8 +83,9 @@ class BrokenMesh:
             if outer:
                 self._bases.add(tag)
             else:
-                oriented.append((tag, self._oriented(tag, facets, upper).ravel()))
-        self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=oriented)
+                self._sides[tag] = self._oriented(tag, facets, upper)
+        data = [(tag, rows.ravel()) for tag, rows in self._sides.items()]
+        self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
         self._tags = tuple(rules)
 
     # ---------------------------------------------------------------- what users ask for
@@ -102,8 +104,7 @@ class BrokenMesh:
 
     def interface(self, tag: int) -> Interface:
         """The two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""
-        if tag not in self._tags:
-            raise ModelError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
+        self._require(tag)
         if tag in self._bases:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
             return Interface.on_rigid_base(self.mesh, ds(tag))
@@ -117,10 +118,12 @@ class BrokenMesh:
             layer: the law and the thickness; a law of jumps (`TractionLaw`) may stand alone.
 
         Raises:
-            LawError: a law of contact, or one that needs a pressure of its own.
+            LawError: a law of contact (see `contact_surface`), or one that needs a pressure of its own.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
-            raise LawError(f"the layer is {layer!r}; allowed: a ThinLayer, or a TractionLaw; contact laws need a Model")
+            raise LawError(
+                f"the layer is {layer!r}; allowed: a ThinLayer or TractionLaw; a ContactLaw is for ContactPart"
+            )
         law, thin = real_law(layer, "strain"), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
@@ -129,6 +132,31 @@ class BrokenMesh:
         if thin and thin.profile is not None:
             eps = eps * sides.upper(self._relative_thickness(thin.profile))
         return surface(law if law.traits.compiled else constants(law, self.mesh), sides, eps, thin.order if thin else 0)
+
+    def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
+        """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.
+
+        Args:
+            tag: of the facets.
+            V: space of the displacements, of `space`, Lagrange of degree 1: contact laws act at vertices.
+
+        Raises:
+            ModelError: a tag that is not in S, another mesh or element.
+        """
+        self._require(tag)
+        element = V.ufl_element()
+        if V.mesh is not self.mesh or element.reference_value_shape != (self._dim,) or element.degree != 1:
+            raise ModelError(
+                f"contact laws act at vertices: V must be space(('Lagrange', 1, ({self._dim},))) of this mesh, not {V}"
+            )
+        facets = self._owned(tag)
+        if tag in self._bases:
+            return ContactSurface.on_rigid_base(V, self.comm, facets)
+        return ContactSurface(V, self.comm, facets, self._sides[tag][:, 0], self._sides[tag][:, 2])
+
+    def _require(self, tag: int) -> None:
+        if tag not in self._tags:
+            raise ModelError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
 
     def _relative_thickness(self, profile: Profile) -> fem.Function:
         """A profile at the vertices, linear in between."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import cpp, fem
 from dolfinx.mesh import entities_to_geometry
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.joint import S
-from geometry.topology import corner_count
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
@@ -19,17 +21,59 @@ from thinlayer.parallel.exchange import ask
 
 Array = npt.NDArray[np.float64]
 CONTACT = "contact"  # key of the slip at nodes (n, d - 1) in states and in files
+NONE = np.empty(0, np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSurface:
+    """The facets of S that this rank owns, and the cells on their two sides.
+
+    Attributes:
+        V: space of the displacements, P1 or Q1, broken across S.
+        comm: communicator for messages.
+        facets: (n,) local numbers, ascending.
+        upper: (n,) local cells on the upper side.
+        lower: (n,) local cells on the lower side; None on a rigid base.
+    """
+
+    V: fem.FunctionSpace
+    comm: MPI.Intracomm
+    facets: npt.NDArray[np.int32]
+    upper: npt.NDArray[np.int32]
+    lower: npt.NDArray[np.int32] | None
+
+    @classmethod
+    def of(cls, model: Model) -> ContactSurface:
+        """S in an interface model."""
+        topology = model.domain.mesh.topology
+        for a, b in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
+            topology.create_connectivity(a, b)
+        facets = model.domain.facets(S)
+        facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
+        if model.joint.rigid_base:
+            return cls.on_rigid_base(model.V, model.comm, facets)
+        pairs, side = interior_facet_entities(model.domain.mesh, facets)[:, [0, 2]], model.sides_of_cells
+        swapped = side[pairs[:, 0]] < side[pairs[:, 1]]
+        pairs[swapped] = pairs[swapped][:, ::-1]
+        return cls(model.V, model.comm, facets, pairs[:, 0], pairs[:, 1])
+
+    @classmethod
+    def on_rigid_base(cls, V: fem.FunctionSpace, comm: MPI.Intracomm, facets: npt.NDArray[np.int32]) -> ContactSurface:
+        """Facets of the outer boundary, under which the base does not move."""
+        to_cells = V.mesh.topology.connectivity(V.mesh.topology.dim - 1, V.mesh.topology.dim)
+        return cls(V, comm, facets, np.array([to_cells.links(f)[0] for f in facets], np.int32), None)
 
 
 class ContactNodes:
-    """The nodes of S in an interface model with elements P1 or Q1. Collective.
+    """The nodes of S under a contact law. Collective.
 
-    A rank has the nodes whose upper displacement it owns. Quadrature is at the vertices of S: the weight of a node is the
-    area of S around it, and its normal is the mean normal there.
+    A node is a pair of an upper and a lower displacement; a rank has those whose upper displacement it owns. Quadrature is
+    at the vertices of S: the weight of a node is the area of S around it, and its normal is the mean normal there.
 
     Attributes:
+        surface: the facets.
         upper: (n,) local number of the node of V on the upper side.
-        numbers: (n,) number of its vertex in the joint.
+        numbers: (n,) number of its vertex in the joint, or in the file or arrays that the mesh was made from.
         x: (n, d) places.
         weights: (n,) areas (lengths in 2D).
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
@@ -37,11 +81,17 @@ class ContactNodes:
         held_upper: (n, d) components of the upper side's displacement that supports prescribe.
     """
 
-    def __init__(self, model: Model, held: npt.NDArray[np.int32], *, turned: bool = False) -> None:
-        """`turned` swaps the two sides and reverses the frames, so that components of jumps stay the same."""
+    def __init__(self, surface: ContactSurface, held: npt.NDArray[np.int32] = NONE, *, turned: bool = False) -> None:
+        """Make the nodes of a surface.
+
+        Args:
+            surface: the facets.
+            held: displacements of this rank that supports prescribe (local, unrolled).
+            turned: swap the two sides and reverse the frames, so that components of jumps stay the same.
+        """
         self._turned = turned
-        self.model, self.comm, self.dim = model, model.comm, model.joint.dim
-        V, d = model.V, self.dim
+        self.surface, self.comm, self.dim = surface, surface.comm, surface.V.mesh.topology.dim
+        V, d = surface.V, self.dim
         imap = V.dofmap.index_map
         self._first, self._size = imap.local_range[0], imap.size_local
         rows = self._corners()
@@ -54,7 +104,8 @@ class ContactNodes:
             return np.zeros(len(received))
 
         ask(self.comm, owners[rows[:, 0].astype(int)], np.column_stack([self._global(rows[:, 0]), rows[:, 1:]]), keep)
-        upper, at = np.unique(kept[0][:, 0], return_inverse=True)
+        pairs, at = np.unique(kept[0][:, :2], axis=0, return_inverse=True)
+        upper, at = pairs[:, 0], at.ravel()
         vectors = np.zeros((len(upper), d))
         self.weights = np.asarray(np.bincount(at, kept[0][:, 2], len(upper)), float)
         for k in range(d):
@@ -62,7 +113,7 @@ class ContactNodes:
         first = np.zeros(len(upper), int)
         first[at] = np.arange(len(at))
         self.upper = (upper - self._first).astype(np.int32)
-        self._lower = kept[0][first, 1].astype(np.int64)  # global
+        self._lower = pairs[:, 1].astype(np.int64)  # global
         self.numbers = kept[0][first, 3 + d].astype(np.int64)
         self.x = V.tabulate_dof_coordinates()[self.upper, :d]
         if not self.comm.allreduce(len(upper)):
@@ -75,57 +126,45 @@ class ContactNodes:
 
     def _global(self, local: npt.NDArray[Any]) -> Array:
         """Global numbers of local nodes, as floats, because they are sent together with areas."""
-        return self.model.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
+        return self.surface.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
 
     def _corners(self) -> Array:
         """A row for each vertex of each facet of S that this rank owns.
 
         Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
-        normal (d), number of the vertex in the joint.
+        normal (d), number of the vertex.
         """
-        model, d = self.model, self.dim
-        mesh, base = model.domain.mesh, model.joint.rigid_base
-        topology = mesh.topology
-        for a, b in ((d - 1, d), (d, d - 1), (d, 0), (d - 1, 0), (0, d)):
+        V, facets, d = self.surface.V, self.surface.facets, self.dim
+        upper, lower = self.surface.upper, self.surface.lower
+        mesh, topology = V.mesh, V.mesh.topology
+        for a, b in ((d, 0), (d - 1, 0), (0, d)):
             topology.create_connectivity(a, b)
-        facets = model.domain.facets(S)
-        facets = np.sort(facets[facets < topology.index_map(d - 1).size_local])
-        upper, lower = self._cells(facets)
         vertices = np.array([topology.connectivity(d - 1, 0).links(f) for f in facets], np.int32)
-        vertices = vertices.reshape(len(facets), model.joint.table.vertices.shape[1])
+        kind = cpp.mesh.cell_entity_type(topology.cell_type, d - 1, 0)
+        vertices = vertices.reshape(len(facets), cpp.mesh.cell_num_vertices(kind))
         places = vertices  # DOLFINx does not accept an empty list
         if vertices.size:
             places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
         corners = mesh.geometry.x[places][..., :d]
         areas, normals = _vertex_areas(corners)
-        nodes = model.V.tabulate_dof_coordinates()[np.asarray(model.V.dofmap.list)[upper]]
+        nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
         inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
         normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side
         if self._turned:
+            assert lower is not None
             upper, lower = lower, upper
         above = self._nodes(upper, vertices).ravel()
-        below = np.full(above.size, -1.0) if base else self._global(self._nodes(lower, vertices).ravel())
-        numbers = model.domain.original_points[places.ravel()]
+        below = np.full(above.size, -1.0) if lower is None else self._global(self._nodes(lower, vertices).ravel())
+        numbers = np.asarray(mesh.geometry.input_global_indices, np.int64)[places.ravel()]
         vectors = (areas[:, :, None] * normals[:, None]).reshape(-1, d)
         rows = np.column_stack([above, below, areas.ravel(), vectors, numbers])
         return np.asarray(rows[below != self._global(above)])  # at a tip of S there is no jump
 
-    def _cells(self, facets: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-        """Upper and lower cell of each facet of S; on a rigid base twice the upper one."""
-        mesh, side = self.model.domain.mesh, self.model.sides_of_cells
-        if self.model.joint.rigid_base:
-            cells = np.array([mesh.topology.connectivity(self.dim - 1, self.dim).links(f)[0] for f in facets], np.int32)
-            return cells, cells
-        pairs = interior_facet_entities(mesh, facets)[:, [0, 2]]
-        swapped = side[pairs[:, 0]] < side[pairs[:, 1]]
-        pairs[swapped] = pairs[swapped][:, ::-1]
-        return pairs[:, 0], pairs[:, 1]
-
     def _nodes(self, cells: npt.NDArray[np.int32], vertices: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
         """Local nodes of V at vertices (n, k) of cells (n,)."""
-        V, dim = self.model.V, self.dim
-        to_vertices = self.model.domain.mesh.topology.connectivity(dim, 0)
-        corners = to_vertices.array.reshape(-1, corner_count(self.model.joint.cell_type))[cells]
+        V, topology = self.surface.V, self.surface.V.mesh.topology
+        to_vertices = topology.connectivity(self.dim, 0)
+        corners = to_vertices.array.reshape(-1, cpp.mesh.cell_num_vertices(topology.cell_type))[cells]
         corner = (corners[:, None, :] == vertices[:, :, None]).argmax(axis=2)
         places = np.array([V.dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])])
         dofs = np.asarray(V.dofmap.list)[cells]
@@ -155,7 +194,7 @@ class ContactNodes:
     @cached_property
     def lower(self) -> PETSc.Mat | None:
         """Matrix (n d, all) that selects the displacements of the lower side; None on a rigid base."""
-        if self.model.joint.rigid_base:
+        if self.surface.lower is None:
             return None
         n, d = len(self.upper), self.dim
         columns = (self._lower[:, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
@@ -181,7 +220,7 @@ class ContactNodes:
     def add_forces(self, t: Array, out: PETSc.Vec) -> None:
         """Add the nodal forces of tractions (n, d), in the nodes' frames."""
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
-        out.array.reshape(-1, self.dim)[self.upper] += forces
+        np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where bodies branch, nodes share an upper side
         if self.lower is not None:
             sent, there = self.lower.createVecLeft(), out.duplicate()
             sent.array[:] = -forces.ravel()

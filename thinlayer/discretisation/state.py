@@ -73,29 +73,38 @@ class Audit:
 
 
 @dataclass(frozen=True, repr=False)
-class State:
-    """Equilibrium of a model at a time.
+class Configuration:
+    """Displacements at a time, and what the parts of a balance remember: all that a step starts from.
 
     Attributes:
-        model: the model.
-        u: displacement, in model.V.
+        u: displacement.
         t: time.
-        report: method, iterations and residual of the solve.
         memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
             (of several "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
             (nodes, d - 1).
         fields: unknowns beside the displacements, by the key of their part.
         stored: energy at the end of the step in the parts that are not forms of laws, by key.
+    """
+
+    u: fem.Function
+    t: float
+    memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    fields: Mapping[str, fem.Function] = field(default_factory=dict)
+    stored: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class State(Configuration):
+    """Equilibrium of a model at a time.
+
+    Attributes:
+        model: the model; u is in model.V.
+        report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
     """
 
     model: Model
-    u: fem.Function
-    t: float
     report: Report
-    memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
-    fields: Mapping[str, fem.Function] = field(default_factory=dict)
-    stored: Mapping[str, float] = field(default_factory=dict)
     audit: Audit = Audit()
 
     @property
@@ -107,7 +116,7 @@ class State:
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
 
     def identity(self) -> dict[str, Any]:
-        """What it was made from."""
+        """Identity of the state: its model's and its time."""
         return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: Any) -> float:

@@ -80,7 +80,7 @@ class Lock:
                 self._made.insert(0, folder)
 
     def _open(self) -> None:
-        """One attempt. Whoever ends removes the file while holding it: then what has been opened is no longer there."""
+        """Try once to open and lock the file; a run that ends removes it, so that an opened file may be there no more."""
         file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             with _maybe_without_locks():
@@ -110,7 +110,7 @@ class Lock:
         os.pwrite(self._file, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
 
     def free(self) -> None:
-        """Remove the lock, and folders that were made for nothing."""
+        """Remove the lock, and the folders made for it if they are empty."""
         if self._file is not None:
             with suppress(OSError):
                 self.path.unlink()

@@ -134,13 +134,13 @@ class Table:
             comm: communicator whose rank 0 reads (default: the world).
 
         Raises:
-            FileNotFoundError: there is none. ModelError: it cannot be read, or is no table. On all ranks.
+            FileNotFoundError: there is no file. ModelError: it cannot be read, or is no table. On all ranks.
         """
-        return on_root(comm, lambda: cls.got(Path(path)))
+        return on_root(comm, lambda: cls.load_here(Path(path)))
 
     @classmethod
-    def got(cls, path: Path) -> Table:
-        """The same on this rank."""
+    def load_here(cls, path: Path) -> Table:
+        """Read a table as `load` does, on this rank alone."""
         table = cls()
         try:
             with path.open(encoding="utf-8", newline="") as file:  # texts may have line ends of their own

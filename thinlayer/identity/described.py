@@ -33,13 +33,13 @@ def described(value: Any) -> Any:
 
 
 def in_full(value: Any) -> Any:
-    """The same with all parts in place of hashes, as nested dicts and lists. Errors as in `described`."""
+    """The description of a value with all its parts in place of hashes, as nested dicts and lists; see `described`."""
     with followed(name_of(type(value))):
         return _expanded(Describer(whole=True).of(value), {})
 
 
 def referred(function: Any) -> dict[str, Any]:
-    """The same for a function: name -> description of the object that its code refers to; "(code)" is the code itself."""
+    """Name -> description in full of an object that a function's code refers to; "(code)" is the code itself."""
     found = in_full(function)
     return found if isinstance(found, dict) else {"(function)": found}
 

@@ -1,4 +1,4 @@
-"""Where two descriptions differ."""
+"""Differences of two descriptions."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.contact import Status
 from forms.work import work
 from geometry.order import edges_of_s, order_on_s
-from thinlayer.discretisation.contact_nodes import CONTACT, Array, ContactNodes
+from thinlayer.discretisation.contact_nodes import CONTACT, Array, ContactNodes, ContactSurface
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
@@ -79,7 +79,7 @@ class ContactReport:
         model, law = state.model, state.model.contact
         held = model.supports.held(model.V)
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
-        nodes = ContactNodes(model, held[held < owned])
+        nodes = ContactNodes(ContactSurface.of(model), held[held < owned])
         slip, d = state.memory[CONTACT], nodes.dim
         w = nodes.jump(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)

@@ -20,7 +20,7 @@ from ufl.domain import extract_domains
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface, work
 from geometry.order import order_on_s
-from thinlayer.discretisation.contact_nodes import CONTACT, ContactNodes
+from thinlayer.discretisation.contact_nodes import CONTACT, ContactNodes, ContactSurface
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
@@ -29,9 +29,7 @@ from thinlayer.errors import ModelError
 
 MASS_TOLERANCE = 1e-14  # relative tolerance of the solver for the mass matrix of S
 NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
-SPREAD = (
-    0.1  # least extent of the places with a known traction, over their distance, from which a slope is extrapolated
-)
+SPREAD = 0.1  # least extent of the places of known tractions, relative to their distance, for a slope
 
 
 def reaction(state: State) -> fem.Function:
@@ -61,7 +59,7 @@ def contact_forces(state: State) -> fem.Function:
     """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
     model, law = state.model, state.model.contact
     assert law is not None
-    nodes = ContactNodes(model, np.empty(0, np.int32))
+    nodes = ContactNodes(ContactSurface.of(model))
     out = nodes.zero()
     nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[CONTACT]), out)
     forces = fem.Function(model.V)

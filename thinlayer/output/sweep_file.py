@@ -41,7 +41,7 @@ class SweepFile:
             moved_away(self.path.parent, [self.path.name, self.beside.name])
         if not resume:
             return {}
-        rows = Table.got(self.path).rows
+        rows = Table.load_here(self.path).rows
         if any(not isinstance(row.get(name), float) for row in rows for name in ERRORS):
             raise ModelError(f"{str(self.path)!r} is not the table of a sweep; give another name, or remove it")
         return {float(row["eps"]): {n: v for n, v in row.items() if n not in ORDERS} for row in rows}  # type: ignore[arg-type]
@@ -81,7 +81,7 @@ class SweepFile:
 
 
 def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
-    """What has changed where two descriptions differ: a value, or that there are further ones ("*"); None for code."""
+    """Path of a changed value, with "*" for values that only one description has; None for code."""
     if {CODE, SAME} & {*path}:
         return None
     return (*path[:-1], "*") if one is MISSING else path

@@ -43,7 +43,7 @@ def carry(comm: MPI.Intracomm, cells: Array, values: Array, wanted: Array) -> Ar
         wanted: (m,) original numbers of the cells whose values this rank wants.
 
     Returns:
-        (m, k) values. Cells nobody holds get NaN.
+        (m, k) values; NaN for cells that no rank holds.
     """
     highest = comm.allreduce(int(max(cells.max(initial=-1), wanted.max(initial=-1))), MPI.MAX) + 1
 

@@ -12,11 +12,11 @@ from petsc4py import PETSc
 from forms.law import LawError
 from forms.symmetry import NOT_SYMMETRIC
 from forms.work import Term
-from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits, may_weaken
 from thinlayer.parts.softening import may_soften
 from thinlayer.parts.time_response import not_linear_at_once, takes_time
 from thinlayer.pointwise.compiled_term import CompiledTerm
+from thinlayer.pointwise.quadrature import Origin
 
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
 
@@ -24,14 +24,24 @@ ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still cou
 class CompiledPart(Part):
     """A compiled law over a time step.
 
+    Args:
+        key: key of the part.
+        V: space of the displacements.
+        term: the term of the law.
+        origin: relation of the mesh to its joint, if there is one; files need it.
+        symmetric: whether solvers take the tangent for symmetric; it is then tested.
+
     Attributes:
         points: the compiled term, with the quadrature points.
         law: the law.
     """
 
-    def __init__(self, key: str, model: Model, term: Term) -> None:
-        self.key, self.comm, self._symmetric = key, model.comm, model.symmetric
-        self.points = CompiledTerm(model.V, term, model.origin)
+    def __init__(
+        self, key: str, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, *, symmetric: bool = False
+    ) -> None:
+        self.key, self._symmetric = key, symmetric
+        self.points = CompiledTerm(V, term, origin)
+        self.comm = self.points.comm
         self.law = law = term.law
         self._t = 0.0
         self.traits = PartTraits(
@@ -80,7 +90,7 @@ class CompiledPart(Part):
         if not self.failed:
             return ""
         first = next(filter(None, self.comm.allgather(self.points.failure(self._response))))
-        return f"the layer's law failed at {self.failed} points: {first}"
+        return f"the law of {self.key!r} failed at {self.failed} points: {first}"
 
     def add_forces(self, out: PETSc.Vec) -> float:
         out.axpy(1.0, self.points.forces(self._response.stress))

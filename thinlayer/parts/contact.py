@@ -8,24 +8,35 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.contact import ContactLaw
-from thinlayer.discretisation.contact_nodes import CONTACT, Array, ContactNodes
-from thinlayer.discretisation.model import Model
+from forms.law import LawError
+from thinlayer.discretisation.contact_nodes import CONTACT, NONE, Array, ContactNodes, ContactSurface
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 
 
 class ContactPart(Part):
     """A contact law over a time step; its memory is the slip at the nodes of this rank.
 
+    Args:
+        law: the law.
+        surface: the facets where it acts.
+        held: displacements of this rank that supports prescribe (local, unrolled); finders with sweeps need them.
+        key: key of the part.
+
     Attributes:
         law: the law.
         nodes: the nodes of S on this rank.
     """
 
-    key = CONTACT
     traits = PartTraits(releases=True)
 
-    def __init__(self, model: Model, law: ContactLaw, held: npt.NDArray[np.int32]) -> None:
-        self.law, self.nodes = law, ContactNodes(model, held)
+    def __init__(
+        self, law: ContactLaw, surface: ContactSurface, held: npt.NDArray[np.int32] = NONE, key: str = CONTACT
+    ) -> None:
+        if not isinstance(law, ContactLaw):
+            raise LawError(f"{law!r} is no contact law")
+        law.check_threshold()
+        self.key, self.law, self.nodes = key, law, ContactNodes(surface, held)
+        law.check_dimension(self.nodes.dim)
         if self.nodes.lower is not None:
             areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
             self.cancelling = float(max(law.K_N, law.K_T) * np.sqrt(areas))

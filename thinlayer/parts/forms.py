@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -18,7 +18,8 @@ from forms.law import LawError
 from forms.symmetry import require_declared_stress, require_symmetric_tangent
 from forms.trace import named, stress_key
 from forms.work import Term, energy, work
-from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.measures import compiled, compiled_summands
+from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.part import Array, Block, Outcome, Part, PartTraits, may_weaken
 from thinlayer.parts.softening import Softening
 
@@ -28,27 +29,33 @@ class FormPart(Part):
 
     Args:
         key: key of the part.
-        V: space of the displacements.
-        K: matrix of the linear forces; None: there are none.
-        residual: displacement, test function -> F, a UFL form; None: there is no F.
-        energy: displacement -> the stored energy of F, a UFL form; None: F has no energy.
+        u: the displacements that F and its energy are forms of; the part writes values into them.
+        K: matrix of the linear forces, which the part destroys in the end; None: there are none.
+        F: virtual work, a UFL form of u, linear in a test function; None: there is no F.
+        energy: the stored energy of F, a UFL form of u; None: F has no energy.
+        kept: whether states keep the energy, under the key.
     """
 
     def __init__(
         self,
         key: str,
-        V: fem.FunctionSpace,
-        K: PETSc.Mat | None,
-        residual: Callable[[Expr, Expr], Expr] | None = None,
-        energy: Callable[[Expr], Expr] | None = None,
+        u: fem.Function,
+        K: PETSc.Mat | None = None,
+        F: Expr | None = None,
+        energy: Expr | None = None,
+        *,
+        kept: bool = False,
     ) -> None:
-        self.key, self.K, self._energy = key, K, energy
-        self._u = fem.Function(V)  # argument of the compiled F, its derivative and its energy
+        self.key, self.K, self._energy, self._kept = key, K, energy, kept
+        V, self._u = u.function_space, u
+        self.comm = communicator(V.mesh)
         self._product, self._change = (PETSc.Vec().createWithArray(self._owned(), comm=V.mesh.comm) for _ in range(2))
-        self._F: fem.Form | None = None
-        if residual is not None:
-            F = residual(self._u, ufl.TestFunction(V))
-            self._F, self._J = fem.form(F), fem.form(ufl.derivative(F, self._u, ufl.TrialFunction(V)))
+        self._F: list[fem.Form] = []
+        self._J: list[fem.Form] = []
+        self._tangents: list[PETSc.Mat] = []  # of the forms in _J
+        if F is not None:
+            self._F = compiled_summands(F)
+            self._J = compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
 
     def _owned(self) -> Array:
         dofmap = self._u.function_space.dofmap
@@ -56,7 +63,7 @@ class FormPart(Part):
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._end, self._mid = u, mid
-        if self._F is not None:
+        if self._F:
             self._take(mid.x.petsc_vec)
 
     def _take(self, u: PETSc.Vec) -> None:
@@ -66,7 +73,10 @@ class FormPart(Part):
 
     def _nonlinear(self) -> PETSc.Vec:
         """Nodal forces F; the caller destroys the vector."""
-        b = dolfinx.fem.petsc.assemble_vector(self._F)
+        first, *others = self._F
+        b = dolfinx.fem.petsc.assemble_vector(first)
+        for form in others:
+            dolfinx.fem.petsc.assemble_vector(b, form)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         return b
 
@@ -80,7 +90,7 @@ class FormPart(Part):
             self.K.mult(u, self._product)
             size = float(self._product.norm())
             out.axpy(1.0, self._product)
-        if self._F is not None:
+        if self._F:
             b = self._nonlinear()
             size = max(size, float(b.norm()))
             out.axpy(1.0, b)
@@ -90,14 +100,17 @@ class FormPart(Part):
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
         found = [] if self.K is None else [Block(self.K, theta, kept=True)]
-        if self._F is not None:
-            J = dolfinx.fem.petsc.assemble_matrix(self._J)
+        if not self._tangents:
+            self._tangents = [dolfinx.fem.petsc.create_matrix(form) for form in self._J]
+        for J, form in zip(self._tangents, self._J, strict=True):
+            J.zeroEntries()
+            dolfinx.fem.petsc.assemble_matrix(J, form)
             J.assemble()
-            found.append(Block(J, theta))
+            found.append(Block(J, theta, kept=True))
         return found
 
     def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
-        if self._F is not None:
+        if self._F:
             self._take(u.x.petsc_vec)
         self._add(u.x.petsc_vec, forces)
         return super().error_measure(u, forces)
@@ -111,13 +124,13 @@ class FormPart(Part):
         change.axpy(-1.0, old)
         before, after, of_change = (self._quadratic(v) for v in (old, now, change))
         remainder = (2 * theta - 1) * of_change
-        if self._F is not None:
+        if self._F:
             b = self._nonlinear()
             worked = float(b.dot(change))
             b.destroy()
             first, last = self._stored(old), self._stored(now)
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
-        return Outcome(before, after, 0.0, remainder, kept=False)
+        return Outcome(before, after, 0.0, remainder, kept=self._kept)
 
     def _quadratic(self, u: PETSc.Vec) -> float:
         """u.K u / 2."""
@@ -128,30 +141,40 @@ class FormPart(Part):
 
     @cached_property
     def _energy_form(self) -> fem.Form | None:
-        return fem.form(self._energy(self._u)) if self._energy else None
+        return None if self._energy is None else compiled(self._energy)
 
     def _stored(self, u: PETSc.Vec) -> float:
         """The energy of F at displacements u; NaN if F has none."""
         if self._energy_form is None:
             return float("nan")
         self._take(u)
-        comm = self._u.function_space.mesh.comm
-        return float(comm.allreduce(fem.assemble_scalar(self._energy_form)))
+        return float(self.comm.allreduce(fem.assemble_scalar(self._energy_form)))
 
     def destroy(self) -> None:
-        for thing in (self.K, self._product, self._change):
+        for thing in (self.K, self._product, self._change, *self._tangents):
             if thing is not None:
                 thing.destroy()
+
+
+def matrix(form: Expr) -> PETSc.Mat:
+    """The assembled matrix of a bilinear form, without supports."""
+    K = dolfinx.fem.petsc.assemble_matrix(compiled(form))
+    K.assemble()
+    return K
 
 
 class LawForms(FormPart):
     """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
 
     If no law is linear, K is zero with the nonzero pattern of the tangent.
+
+    Args:
+        V: space of the displacements.
+        terms: all terms; those whose laws are compiled are left out.
     """
 
-    def __init__(self, model: Model) -> None:
-        terms = [p for p in model.terms if not p.law.traits.compiled]
+    def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+        self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
             require_declared_stress(p.law, computed)
@@ -159,17 +182,17 @@ class LawForms(FormPart):
         proportional = [p.proportional for p in terms]
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
-        has_energy = all(p.law.traits.has_energy for p in others)
+        u, has_energy = fem.Function(V), bool(others) and all(p.law.traits.has_energy for p in others)
+        bodies = [p for p in terms if p.n is None]
         super().__init__(
             "forms",
-            model.V,
-            _stiffness(model, linear),
-            (lambda u, v: work(others, u, v)) if others else None,
-            (lambda u: energy(others, u)) if has_energy else None,
+            u,
+            _stiffness(V, linear, bodies),
+            work(others, u, ufl.TestFunction(V)) if others else None,
+            energy(others, u) if has_energy else None,
         )
-        self._model, self._in_layer = model, any(p.n is not None for p in terms)
-        laws = [p.law for p in model.layer_terms if not p.law.traits.compiled]
-        self.traits = PartTraits(weakens=any(may_weaken(law) for law in laws))
+        self._in_layer = len(bodies) < len(terms)
+        self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
 
     @property
     def largest(self) -> float:
@@ -190,31 +213,29 @@ class LawForms(FormPart):
 
     @cached_property
     def _softening(self) -> Softening:
-        return Softening(self._model)
+        return Softening(self._u.function_space, self._terms)
 
     def undeclared_softening(self) -> tuple[str, str] | None:
         name, share = self._softening.found(self._end, self.interval.old.u)
         return (name, f"on {share:.3g} of the layer") if name else None
 
 
-def _stiffness(model: Model, linear: Sequence[Term]) -> PETSc.Mat:
+def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term]) -> PETSc.Mat:
     """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
 
     Raises:
         LawError: a law declares that it is linear and is not.
     """
-    trial, test = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-    pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in model.bodies]
+    trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
+    pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in bodies]
     try:
-        form = fem.form(work(pattern, trial, test))
+        K = matrix(work(pattern, trial, test))
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
         raise LawError(
             f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
             "write linear = False in the class"
         ) from error
-    K = dolfinx.fem.petsc.assemble_matrix(form)
-    K.assemble()
     if not linear:
         K.zeroEntries()
     return K

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
@@ -21,13 +22,14 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
         model: the model.
         held: displacements of this rank that supports prescribe (local, unrolled).
     """
-    forms = LawForms(model)
+    forms = LawForms(model.V, model.terms)
     parts: list[Part] = [forms]
-    parts += [CompiledPart(key, model, term) for key, term in compiled_terms(model).items()]
     parts += [
-        PressurePart(model.V, p, forms.largest, model.origin)
-        for p in [p for p in model.terms if p.law.traits.constrained][:1]
+        CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
+        for key, term in compiled_terms(model.terms).items()
     ]
+    constrained = [p for p in model.terms if p.law.traits.constrained]
+    parts += [PressurePart(model.V, p, forms.largest, model.origin) for p in constrained[:1]]
     if model.contact:
-        parts.append(ContactPart(model, model.contact, held))
+        parts.append(ContactPart(model.contact, ContactSurface.of(model), held))
     return parts + [addition.part(model) for addition in model.parts]

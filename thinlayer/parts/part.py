@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.law import Law
-from thinlayer.discretisation.state import State
+from thinlayer.discretisation.state import Configuration
 
 Array = npt.NDArray[np.float64]
 DISPLACEMENTS = "u"  # the key of the unknowns that all parts share
@@ -21,9 +21,9 @@ DISPLACEMENTS = "u"  # the key of the unknowns that all parts share
 
 @dataclass(frozen=True)
 class Interval:
-    """A time step: from a state to the time t = old.t + dt, with the balance of forces at old.t + theta dt."""
+    """A time step: from a configuration to the time t = old.t + dt, with the balance of forces at old.t + theta dt."""
 
-    old: State
+    old: Configuration
     t: float
     dt: float
     theta: float
@@ -167,7 +167,7 @@ class Part(ABC):
 
     # ---------------------------------------------------------------- a step
     def begin(self, interval: Interval) -> None:
-        """Begin a step, from the state `interval.old`."""
+        """Begin a step, from `interval.old`."""
         self.interval = interval
 
     @abstractmethod
@@ -226,8 +226,8 @@ class Part(ABC):
         """Residual of the part's own equations on this rank, for the last evaluation."""
         return np.empty(0)
 
-    def own_start(self, old: State) -> Array:
-        """Own unknowns on this rank at the start of a step from the state `old`."""
+    def own_start(self, old: Configuration) -> Array:
+        """Own unknowns on this rank at the start of a step from `old`."""
         return np.zeros(self.own_size)
 
     def own_result(self) -> fem.Function:

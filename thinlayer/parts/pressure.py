@@ -9,7 +9,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.work import Term
-from thinlayer.discretisation.state import PRESSURE, State
+from thinlayer.discretisation.state import PRESSURE, Configuration
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Outcome, Part, PartTraits
 from thinlayer.pointwise.quadrature import Origin, Region
 
@@ -72,7 +72,7 @@ class PressurePart(Part):
         """As in `Part`; the pressure of a constraint does no work."""
         return Outcome(kept=False)
 
-    def own_start(self, old: State) -> Array:
+    def own_start(self, old: Configuration) -> Array:
         p = old.fields.get(self.key)
         return super().own_start(old) if p is None else p.x.array[: self.own_size] / self.unit
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ from mpi4py import MPI
 from forms.kinematics import jump_strain
 from forms.law import BulkLaw, Step
 from forms.work import Term
-from thinlayer.discretisation.model import Model
+from thinlayer.parallel.communicator import communicator
 from thinlayer.pointwise.quadrature import quadrature_degree
 
 FALLING = 1e-3  # least negative slope that is no rounding, relative to the size of the tangent or of the changes
@@ -37,13 +38,12 @@ def may_soften(law: BulkLaw) -> bool:
 
 
 class Softening:
-    """The layer's laws in UFL forms that may soften. All methods are collective."""
+    """The layer's laws in UFL forms that may soften, of some terms. All methods are collective."""
 
-    def __init__(self, model: Model) -> None:
-        self.comm: MPI.Intracomm = model.comm
-        tested = [p for p in model.layer_terms if not p.law.traits.compiled and may_soften(p.law)]
-        self._u, self._old = fem.Function(model.V), fem.Function(model.V)
-        self._places = [_Place.of(p, model, self._u, self._old) for p in tested]
+    def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+        self.comm = communicator(V.mesh)
+        self._u, self._old = fem.Function(V), fem.Function(V)
+        self._places = [_Place.of(p, self._u, self._old) for p in terms if p.n is not None and may_soften(p.law)]
 
     def found(self, u: fem.Function, old: fem.Function) -> tuple[str, float]:
         """Name of a law whose stress falls at displacements u or since `old`, and the share of its points; "": none."""
@@ -69,9 +69,10 @@ class _Place:
     everywhere: fem.Constant
 
     @classmethod
-    def of(cls, p: Term, model: Model, u: Any, old: Any) -> _Place:
-        degree = dict(p.measure.metadata()).get("quadrature_degree", quadrature_degree(model.V, p.measure))
-        everywhere = fem.Constant(model.domain.mesh, 0.0)
+    def of(cls, p: Term, u: fem.Function, old: fem.Function) -> _Place:
+        V = u.function_space
+        degree = dict(p.measure.metadata()).get("quadrature_degree", quadrature_degree(V, p.measure))
+        everywhere = fem.Constant(V.mesh, 0.0)
         one = ufl.conditional(falling(p, u, old), 1.0, everywhere)
         measure = p.measure.reconstruct(metadata={"quadrature_degree": degree})
         return cls(type(p.law).__name__, fem.form(one * measure), everywhere)

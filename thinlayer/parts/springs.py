@@ -6,17 +6,15 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
-from petsc4py import PETSc
 
 from forms.base import is_number
 from forms.kinematics import Expr
 from geometry.joint import S
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.errors import ModelError
-from thinlayer.parts.part import Array, Block, Outcome, Part
+from thinlayer.parts.forms import FormPart, matrix
 
 
 @dataclass(frozen=True)
@@ -64,48 +62,7 @@ class Springs(Addition):
         across = (self.normal - self.tangential) * ufl.dot(u, n) * ufl.dot(v, n)
         return (across + self.tangential * ufl.inner(u, v)) * model.ds(model.domain.values(self.place))
 
-    def part(self, model: Host) -> Part:
+    def part(self, model: Host) -> FormPart:
         """The springs as a part of a model's balance. Collective."""
-        return SpringPart(self, model)
-
-
-class SpringPart(Part):
-    """Springs over a time step: forces K u, energy u.K u / 2."""
-
-    def __init__(self, springs: Springs, model: Host) -> None:
-        self.key = springs.key
-        form = springs.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V))
-        self.K = self._K = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
-        self._K.assemble()
-        self._forces, self._change = self._K.createVecLeft(), self._K.createVecLeft()
-
-    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._u, self._mid = u, mid
-
-    def add_forces(self, out: PETSc.Vec) -> float:
-        self._K.mult(self._mid.x.petsc_vec, self._forces)
-        out.axpy(1.0, self._forces)
-        return float(self._forces.norm())
-
-    def tangents(self, relative_residual: float) -> list[Block]:
-        return [Block(self._K, self.interval.theta, kept=True)]
-
-    def commit(self) -> Outcome:
-        now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
-        now.copy(self._change)
-        self._change.axpy(-1.0, old)
-        before, after, of_change = map(self._energy, (old, now, self._change))
-        return Outcome(before, after, remainder=(2 * self.interval.theta - 1) * of_change)
-
-    def _energy(self, u: PETSc.Vec) -> float:
-        self._K.mult(u, self._forces)
-        return float(u.dot(self._forces)) / 2
-
-    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
-        self._K.mult(u.x.petsc_vec, self._forces)
-        forces.axpy(1.0, self._forces)
-        return super().error_measure(u, forces)
-
-    def destroy(self) -> None:
-        for thing in (self._K, self._forces, self._change):
-            thing.destroy()
+        u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
+        return FormPart(self.key, fem.Function(model.V), matrix(self.work(model, u, v)), kept=True)

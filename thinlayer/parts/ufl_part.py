@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import dolfinx.fem.petsc
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -18,7 +17,7 @@ from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.errors import ModelError
-from thinlayer.parts.forms import FormPart
+from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Outcome, PartTraits
 
 ASYMMETRY = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding
@@ -100,25 +99,19 @@ class _OwnForms(FormPart):
     traits = PartTraits(saddle=True)
 
     def __init__(self, given: UflPart, model: Host) -> None:
-        K = None
-        if linear := given.is_linear(model):
-            form = given.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V))
-            K = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
-            K.assemble()
-        super().__init__(
-            given.key,
-            model.V,
-            K,
-            None if linear else lambda u, v: given.work(model, u, v),
-            None if linear or given.energy is None else lambda u: given.energy(u, model),  # type: ignore[misc]
-        )
+        u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), given.is_linear(model)
+        if linear:
+            super().__init__(given.key, u, matrix(given.work(model, ufl.TrialFunction(model.V), v)), kept=True)
+        else:
+            energy = given.energy(u, model) if given.energy else None
+            super().__init__(given.key, u, None, given.work(model, u, v), energy, kept=True)
+        K = self.K
         self._has_energy = K is None or _is_symmetric(K)
         if not self._has_energy or not linear:
             self.traits = replace(self.traits, weakens=True)
 
     def commit(self) -> Outcome:
-        found = replace(super().commit(), kept=True)
-        nan = float("nan")
+        found, nan = super().commit(), float("nan")
         return found if self._has_energy else replace(found, before=nan, after=nan, remainder=nan)
 
 

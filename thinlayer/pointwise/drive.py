@@ -123,9 +123,9 @@ def drive(
     def history() -> PointHistory:
         return _history(law, normal, point.material.memory, states, parts)
 
-    for k, (held, goal) in enumerate(path):
+    for k, (jumps_given, goal) in enumerate(path):
         try:
-            state, taken = point.advance(states[-1], held, goal, lengths[k])
+            state, taken = point.advance(states[-1], jumps_given, goal, lengths[k])
         except SolveError as error:
             asked = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
             raise SolveError(f"step {k + 1} of {len(path)} ({asked}): {error}", history()) from None
@@ -170,8 +170,8 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
             given = "both" if f"w_{c}" in step else "neither"
             raise ModelError(f"step {k + 1} has {given} of w_{c} (jump) and t_{c} (traction); it must have one")
-    held = np.array([f"w_{c}" in step for c in names])
-    return held, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
+    jumps_given = np.array([f"w_{c}" in step for c in names])
+    return jumps_given, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 
 
 def _lengths(dt: float | Sequence[float], count: int) -> Array:

@@ -167,18 +167,17 @@ def _outputs(law: BulkLaw, point: Symbolic) -> _Outputs:
         LawError: the law fails, returns wrong shapes, or compares numbers in Python.
     """
     one, step = point.law, point.step
-    told, advances = law.methods
-    with explained(law, told), undecided(law, told):
-        stress = mandel(shaped(law, "stress", one.stress(one.told(step)), (3, 3)))
-    told = advances
-    with explained(law, told), undecided(law, told):
+    method, advances = law.methods
+    with explained(law, method), undecided(law, method):
+        stress = mandel(shaped(law, "stress", one.stress(one.own_step(step)), (3, 3)))
+    with explained(law, advances), undecided(law, advances):
         new = one.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
         given = sorted(new) if isinstance(new, dict) else repr(new)
-        raise LawError(f"{type(law).__name__}.{told} gives {given}; it must give {sorted(law.internal)}")
+        raise LawError(f"{type(law).__name__}.{advances} gives {given}; it must give {sorted(law.internal)}")
     memory = []
     for name, shape in law.internal.items():
-        memory += _packed(shaped(law, f"{told}[{name!r}]", new[name], shape), shape)
+        memory += _packed(shaped(law, f"{advances}[{name!r}]", new[name], shape), shape)
     with explained(law, "holds"), undecided(law, "holds"):
         failing = ufl.as_ufl(_nan_unless(one, step))
     with explained(law, "energy or dissipation"), undecided(law, "energy or dissipation"):
@@ -198,7 +197,7 @@ def _point_expression(point: Symbolic, outputs: _Outputs) -> Expr:
 def _nan_unless(law: BulkLaw, step: Step) -> Expr:
     if type(law).holds is BulkLaw.holds:
         return 0.0
-    condition = law.holds(law.told(step))
+    condition = law.holds(law.own_step(step))
     if not isinstance(condition, Condition):
         allowed = "a UFL condition: ufl.lt(a, b), ufl.And(c, d), ..."
         raise LawError(f"{type(law).__name__}.holds gives {repr(condition)[:80]}; it must give {allowed}")

@@ -1,4 +1,4 @@
-"""One law at one point of S: its tractions for jumps, and the jumps for tractions."""
+"""One law at one point of S: computes tractions from jumps, and jumps from tractions."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from thinlayer.pointwise.material import Material
 
 COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}
 ITERATIONS, SHORTENINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step
-LEAST_PART = 2.0**-10  # smallest part of a step before the path fails
-FARTHEST = 2.0**25  # longest search along a singular tangent, in elastic steps
+LEAST_PART = 2.0**-10  # smallest fraction of a step that is tried
+FARTHEST = 2.0**25  # longest step along a null vector of a singular tangent, relative to the elastic step
 TOLERANCE, LOOSE_TOLERANCE = 1e-12, 1e-9  # relative error of tractions: wanted; accepted if Newton's method stagnates
 ROUNDING = 1e-15  # least relative change of a jump
 STEEP = 1e3  # Newton steps shorter than this many least changes are dominated by rounding
@@ -76,18 +76,27 @@ class MaterialPoint:
             return short is not long
         return not (np.array_equal(short.stress, long.stress) and np.array_equal(short.memory, long.memory))
 
-    def advance(self, old: MaterialPointState, held: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
-        """The state after a step, and the number of parts it was taken in; energies are those of all parts."""
-        start = np.where(held, old.w, old.traction)
+    def advance(
+        self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float
+    ) -> tuple[MaterialPointState, int]:
+        """The state after a step, and the number of parts in which it was made; energies are those of all parts.
+
+        Args:
+            old: the state before the step.
+            jumps_given: (d,) whether the jump of a component is prescribed; else its traction is.
+            goal: (d,) prescribed jumps and tractions at the end of the step.
+            dt: length of the step.
+        """
+        start = np.where(jumps_given, old.w, old.traction)
         done, part, parts = 0.0, 1.0, 0
         state, spent = old, np.zeros(3)
         while done < 1:
             aim = goal if done + part >= 1 else start + (done + part) * (goal - start)
-            found = self._settled(state, held, aim, part * dt)
+            found = self._settled(state, jumps_given, aim, part * dt)
             if found is None:
                 part /= 2
                 if part < LEAST_PART:
-                    raise SolveError(self._stuck(state, held, done))
+                    raise SolveError(self._stuck(state, jumps_given, done))
                 continue
             state, done, parts = found, done + part, parts + 1
             spent += state.energies
@@ -95,10 +104,10 @@ class MaterialPoint:
         spent[0] = state.energies[0]
         return state._replace(energies=spent), parts
 
-    def _settled(self, old: MaterialPointState, held: Array, aim: Array, dt: float) -> MaterialPointState | None:
+    def _settled(self, old: MaterialPointState, jumps_given: Array, aim: Array, dt: float) -> MaterialPointState | None:
         """The state after a part of a step, after all switches of phases; None if it is not found."""
         while True:
-            found = self._solve(old, held, aim, dt)
+            found = self._solve(old, jumps_given, aim, dt)
             if found is None or self.switching is None:
                 return found
             memory = self.switching.switched(found.memory[None], old.memory[None])
@@ -106,28 +115,28 @@ class MaterialPoint:
                 return found
             old = old._replace(memory=memory[0])
 
-    def _stuck(self, state: MaterialPointState, held: Array, done: float) -> str:
+    def _stuck(self, state: MaterialPointState, jumps_given: Array, done: float) -> str:
         reached = ", ".join(
             f"{kind}_{c} = {value:.6g}"
             for kind, values in (("w", state.w), ("t", state.traction))
             for c, value in zip(COMPONENTS[len(self.n)], values, strict=True)
         )
         where = f"it stopped after {done:.4g} of the step, at {reached}"
-        if held.all():
+        if jumps_given.all():
             return f"the law failed; {where}"
         return (
             f"no jump was found for the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
         )
 
-    def _solve(self, old: MaterialPointState, held: Array, goal: Array, dt: float) -> MaterialPointState | None:
+    def _solve(self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float) -> MaterialPointState | None:
         """Newton's method for the components whose traction is prescribed; None if it does not converge.
 
         Where the tangent is singular (at a limit, or where an open layer is to close), the jump moves in the direction of
         the missing traction, farther each time.
         """
-        free, farther = np.logical_not(held), 1.0
+        free, farther = np.logical_not(jumps_given), 1.0
         self._respond(old, old.w, dt)  # sets self.stiffness
-        now = self._respond(old, np.where(held, goal, old.w), dt)
+        now = self._respond(old, np.where(jumps_given, goal, old.w), dt)
         for _ in range(ITERATIONS):
             if now is None or farther > FARTHEST:
                 return None

@@ -136,9 +136,10 @@ static int tractions(sublayer *layers, int count, const double *along, const dou
 }
 
 /* Steps of the sublayers' jumps and the common traction t: K_i dg_i - t = -t_i, sum a_i dg_i = 0; with `columns` 7, the
- * slopes of both along the components of strain as well. A singular K_i (a sublayer that yields) is allowed. Of several
- * nothing tells the jumps: `added` to each K_i, a part of its largest entry, does. Rows are scaled by that entry, t by the
- * smallest of them; the last rows are light, so that none of them is the pivot of a jump that its own sublayer can tell. */
+ * slopes of both along the components of strain as well. One singular K_i (a sublayer that yields) is allowed. If
+ * several are singular, their jumps are undetermined; `added`, a share of the largest entry of each K_i, is then added to its
+ * diagonal. Rows are scaled by that entry, t by the smallest of them. The last rows are light, so that none of them is the
+ * pivot of a jump that follows from the equations of its own sublayer. */
 static int linearised(sublayer *layers, int count, const frame *S, double *A, int columns, double added)
 {
     const int size = 3 * count + 3, stride = size + 7;
@@ -171,14 +172,15 @@ static int linearised(sublayer *layers, int count, const frame *S, double *A, in
     return 1;
 }
 
-/* 1, or 2 if several sublayers yield; 0: none found. */
+/* Computes the step; returns 1, 2 if several sublayers yield, or 0 if there is no step. */
 static int step_of(sublayer *layers, int count, const frame *S, double *A, int columns)
 {
     if (linearised(layers, count, S, A, columns, 0)) return 1;
     return linearised(layers, count, S, A, columns, 1e-8) ? 2 : 0;
 }
 
-/* Let the sublayers' jumps add up to that of the whole: what rounding has left goes to each in proportion to its own. */
+/* Corrects the sublayers' jumps so that they add up to that of the whole layer: the rounding error is distributed in
+ * proportion to their sizes. */
 static void add_up(sublayer *layers, int count, const double *whole)
 {
     double missing[3], sizes = 0;

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, reduce
-from operator import or_
-from typing import TypeVar
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -14,32 +12,29 @@ from petsc4py import PETSc
 
 from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import Audit, Report, State
+from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.parts.making import parts_of
-from thinlayer.parts.part import DISPLACEMENTS, Block, Interval, Part, PartTraits
+from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
 from thinlayer.solving.layout import Layout
+from thinlayer.solving.part_sum import PartSum, memory_of, stored_of
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
-Kind = TypeVar("Kind", bound=Part)
 
-
-class Equations:
+class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
 
     The constructor and all methods are collective.
 
     Attributes:
-        parts: the parts of the balance.
-        traits: the traits of all parts together.
+        parts, traits, failed: as in `PartSum`.
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
         prescribed: displacements that supports prescribe at the end of the step.
         mean_stiffness: mean size of the diagonal entries of K.
-        failed: number of points where parts failed in the last residual.
         eased: ease of the parts; 0 is the parts themselves.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
     """
@@ -49,8 +44,7 @@ class Equations:
         self.history = LoadHistory(model)
         self.held = self.history.held
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        self.parts: list[Part] = parts_of(model, self.held)
-        self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
+        super().__init__(parts_of(model, self.held))
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
@@ -63,18 +57,14 @@ class Equations:
         diagonal.destroy()
         self._tangent: PETSc.Mat | None = None
         self._forces, self.loads = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
-        self.failed, self.eased, self._relative_residual = 0, 0.0, 0.0
-
-    def of_kind(self, kind: type[Kind]) -> list[Kind]:
-        """The parts of a kind."""
-        return [part for part in self.parts if isinstance(part, kind)]
+        self.eased, self._relative_residual = 0.0, 0.0
 
     # ---------------------------------------------------------------- unknowns
     def vector(self) -> PETSc.Vec:
         """A vector of unknowns, zero."""
         return self._layout.vector()
 
-    def put_state(self, state: State, x: PETSc.Vec) -> None:
+    def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
         """Write into x the unknowns from which a step after this state starts."""
         values = self._layout.split(x.array)
         values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
@@ -113,14 +103,15 @@ class Equations:
                 self._rigid.require_resisted(self._tangent)
             return
         resisting = TangentMatrix(self.comm, {DISPLACEMENTS: self.n_displacements})
-        self._rigid.require_resisted(resisting.fill(self._blocks([p for p in self.parts if p.resists_rigid])))
+        self._rigid.require_resisted(resisting.fill(self.blocks(self._relative_residual, rigid=True)))
         resisting.destroy()
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
         """The state at rest, before the first step."""
-        memory = {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
-        return State(self.model, fem.Function(self.model.V), t, Report("rest", 0, 0.0, 0.0), memory)
+        return State(
+            fem.Function(self.model.V), t, self.memory_at_rest, model=self.model, report=Report("rest", 0, 0.0, 0.0)
+        )
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
@@ -139,8 +130,7 @@ class Equations:
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
-        for part in self.parts:
-            part.begin(interval)
+        self.begin_parts(interval)
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Compute the residual at the displacements before the step, and tell the force scale its norm."""
@@ -155,26 +145,13 @@ class Equations:
         mid.scale(theta)
         mid.axpy(1 - theta, self.interval.old.u.x.petsc_vec)
         self._mid.x.scatter_forward()
-        self._forces.set(0.0)
-        sizes = []
-        for part in self.parts:
-            part.evaluate(self.u, self._mid)
-            sizes.append(part.add_forces(self._forces))
-        self.scale.see(*sizes)
+        self.scale.see(*self.forces(self.u, self._mid, self._forces))
         self._forces.axpy(-1.0, self.loads)
-        self.failed = sum(part.failed for part in self.parts)
         rows = self._layout.split(out.array)
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
         for part in self._with_own:
             rows[part.key][:] = part.own_residual()
         self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
-
-    def failure(self) -> str:
-        """Text that says which part failed in the last residual and where; "" if none did."""
-        return next(filter(None, [part.failure() for part in self.parts]), "")
-
-    def _blocks(self, parts: list[Part]) -> list[Block]:
-        return [block for part in parts for block in part.tangents(self._relative_residual)]
 
     def tangent(self) -> PETSc.Mat:
         """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.
@@ -182,7 +159,7 @@ class Equations:
         Raises:
             LawError: a law declares a symmetric tangent and has another one.
         """
-        self._tangent = self._matrix.fill(self._blocks(self.parts))
+        self._tangent = self._matrix.fill(self.blocks(self._relative_residual))
         return self._tangent
 
     def ease(self, ease: float) -> None:
@@ -190,15 +167,6 @@ class Equations:
         self.eased = ease
         for part in self.parts:
             part.ease(ease)
-
-    @property
-    def excess(self) -> float:
-        """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
-        return max(part.excess for part in self.parts)
-
-    def switch(self) -> bool:
-        """Change columns to the phases of lowest energy in the last residual. True if any column changes."""
-        return any([part.switch() for part in self.parts])
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
         """The state at the end of the step, for its solution x.
@@ -217,8 +185,8 @@ class Equations:
         supplied = float(self.loads.dot(change)) + at_supports
         out.destroy()
         change.destroy()
-        found = {part.key: part.commit() for part in self.parts}
-        every = list(found.values())
+        found = self.outcomes()
+        every = found.values()
         audit = Audit(
             supplied,
             sum(one.after - one.before for one in every),
@@ -226,10 +194,9 @@ class Equations:
             sum(one.remainder for one in every),
             sum(one.after for one in every),
         )
-        memory = {key: one.memory for key, one in found.items() if one.memory is not None}
         fields = {part.key: part.own_result() for part in self._with_own}
-        stored = {key: one.after for key, one in found.items() if one.kept}
-        return State(self.model, self.u.copy(), self.interval.t, report, memory, fields, stored, audit)
+        values = self.u.copy(), self.interval.t, memory_of(found), fields, stored_of(found)
+        return State(*values, model=self.model, report=report, audit=audit)
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:

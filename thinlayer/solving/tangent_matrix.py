@@ -23,10 +23,13 @@ class TangentMatrix:
     Args:
         comm: communicator.
         sizes: key of a block -> its number of unknowns on this rank, in the order of the unknowns.
+
+    Attributes:
+        comm, sizes: the arguments.
     """
 
     def __init__(self, comm: MPI.Intracomm, sizes: Mapping[str, int]) -> None:
-        self.comm, self._sizes = comm, sizes
+        self.comm, self.sizes = comm, sizes
         self._sums: dict[tuple[str, str], PETSc.Mat] = {}
         self._whole: PETSc.Mat | None = None
 
@@ -40,7 +43,7 @@ class TangentMatrix:
         for block in blocks:
             if not block.kept:
                 block.matrix.destroy()
-        if len(self._sizes) == 1:
+        if len(self.sizes) == 1:
             (A,) = self._sums.values()
             return A
         return self._side_by_side()
@@ -52,16 +55,20 @@ class TangentMatrix:
             for block in blocks:
                 A.axpy(block.factor, block.matrix, SUBSET)
             return
-        A = self._sums[place] = blocks[0].matrix.copy()
-        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        A = blocks[0].matrix.copy()
         A.scale(blocks[0].factor)
         for block in blocks[1:]:
             A.axpy(block.factor, block.matrix, DIFFERENT)
+        if len(blocks) > 1:  # PETSc's own LU finds zero pivots in what axpy has merged, none in a copy
+            merged, A = A, A.copy()
+            merged.destroy()
+        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self._sums[place] = A
 
     def _side_by_side(self) -> PETSc.Mat:
-        rows = [[self._sums.get((row, column)) for column in self._sizes] for row in self._sizes]
+        rows = [[self._sums.get((row, column)) for column in self.sizes] for row in self.sizes]
         empty = []
-        for k, n in enumerate(self._sizes.values()):
+        for k, n in enumerate(self.sizes.values()):
             if rows[k][k] is None:
                 rows[k][k] = _zero_diagonal(self.comm, n)
                 empty.append(rows[k][k])

@@ -224,7 +224,7 @@ class Checkpoint:
         found = {name: np.nan if value is None else float(value) for name, value in numbers.items()}
         audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        return State(self.model, u, t, report, memory, fields, stored, audit)
+        return State(u, t, memory, fields, stored, model=self.model, report=report, audit=audit)
 
     def _arrays(self, row: int, table: Table) -> dict[str, Array]:
         """The arrays of a state's file; on rank 0."""

@@ -11,9 +11,8 @@ from thinlayer.discretisation.state import State
 from thinlayer.solving.equations import Equations
 
 Array = npt.NDArray[np.float64]
-LEAST_JUMP = (
-    1e-6  # least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller
-)
+# Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
+LEAST_JUMP = 1e-6
 
 
 class ErrorEstimate:

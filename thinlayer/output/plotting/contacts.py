@@ -165,7 +165,7 @@ class _Plan:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
     def arrows(self, axes: Axes, report: ContactReport) -> None:
-        """Tangential tractions, at about as many nodes as can be told apart."""
+        """Draw tangential tractions as arrows, at no more nodes than can be distinguished in the picture."""
         axis = report.frames[0, :-1]
         t: Array = np.einsum("nk,nkj->nj", report.t_T, report.frames[:, :-1]) @ axis.T
         span = np.ptp(self.x, axis=0).max() / ARROWS

@@ -18,6 +18,7 @@ from thinlayer.errors import ModelError
 from thinlayer.files.table import Table, replaced
 
 SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}  # options of all pictures that are saved
+# Colours and markers of the curves of a picture, in turn.
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
 ERRORS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table

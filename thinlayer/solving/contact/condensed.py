@@ -59,7 +59,9 @@ class Condensed:
     def _system(self) -> DenseSystem:
         nodes, moving = self.problem.nodes, self._sides.moving
         H = self._sides.to_jumps(self._factor.complement)
-        return DenseSystem(H, nodes.weights[moving], nodes.frames[moving], nodes.held[moving], chains_of(nodes, moving))
+        return DenseSystem(
+            H, nodes.weights[moving], nodes.frames[moving], nodes.held[moving], chains_of(self.problem, moving)
+        )
 
     def solve(self, start: Array | None) -> tuple[PETSc.Vec, int, list[float]]:
         """Equilibrium under the problem's loads.

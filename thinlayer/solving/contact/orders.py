@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
-from thinlayer.discretisation.contact_nodes import Array, ContactNodes
+from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.solving.contact.problem import ContactProblem
 
 Indices = npt.NDArray[Any]
@@ -17,11 +17,11 @@ SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
 SAMPLE = 64  # number of nodes whose edges show the diagonals of the cells
 
 
-def chains_of(nodes: ContactNodes, moving: Indices) -> list[tuple[Indices, Array]]:
+def chains_of(problem: ContactProblem, moving: Indices) -> list[tuple[Indices, Array]]:
     """For each piece of S, its moving nodes in order and their arc lengths; [] in three dimensions."""
+    nodes, joint = problem.nodes, problem.equations.model.joint
     if nodes.dim != 2:
         return []
-    joint = nodes.model.joint
     number = dict(zip(nodes.numbers[moving].tolist(), range(len(moving)), strict=True))
     neighbours: list[list[int]] = [[] for _ in number]
     edges: list[list[int]] = joint.table.vertices[joint.surface_rows].tolist()  # type: ignore[assignment]
@@ -55,7 +55,7 @@ def oblique_order(problem: ContactProblem) -> Indices:
     """
     nodes = problem.nodes
     n = problem.A.getSize()[0] // nodes.dim
-    x = nodes.model.V.tabulate_dof_coordinates()[:n, : nodes.dim]
+    x = nodes.surface.V.tabulate_dof_coordinates()[:n, : nodes.dim]
     normal = nodes.weights @ nodes.frames[:, -1]
     size = float(np.linalg.norm(normal))
     normal = np.asarray(normal / size if size > 1e-6 * nodes.weights.sum() else np.eye(nodes.dim)[-1])

@@ -70,8 +70,8 @@ class ContactRelaxation:
     def _row_by_row(self) -> npt.NDArray[np.int32]:
         """Unknowns in the order of the nodes' places, along x first: convergence depends on the order of sweeps."""
         nodes = self.problem.nodes
-        d, x = nodes.dim, nodes.model.V.tabulate_dof_coordinates()
-        close = 1e-9 * np.ptp(nodes.model.joint.points, axis=0).max()
+        d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
+        close = 1e-9 * np.ptp(self.problem.equations.model.joint.points, axis=0).max()
         rows = np.lexsort(np.rint(x[:, :d] / close).T)
         return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
 

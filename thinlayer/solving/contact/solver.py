@@ -85,7 +85,7 @@ class ContactFinder:
         self._has_solved = self.reused = False
 
     def _jumps(self, state: State) -> Array:
-        model = self.problem.nodes.model
+        model = self.problem.equations.model
         u = state.u if state.model is model else transfer(state.u, state.model, model.V, model)
         return self.problem.nodes.jump(u.x.petsc_vec)
 
@@ -95,8 +95,10 @@ class ContactFinder:
         problem.begin()
         if start is not None:
             expected = problem.nodes.jump(start)
+        elif self._like is not None:
+            expected = self._like
         else:
-            expected = self._like if self._like is not None else self._jumps(problem.equations.interval.old)
+            expected = problem.nodes.jump(problem.equations.interval.old.u.x.petsc_vec)
         known = problem.comm.allreduce(int(expected.any()))
         self.reused = self._has_solved
         u, steps, residuals = self._scheme.solve(expected if known else None)

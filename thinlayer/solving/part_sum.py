@@ -1,0 +1,97 @@
+"""The sum of the parts of a balance of forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import reduce
+from operator import or_
+from typing import TypeVar
+
+from dolfinx import fem
+from petsc4py import PETSc
+
+from thinlayer.parts.part import Array, Block, Interval, Outcome, Part, PartTraits
+
+Kind = TypeVar("Kind", bound=Part)
+
+
+class PartSum:
+    """Parts of a balance of forces, added up. All methods are collective.
+
+    Attributes:
+        parts: the parts.
+        traits: the traits of all parts together.
+        failed: number of points where parts failed in the last evaluation.
+    """
+
+    def __init__(self, parts: Iterable[Part]) -> None:
+        self.parts = list(parts)
+        self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
+        self.failed = 0
+
+    def of_kind(self, kind: type[Kind]) -> list[Kind]:
+        """The parts of a kind."""
+        return [part for part in self.parts if isinstance(part, kind)]
+
+    # ---------------------------------------------------------------- a step
+    @property
+    def memory_at_rest(self) -> dict[str, Array]:
+        """Memory at rest of the parts that have one, by key."""
+        return {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
+
+    def begin_parts(self, interval: Interval) -> None:
+        """Begin a step in all parts."""
+        for part in self.parts:
+            part.begin(interval)
+
+    def forces(self, u: fem.Function, mid: fem.Function, out: PETSc.Vec, each: PETSc.Vec | None = None) -> list[float]:
+        """Evaluate all parts and write the sum of their nodal forces.
+
+        Returns:
+            The norms that the force scale shall know; given a vector `each` to work with, the norms of all parts' forces.
+        """
+        out.set(0.0)
+        sizes = []
+        for part in self.parts:
+            part.evaluate(u, mid)
+            if each is None:
+                sizes.append(part.add_forces(out))
+            else:
+                each.set(0.0)
+                part.add_forces(each)
+                sizes.append(float(each.norm()))
+                out.axpy(1.0, each)
+        self.failed = sum(part.failed for part in self.parts)
+        return sizes
+
+    def failure(self) -> str:
+        """Text that says which part failed in the last evaluation and where; "" if none did."""
+        return next(filter(None, [part.failure() for part in self.parts]), "")
+
+    def blocks(self, relative_residual: float = 0.0, *, rigid: bool = False) -> list[Block]:
+        """Blocks of the tangent at the last evaluation; `rigid`: of the parts alone that resist rigid motions."""
+        parts = [part for part in self.parts if part.resists_rigid or not rigid]
+        return [block for part in parts for block in part.tangents(relative_residual)]
+
+    @property
+    def excess(self) -> float:
+        """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
+        return max(part.excess for part in self.parts)
+
+    def switch(self) -> bool:
+        """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
+        return any([part.switch() for part in self.parts])
+
+    def outcomes(self) -> dict[str, Outcome]:
+        """End the step in all parts, at the last evaluation: their energies and memory by key."""
+        return {part.key: part.commit() for part in self.parts}
+
+
+def memory_of(outcomes: Mapping[str, Outcome]) -> dict[str, Array]:
+    """Memory of the parts that have one, by key."""
+    return {key: one.memory for key, one in outcomes.items() if one.memory is not None}
+
+
+def stored_of(outcomes: Mapping[str, Outcome]) -> dict[str, float]:
+    """Energies that a state keeps, by key."""
+    return {key: one.after for key, one in outcomes.items() if one.kept}
