@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.joint import S
-from thinlayer.compiling.compat import interior_facet_entities
+from thinlayer.discretisation.broken import interface_measure
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import ask
@@ -45,22 +45,19 @@ class ContactSurface:
     @classmethod
     def of(cls, model: Model) -> ContactSurface:
         """S in an interface model."""
-        topology = model.domain.mesh.topology
-        for a, b in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
-            topology.create_connectivity(a, b)
-        facets = model.domain.facets(S)
-        facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
+        mesh, facets = model.domain.mesh, model.domain.facets(S)
+        facets = np.sort(facets[facets < mesh.topology.index_map(mesh.topology.dim - 1).size_local])
         if model.joint.rigid_base:
             return cls.on_rigid_base(model.V, model.comm, facets)
-        pairs, side = interior_facet_entities(model.domain.mesh, facets)[:, [0, 2]], model.sides_of_cells
-        swapped = side[pairs[:, 0]] < side[pairs[:, 1]]
-        pairs[swapped] = pairs[swapped][:, ::-1]
-        return cls(model.V, model.comm, facets, pairs[:, 0], pairs[:, 1])
+        _, rows = interface_measure(model.comm, mesh, facets, model.sides_of_cells)
+        return cls(model.V, model.comm, facets, rows[:, 0], rows[:, 2])
 
     @classmethod
     def on_rigid_base(cls, V: fem.FunctionSpace, comm: MPI.Intracomm, facets: npt.NDArray[np.int32]) -> ContactSurface:
         """Facets of the outer boundary, under which the base does not move."""
-        to_cells = V.mesh.topology.connectivity(V.mesh.topology.dim - 1, V.mesh.topology.dim)
+        topology = V.mesh.topology
+        topology.create_connectivity(topology.dim - 1, topology.dim)
+        to_cells = topology.connectivity(topology.dim - 1, topology.dim)
         return cls(V, comm, facets, np.array([to_cells.links(f)[0] for f in facets], np.int32), None)
 
 
