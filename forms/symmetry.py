@@ -20,6 +20,7 @@ from ufl.algorithms import expand_derivatives
 
 from forms.kinematics import Expr
 from forms.law import BulkLaw, LawError, Step
+from forms.numbers import numbers
 from forms.trace import named
 
 Array = npt.NDArray[np.float64]
@@ -231,11 +232,10 @@ def _evaluated(expression: Callable[[], Expr]) -> Array | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # UFL warns where it finds no number
-            found: Any = expand_derivatives(ufl.as_ufl(expression()))  # once, not for each component
-            values = [float(found((0.0,), component=place)) for place in np.ndindex(*found.ufl_shape)]
+            found = numbers(expand_derivatives(ufl.as_ufl(expression())))
     except Exception:  # the law has parts without a value; the compiler will report errors
         return None
-    return np.reshape(values, found.ufl_shape)
+    return found if np.isfinite(found).all() else None
 
 
 def _tensor(a: Array) -> Any:

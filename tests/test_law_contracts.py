@@ -9,10 +9,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import ufl
+from ufl.algorithms import expand_derivatives
 
 import forms
 from forms import Anisotropic, BulkLaw, KelvinVoigt, LawError, LinearElastic, Maxwell, Stack, TractionLaw
 from forms.elastic import lame
+from forms.numbers import numbers
 from forms.symmetry import STRAINS, Sample, require_consistent
 from forms.tangent import tangent_at_rest
 from forms.viscous import isotropic_energy
@@ -233,6 +235,25 @@ def test_laws_of_this_package_are_what_they_say(law):
         sample = Sample(law.mapped(array), size)
         assert sample.stress() is not None
         require_consistent(sample)
+
+
+def test_numbers_are_those_of_ufl():
+    """Of a repeated index, of indices in another order, of branches that have no number, and of variables."""
+    i, j, k = ufl.indices(3)
+    A, B = ufl.as_matrix([[1.0, 2.0], [3.5, -4.0]]), ufl.as_matrix([[0.3, -0.7], [2.0, 5.0]])
+    a, none = ufl.variable(A[0, 0] * B[0, 1]), ufl.sqrt(A[1, 1] * A[0, 1])
+    chosen = ufl.conditional(ufl.And(ufl.lt(a, 1.0), ufl.Not(ufl.gt(a, 0.0))), ufl.exp(a) + a**3, none)
+    for expression in (
+        A[i, i],
+        ufl.as_tensor(A[i, k] * B[k, j] / ufl.sqrt(B[i, i] + 1), (j, i)),
+        ufl.as_tensor(A[j, i] + 2 * A[i, j], (i, j)),
+        ufl.as_tensor(abs(A[i, j]) * B[1, k], (k, j, i)),
+        chosen * ufl.inv(A) * ufl.dev(B),
+    ):
+        lowered = expand_derivatives(expression)
+        theirs = [lowered((0.0,), component=place) for place in np.ndindex(*lowered.ufl_shape)]
+        assert numbers(lowered).ravel() == pytest.approx(theirs, rel=1e-14)
+    assert np.isnan(numbers(ufl.as_ufl(none)))
 
 
 # ---------------------------------------------------------------- what belongs to a stress that was replaced

@@ -52,8 +52,6 @@ class ContactSurface:
     def of(cls, model: Model, name: str) -> ContactSurface:
         """A seam of an interface model."""
         domain, topology = model.domain, model.domain.mesh.topology
-        for a, b in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
-            topology.create_connectivity(a, b)
         facets = domain.facets(name)
         facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
         rows = domain.numbers(topology.dim - 1, facets)
@@ -65,7 +63,9 @@ class ContactSurface:
     @classmethod
     def on_rigid_base(cls, V: fem.FunctionSpace, comm: MPI.Intracomm, facets: npt.NDArray[np.int32]) -> ContactSurface:
         """Facets of the outer boundary, under which the base does not move."""
-        to_cells = V.mesh.topology.connectivity(V.mesh.topology.dim - 1, V.mesh.topology.dim)
+        topology = V.mesh.topology
+        topology.create_connectivity(topology.dim - 1, topology.dim)
+        to_cells = topology.connectivity(topology.dim - 1, topology.dim)
         return cls(V, comm, facets, np.array([to_cells.links(f)[0] for f in facets], np.int32), None)
 
 

@@ -128,7 +128,9 @@ class FormPart(Part):
             b = self._nonlinear()
             worked = float(b.dot(change))
             b.destroy()
-            first, last = self._stored(old), self._stored(now)
+            taken = self._u.x.array.copy()  # `now` may be the vector of these values
+            last, first = self._stored(now), self._stored(old)
+            self._u.x.array[:] = taken
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
         return Outcome(before, after, 0.0, remainder, kept=self._kept)
 

@@ -18,7 +18,7 @@ from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
 from thinlayer.solving.layout import Layout
-from thinlayer.solving.part_sum import PartSum, memory_of, stored_of
+from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
@@ -185,7 +185,7 @@ class Equations(PartSum):
         supplied = float(self.loads.dot(change)) + at_supports
         out.destroy()
         change.destroy()
-        found = self.outcomes()
+        found, end = self.end_parts(self.u, self.interval.t)
         every = found.values()
         audit = Audit(
             supplied,
@@ -194,9 +194,7 @@ class Equations(PartSum):
             sum(one.remainder for one in every),
             sum(one.after for one in every),
         )
-        fields = {part.key: part.own_result() for part in self._with_own}
-        values = self.u.copy(), self.interval.t, memory_of(found), fields, stored_of(found)
-        return State(*values, model=self.model, report=report, audit=audit)
+        return State(**vars(end), model=self.model, report=report, audit=audit)
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:

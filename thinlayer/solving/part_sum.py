@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import reduce
 from operator import or_
 from typing import TypeVar
@@ -10,6 +10,7 @@ from typing import TypeVar
 from dolfinx import fem
 from petsc4py import PETSc
 
+from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import Array, Block, Interval, Outcome, Part, PartTraits
 
 Kind = TypeVar("Kind", bound=Part)
@@ -82,16 +83,10 @@ class PartSum:
         """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
         return any([part.switch() for part in self.parts])
 
-    def outcomes(self) -> dict[str, Outcome]:
-        """End the step in all parts, at the last evaluation: their energies and memory by key."""
-        return {part.key: part.commit() for part in self.parts}
-
-
-def memory_of(outcomes: Mapping[str, Outcome]) -> dict[str, Array]:
-    """Memory of the parts that have one, by key."""
-    return {key: one.memory for key, one in outcomes.items() if one.memory is not None}
-
-
-def stored_of(outcomes: Mapping[str, Outcome]) -> dict[str, float]:
-    """Energies that a state keeps, by key."""
-    return {key: one.after for key, one in outcomes.items() if one.kept}
+    def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, Outcome], Configuration]:
+        """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
+        found = {part.key: part.commit() for part in self.parts}
+        memory = {key: one.memory for key, one in found.items() if one.memory is not None}
+        fields = {part.key: part.own_result() for part in self.parts if part.field is not None}
+        stored = {key: one.after for key, one in found.items() if one.kept}
+        return found, Configuration(u.copy(), t, memory, fields, stored)

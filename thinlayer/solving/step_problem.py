@@ -24,7 +24,7 @@ from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.solving.balance import require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
-from thinlayer.solving.part_sum import PartSum, memory_of, stored_of
+from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.tangent_matrix import TangentMatrix
 
 
@@ -47,7 +47,8 @@ class StepProblem(PartSum):
         terms: terms of laws on any UFL measure: of a layer (`BrokenMesh.layer`) or a body (`forms.work.body`). Laws with
             memory or rate are compiled and run at quadrature points; the others are added to the form.
         parts: further parts of the balance, such as a `ContactPart` or your own `thinlayer.parts.part.Part`, each with
-            another key; `destroy` destroys them too.
+            another key. First they are asked for a tangent in a step of length 0, for its nonzero pattern; `destroy`
+            destroys them too.
 
     Attributes:
         state: displacements, time, memory and stored energies at the last accepted state. Keys of compiled terms are
@@ -178,11 +179,10 @@ class StepProblem(PartSum):
             raise SolveError(
                 "columns of the layer must change phase: call switch() and solve again until it returns False"
             )
-        found = self.outcomes()
+        found, self.state = self.end_parts(self._u, self._interval.t)
         for key, before in self.energies.items():
             one = found[key]
             self.energies[key] = np.array([one.after, before[1] + one.dissipated, before[2] + one.remainder])
-        self.state = Configuration(self._u.copy(), self._interval.t, memory_of(found), {}, stored_of(found))
         self._interval = None
 
     def switch(self) -> bool:
