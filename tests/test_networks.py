@@ -35,7 +35,7 @@ ROCK = LinearElastic.young(10.0, 0.25)
 
 def cut_at(joint: Joint, cut) -> Joint:
     """The mesh of a joint as one region, with seams where functions of places (n, d) and normals hold."""
-    table, (first, second) = joint.table, joint.table.cells.T
+    table, (_first, second) = joint.table, joint.table.cells.T
     x = joint.points[table.vertices].mean(axis=1)
     nodes = table.nodes(np.arange(len(table.vertices)), joint.cells, joint.cell_type)
     normal = np.abs(facet_normals(joint.points, nodes, joint.cell_type).mean(axis=1))
