@@ -88,7 +88,9 @@ def sides_at_nodes(joint: Joint) -> tuple[IntArray, IntArray]:
         changes = (out[nodes] != component).any(axis=1)
         if changes.any():
             x = joint.points[nodes[changes][0]].mean(axis=0)
-            raise GeometryError(f"the upper side of S changes at {place(x)}: a layer is meshed between two sides")
+            raise GeometryError(
+                f"the upper side of S changes at {place(x)}: a layer needs one upper side and one lower side there"
+            )
         found.append(out)
     return found[0], found[1]
 

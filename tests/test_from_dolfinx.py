@@ -12,6 +12,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 from geometry import GeometryError, from_dolfinx, read
+from geometry.joint import Seam
 from tests.from_dolfinx_run import FACETS, REGIONS, built, made_by_dolfinx, norm, strip, tagged, taken_back
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
 from tests.ranks import CLONE, mpirun
@@ -81,7 +82,11 @@ def test_solution_as_of_a_file(tmp_path, alone):
 def test_names():
     plane, bodies, sides = strip()
     numbers = from_dolfinx(plane, bodies, sides, S="3", upper="2")
-    assert (numbers.regions, numbers.upper, set(numbers.facets)) == (("1", "2"), ("2",), {"S", "4", "5"})
+    assert (numbers.regions, numbers.seams, set(numbers.facets)) == (
+        ("1", "2"),
+        {"S": Seam(("1",), ("2",))},
+        {"S", "4", "5"},
+    )
     between = from_dolfinx(plane, bodies, S=None, lower="1", upper="2")
     assert set(between.facets) == {"S"}
     assert len(between.facets["S"]) == len(numbers.facets["S"]) == 6
@@ -89,7 +94,7 @@ def test_names():
                           upper="UPPER")  # fmt: skip
     assert len(merged.facets["ENDS"]) == 12
     cut = from_dolfinx(plane, facet_tags=sides, facets={3: "S"}, direction=(0, 1))
-    assert (cut.regions, cut.upper, cut.lower) == (("BODY",), ("BODY",), ("BODY",))
+    assert (cut.bodies, cut.seams["S"].direction) == (("BODY",), (0.0, 1.0))
     base = from_dolfinx(plane, facet_tags=sides, facets={4: "S", 5: "TOP"})
     assert base.rigid_base
     assert base.interface_normals == pytest.approx(np.tile([0.0, 1.0], (6, 1)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic
+from forms import HolonomicCoulomb, LinearElastic
 from geometry import GeometryError, Joint, block, inflate, ring, sandwich
 from geometry.joint import Seam
 from thinlayer import Model, ModelError, Structure, Surface, ThinLayer, solve
@@ -142,7 +142,7 @@ def test_directions_are_checked():
 
 def test_upper_side_that_changes():
     """A direction out of the circle above and into it below: the same interface model, and a layer that is not meshed."""
-    two, found = ring(0.5, 1.0, 2.0, 0.2), []
+    two, found, values = ring(0.5, 1.0, 2.0, 0.2), [], []
     one = in_one_body(two, (0.0, 1.0))
     assert set(np.rint((one.interface_normals * two.interface_normals).sum(axis=1))) == {-1, 1}
     for joint in (two, one):
@@ -152,9 +152,16 @@ def test_upper_side_that_changes():
         found.append(
             [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), *state.energies().values()]
         )
+        x, opening = surface.profile(surface.frame(surface.jump(state))[1])
+        values.append({tuple(np.round(at, 9)): value for at, value in zip(x, opening, strict=True)})
     assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert len(x) == 32 + 2  # where the upper side changes, two of the bodies' nodes lie on it
+    size = max(map(abs, values[0].values()))
+    assert values[1] == pytest.approx(values[0], abs=0.03 * size)
     with pytest.raises(GeometryError, match="the upper side of S changes at"):
         inflate(one, 0.01, bodies="extended")
+    with pytest.raises(GeometryError, match="the upper side of S changes at"):
+        Structure(one, body=BODY, supports={"INSIDE": 0.0}, element="P1").interface(HolonomicCoulomb(30.0, 10.0, 0.3))
 
 
 def test_s_is_s_alone():

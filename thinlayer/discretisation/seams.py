@@ -12,6 +12,7 @@ from forms.contact import ContactLaw
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.joint import place
+from geometry.motion import sides_at_nodes
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
@@ -100,13 +101,24 @@ class SeamLayer:
             )
 
     def _check_contact(self, law: ContactLaw) -> None:
-        """Raise ModelError unless displacements are of degree 1: contact laws act at the vertices of S."""
+        """Raise an error unless displacements are of degree 1 and S has two sides: contact acts at pairs of vertices.
+
+        Raises:
+            ModelError: other elements; S branches. GeometryError: the upper side of S changes.
+        """
         linear = "Q1" if is_tensor(self.structure.joint.cell_type) else "P1"
         if self.structure.element != linear:
             raise ModelError(
                 f"a contact law acts at the vertices of S and needs element={linear!r}, not {self.structure.element}: "
                 "nodes in the middle of edges would carry most of the pressure, or none of it"
             )
+        joint = self.structure.joint
+        if joint.branch is not None:
+            raise ModelError(
+                f"a contact law acts between pairs of nodes, and three or more parts of the bodies meet at "
+                f"{place(joint.branch)}; contact needs an S that does not branch"
+            )
+        sides_at_nodes(joint)
         law.check_threshold()
 
     def zero_tractions(self, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
