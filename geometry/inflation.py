@@ -23,7 +23,7 @@ from geometry.joint import (
     place,
     unknown,
 )
-from geometry.motion import extended_motion, face_directions, require_room, sides_at_nodes
+from geometry.motion import extended_motion, face_directions, require_no_branches, require_room, sides_at_nodes
 from geometry.topology import (
     FACET_TYPES,
     FacetTable,
@@ -152,6 +152,7 @@ def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[flo
             f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
             "use the interface model"
         )
+    require_no_branches(joint)
 
 
 def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Levels:

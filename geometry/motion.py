@@ -31,7 +31,7 @@ def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
         side: 0 the lower one, 1 the upper one.
 
     Raises:
-        GeometryError: S branches or is folded; an outer face touches S nearly parallel to it.
+        GeometryError: S is folded; an outer face touches S nearly parallel to it.
     """
     surface, normals = joint.surface, joint.node_normals
     index, d = np.searchsorted(nodes, surface), joint.dim
@@ -39,7 +39,6 @@ def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
     np.add.at(total, index, normals)
     np.add.at(count, index, 1.0)
     np.add.at(moment, index, normals[..., :, None] * normals[..., None, :])
-    require_no_branches(joint)
     folded = np.flatnonzero(np.linalg.norm(total, axis=1) < 0.3 * count)
     if len(folded):
         raise GeometryError(
@@ -68,8 +67,8 @@ def require_no_branches(joint: Joint) -> None:
     """Raise GeometryError where more than two facets of S meet at a ridge."""
     if joint.branch is not None:
         raise GeometryError(
-            f"S branches at {place(joint.branch)}, where three or more parts of the bodies meet: displacements and layers "
-            "of its pieces would interfere; S is one layer between two sides"
+            f"S branches at {place(joint.branch)}, where three or more parts of the bodies meet: a layer is meshed between "
+            "two sides; use the interface model"
         )
 
 
@@ -89,7 +88,9 @@ def sides_at_nodes(joint: Joint) -> tuple[IntArray, IntArray]:
         changes = (out[nodes] != component).any(axis=1)
         if changes.any():
             x = joint.points[nodes[changes][0]].mean(axis=0)
-            raise GeometryError(f"the upper side of S changes at {place(x)}: a layer is meshed between two sides")
+            raise GeometryError(
+                f"the upper side of S changes at {place(x)}: a layer needs one upper side and one lower side there"
+            )
         found.append(out)
     return found[0], found[1]
 

@@ -50,6 +50,11 @@ def edges_of_s(joint: Joint, numbers: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray) -> IntArray:
-    """Order of some vertices of a joint, on S at x (n, d): along S in 2D, else by their places."""
+    """Order of some vertices of a joint, on S at x (n, d), one or several times each: along S in 2D, else by place."""
     size = float(np.ptp(joint.points, axis=0).max())
-    return along(x, np.column_stack(edges_of_s(joint, numbers)), size) if joint.dim == 2 else by_place(x, size)
+    vertices, first, number = np.unique(numbers, return_index=True, return_inverse=True)
+    if joint.dim == 2:
+        order = along(x[first], np.column_stack(edges_of_s(joint, vertices)), size)
+    else:
+        order = by_place(x[first], size)
+    return np.argsort(np.argsort(order)[number], kind="stable")

@@ -9,7 +9,6 @@ import numpy as np
 from mpi4py import MPI
 
 from geometry import Domain, Joint, block, disc, inflate, ring, sandwich
-from geometry.joint import BONDED
 from tests.meshes import renumbered
 
 
@@ -51,7 +50,7 @@ def compare_tags() -> None:
         regions = distributed(domain, joint.dim, joint.cells, joint.region + 1)
         assert np.array_equal(domain.cell_tags.indices, regions.indices), name
         assert np.array_equal(domain.cell_tags.values, regions.values), name
-        sets = {which: joint.table.index(facets) for which, facets in joint.facets.items()} | {BONDED: joint.bonded}
+        sets = {which: joint.table.index(facets) for which, facets in joint.facets.items()}
         assert sets.keys() <= domain.facet_values.keys()
         for which, rows in sets.items():
             nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)

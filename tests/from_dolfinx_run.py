@@ -39,7 +39,7 @@ def taken_back(joint: Joint) -> Joint:
         domain.facet_tags,
         regions={number + 1: name for number, name in enumerate(joint.regions)},
         facets={value: name for name in joint.facets for value in domain.values(name)},
-        upper=joint.upper,
+        upper=joint.seams["S"].upper,
     )
 
 

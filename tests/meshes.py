@@ -11,6 +11,7 @@ import meshio
 import numpy as np
 
 from geometry import Joint
+from geometry.joint import Seam
 from geometry.topology import FacetTable, geometry_degree, lagrange
 
 CELLS = {"triangle": (2, False), "quadrilateral": (2, True), "tetrahedron": (3, False), "hexahedron": (3, True)}
@@ -160,7 +161,18 @@ def grid(axes, inside, cell, keep=lambda x: np.ones(len(x), bool)):
     for k, name in enumerate(("LEFT", "BOTTOM", "BACK")[:dim]):
         facets[name] = table.vertices[outer & np.isclose(points[table.vertices][..., k], axes[k][0]).all(axis=1)]
     facets["TOP"] = table.vertices[outer & np.isclose(points[table.vertices][..., 1], axes[1][-1]).all(axis=1)]
-    return Joint(points, cells, cell, region, ("OUT", "IN"), facets, ("IN",), ("OUT",))
+    return Joint(points, cells, cell, region, ("OUT", "IN"), facets, {"S": Seam(("OUT",), ("IN",))})
+
+
+def upper_cells(joint):
+    """(n_cells,) whether each cell is part of a body above S."""
+    pieces = joint.splitting.pieces
+    return np.isin(pieces, pieces[joint.surface_cells[:, 1]])
+
+
+def in_layer(joint):
+    """(n_cells,) whether each cell of an inflated joint is in the layer."""
+    return np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions])
 
 
 def renumbered(joint, seed=3):

@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from forms import Anisotropic, LinearElastic, Stack
 from geometry import block, ring, sandwich
+from geometry.joint import Seam
 from studies.problems import FOURIER_LAYER, fourier
 from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
@@ -67,6 +68,42 @@ def crack() -> dict[str, float]:
         "crack traction": surface.norm(surface.traction(state)),
         "crack u": state.integral(ufl.inner(state.u, state.u) * ufl.dx),
     }
+
+
+def network() -> dict[str, float]:
+    """Blocks that meet at junctions, in the plane and in space; two seams with a layer each."""
+    found = {}
+    body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.3)
+    layers = {"BED": ThinLayer(glue, 0.04), "HEAD": ThinLayer(Stack((0.3, glue), (0.7, LinearElastic(1.0, 2.0))), 0.02)}
+    for depth in (None, 0.8):
+        whole = sandwich(1.0, 0.5, 0.5, 0.25 if depth else 0.125, depth=depth, structured=True)
+        centres = whole.points[whole.table.vertices].mean(axis=1)
+        upright = np.ptp(whole.points[whole.table.vertices][..., 0], axis=1) < 1e-9
+        head = upright & (abs(centres[:, 0] - 0.5) < 1e-9) & (centres[:, 1] > 0)
+        outer = dict(whole.facets)
+        bed = outer.pop("S")
+        joint = replace(
+            whole,
+            region=0 * whole.region,
+            regions=("WALL",),
+            facets={**outer, "BED": bed, "HEAD": whole.table.vertices[head]},
+            seams={
+                "BED": Seam(direction=(0.0, 1.0, 0.0)[: whole.dim]),
+                "HEAD": Seam(direction=(1.0, 0.0, 0.0)[: whole.dim]),
+            },
+        )
+        assert joint.branch is not None
+        load = (0.4, 1.0, 0.2)[: joint.dim]
+        structure = Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": load, "RIGHT": load})
+        state = solve(structure.interface(layers))
+        for name in ("BED", "HEAD", "S"):
+            surface = Surface(state.model, name)
+            jump = surface.jump(state)
+            found[f"network {joint.dim} {name} jump"] = surface.norm(jump)
+            found[f"network {joint.dim} {name} traction"] = surface.norm(surface.traction(state))
+            found[f"network {joint.dim} {name} profile"] = float(np.linalg.norm(surface.profile(jump)[1]))
+        found[f"network {joint.dim} energy"] = state.energies()["layer"]
+    return found
 
 
 def norms() -> dict[str, float]:
@@ -131,7 +168,7 @@ def norms() -> dict[str, float]:
         found[f"{name} profile"] = float(abs(values).sum())
     newton = solve(limit.model, method="newton")
     found["newton u"] = newton.integral(ufl.inner(newton.u, newton.u) * ufl.dx)
-    return found | crack()
+    return found | crack() | network()
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx import fem
 
 from forms import LinearElastic
+from tests.meshes import upper_cells
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
 from thinlayer.solving.ranges import _Faces, _sublayers, pressure_excess
@@ -27,14 +28,18 @@ def told(action):
 def opened(model, upper):
     """A state whose upper body (y > 0, or all of it on a rigid base) is moved as told, the other one at rest."""
     u = fem.Function(model.V)
-    cells = np.flatnonzero(model.sides_of_cells > 0).astype(np.int32)
+    cells = np.flatnonzero(model.domain.on_cells(upper_cells(model.joint))).astype(np.int32)
     u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
     u.x.scatter_forward()
-    return _Faces.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.thin_layer)
+<<<<<<< HEAD
+    return _Faces.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.layers["S"])
+=======
+    return _Faces.of(State(model, u, 0.0, Report("none", 0, 0.0, 0.0)), model.layers["S"])
+>>>>>>> nettests
 
 
 def excess(model, upper):
-    (layer,) = _sublayers(model)
+    (layer,) = _sublayers(model.layers["S"])
     return pressure_excess(opened(model, upper), layer)
 
 

@@ -42,8 +42,7 @@ def turned(joint: Joint) -> Joint:
         joint.region,
         joint.regions,
         joint.facets,
-        joint.upper,
-        joint.lower,
+        joint.seams,
     )
 
 

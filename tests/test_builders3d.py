@@ -134,7 +134,7 @@ def test_ring(cell, angle, degree):
     names = {"S", "INSIDE", "OUTSIDE"}
     names |= set() if angle == tau else {"START", "END"}
     check(joint, names | ({"BACK", "FRONT"} if depth else set()))
-    assert joint.regions == ("INNER", "OUTER") == joint.lower + joint.upper
+    assert joint.regions == ("INNER", "OUTER") == joint.seams["S"].lower + joint.seams["S"].upper
     exact = {"INNER": angle / 2 * 0.75 * (depth or 1), "OUTER": angle / 2 * 3 * (depth or 1)}
     error = max(abs(volume / exact[name] - 1) for name, volume in region_volumes(joint).items())
     assert error < 1e-4 if degree == 2 else 1e-3 < error < 0.02  # about 20 to 30 sides to a circle

@@ -10,6 +10,7 @@ import ufl
 
 from forms import Anisotropic, LawError, LinearElastic, Stack
 from geometry import GeometryError, block, ring, sandwich
+from geometry.joint import Seam
 from studies.problems import FOURIER_LAYER, fourier
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 
@@ -138,7 +139,7 @@ def test_rigid_base_takes_all_of_eps():
         region=np.zeros(keep.sum(), np.int64),
         regions=("OUTER",),
         facets=facets,
-        lower=(),
+        seams={"S": Seam()},
     )
     setup = {"body": OUTER, "supports": {}, "tractions": twisted(hub)["tractions"]}
     rows = []

@@ -12,6 +12,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 from geometry import GeometryError, from_dolfinx, read
+from geometry.joint import Seam
 from tests.from_dolfinx_run import FACETS, REGIONS, built, made_by_dolfinx, norm, strip, tagged, taken_back
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
 from tests.ranks import CLONE, mpirun
@@ -30,7 +31,7 @@ def test_joints_come_back(alone):
     for name, joint in built().items():
         back = taken_back(joint)
         assert (back.cell_type, back.degree, back.regions) == (joint.cell_type, joint.degree, joint.regions), name
-        assert (back.upper, back.lower) == (joint.upper, joint.lower), name
+        assert back.seams == joint.seams, name
         assert {key: len(rows) for key, rows in back.facets.items()} == {
             key: len(rows) for key, rows in joint.facets.items()
         }, name
@@ -65,7 +66,7 @@ def test_as_read_from_gmsh(tmp_path, cell, degree):
     other = read(path, upper="RING")
     assert (joint.cell_type, joint.degree, joint.dim) == (cell, degree, dim)
     assert sorted(joint.regions) == sorted(other.regions)
-    assert joint.lower == other.lower
+    assert joint.seams == other.seams
     assert volume(joint) == pytest.approx(volume(other), rel=1e-12)
     assert np.sort(joint.points[joint.surface].mean(axis=1), axis=0) == pytest.approx(
         np.sort(other.points[other.surface].mean(axis=1), axis=0), abs=1e-12
@@ -81,7 +82,11 @@ def test_solution_as_of_a_file(tmp_path, alone):
 def test_names():
     plane, bodies, sides = strip()
     numbers = from_dolfinx(plane, bodies, sides, S="3", upper="2")
-    assert (numbers.regions, numbers.upper, set(numbers.facets)) == (("1", "2"), ("2",), {"S", "4", "5"})
+    assert (numbers.regions, numbers.seams, set(numbers.facets)) == (
+        ("1", "2"),
+        {"S": Seam(("1",), ("2",))},
+        {"S", "4", "5"},
+    )
     between = from_dolfinx(plane, bodies, S=None, lower="1", upper="2")
     assert set(between.facets) == {"S"}
     assert len(between.facets["S"]) == len(numbers.facets["S"]) == 6
@@ -89,7 +94,7 @@ def test_names():
                           upper="UPPER")  # fmt: skip
     assert len(merged.facets["ENDS"]) == 12
     cut = from_dolfinx(plane, facet_tags=sides, facets={3: "S"}, direction=(0, 1))
-    assert (cut.regions, cut.upper, cut.lower) == (("BODY",), ("BODY",), ("BODY",))
+    assert (cut.bodies, cut.seams["S"].direction) == (("BODY",), (0.0, 1.0))
     base = from_dolfinx(plane, facet_tags=sides, facets={4: "S", 5: "TOP"})
     assert base.rigid_base
     assert base.interface_normals == pytest.approx(np.tile([0.0, 1.0], (6, 1)))

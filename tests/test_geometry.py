@@ -163,7 +163,7 @@ def test_s_must_separate_two_bodies():
     with pytest.raises(GeometryError, match="lie on the outer boundary"):
         replace(SANDWICH, facets={**SANDWICH.facets, "S": SANDWICH.facets["TOP"]})
     inside = SANDWICH.table.vertices[
-        (SANDWICH.table.cells[:, 1] >= 0) & (SANDWICH.side[SANDWICH.table.cells].prod(axis=1) > 0)
+        (SANDWICH.table.cells[:, 1] >= 0) & (np.ptp(SANDWICH.region[SANDWICH.table.cells], axis=1) == 0)
     ]
     with pytest.raises(GeometryError, match="same body on both sides"):
         replace(SANDWICH, facets={**SANDWICH.facets, "S": inside[:3]})

@@ -278,7 +278,7 @@ def test_observed_functions_are_all_code_that_they_call(monkeypatch):
         (dict(supports=SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.01 * t}}), "supports"),
         (dict(joint=replace(JOINT, facets=JOINT.facets | {"LEFT": JOINT.facets["RIGHT"], "RIGHT": JOINT.facets["LEFT"]})),
          "facets"),
-        (dict(joint=JOINT.swapped()), "regions"),
+        (dict(joint=JOINT.swapped()), "seams"),
     ],
     ids=["piecewise", "profile", "moving support", "facets", "sides"],
 )  # fmt: skip

@@ -9,7 +9,7 @@ import pytest
 
 from geometry import GeometryError, Joint, block, disc, inflate, ring, sandwich
 from geometry.topology import node_jacobians
-from tests.meshes import grid, volumes
+from tests.meshes import grid, in_layer, upper_cells, volumes
 
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4)
 BOX, TUBE = dict(depth=0.8, h_S=0.2), dict(angle=np.pi / 2, depth=0.6)
@@ -56,7 +56,7 @@ def check(base: Joint, opened: Joint, eps: float, area: float, kept_volume: floa
     assert sum(map(len, named)) == outer.sum()  # each once
     for rows in sides:
         cells = opened.table.cells[opened.table.index(rows), 0]
-        assert (opened.side[cells] == 0).all()
+        assert in_layer(opened)[cells].all()
 
 
 @pytest.mark.parametrize(("name", "bodies"), [*((n, "kept") for n in PLANAR), *((n, "extended") for n in JOINTS)])
@@ -93,7 +93,7 @@ def test_curved_cells_stay_curved(name):
     base, eps = joint_of(name), 0.1
     opened = inflate(base, eps, cells_through=2, bodies="extended")
     radius = np.hypot(*opened.points[:, :2].T)
-    layer = opened.cells[opened.side == 0]
+    layer = opened.cells[in_layer(opened)]
     levels = np.unique(np.round((radius[layer] - 1.5) / eps, 3))
     assert levels == pytest.approx([-0.5, -0.25, 0.0, 0.25, 0.5], abs=2e-3)  # P2 circles: fourth order in the cell size
     for side, value in (("INSIDE", 1.0), ("OUTSIDE", 2.0)):
@@ -117,8 +117,8 @@ def test_thickness_varies_linearly_between_vertices_of_curved_cells(name):
 def test_kept_bodies_are_moved_in_one_piece():
     base = joint_of("disc, curved tetrahedra")
     opened = inflate(base, 0.01)
-    for side, shift in ((-1, -0.005), (1, 0.005)):
-        nodes = np.unique(opened.cells[opened.side == side])
+    for region, shift in (("LOWER", -0.005), ("UPPER", 0.005)):
+        nodes = np.unique(opened.cells[opened.region == opened.regions.index(region)])
         moved = opened.points[nodes] - opened.reference[nodes]
         assert moved == pytest.approx(np.tile([0.0, shift, 0.0], (len(nodes), 1)), abs=1e-15)
 
@@ -144,8 +144,7 @@ def test_inclined_sides_are_followed():
         straight.region,
         straight.regions,
         straight.facets,
-        straight.upper,
-        straight.lower,
+        straight.seams,
     )
     opened = inflate(slanted, 0.1, bodies="extended")
     assert volumes(opened).sum() == pytest.approx(1.0)
@@ -157,7 +156,7 @@ def test_inclined_sides_are_followed():
 def test_no_room_at_a_face_in_the_plane_of_s():
     """The lower plate goes on beyond S: extended bodies cannot give way at its end, kept ones need not."""
     joint = sandwich(2.0, 0.5, 0.5, 0.25, cell="quadrilateral")
-    keep = (joint.side < 0) | (joint.points[joint.cells].mean(axis=1)[:, 0] < 1.0)
+    keep = ~upper_cells(joint) | (joint.points[joint.cells].mean(axis=1)[:, 0] < 1.0)
     nodes, cells = np.unique(joint.cells[keep], return_inverse=True)
     number = np.full(len(joint.points), -1)
     number[nodes] = np.arange(len(nodes))
@@ -172,8 +171,7 @@ def test_no_room_at_a_face_in_the_plane_of_s():
         joint.region[keep],
         joint.regions,
         facets,
-        joint.upper,
-        joint.lower,
+        joint.seams,
     )
     inflate(lap, 0.1)
     with pytest.raises(GeometryError, match=r"touches S at \(1, 0\) and is nearly parallel.*bodies='kept'"):

@@ -10,6 +10,7 @@ import ufl
 
 from forms import LinearElastic
 from geometry import GeometryError, Joint, disc, inflate, ring, sandwich
+from geometry.joint import Seam
 from geometry.topology import lagrange
 from thinlayer import Structure, ThinLayer
 from thinlayer.output.surface import nodal_forces
@@ -21,7 +22,7 @@ def two_quadrilaterals(low=(0.0, -1.0), top=(1.0, 1.0)):
     """One above the other, S from (0, 0) to (1, 0); the lower left and the upper right corner."""
     points = np.array([low, (1, -1), (0, 0), (1, 0), (0, 1), top], float)
     regions = np.array([0, 1]), ("LOW", "UP")
-    return Joint(points, QUADS, "quadrilateral", *regions, {"S": np.array([[2, 3]])}, ("UP",), ("LOW",))
+    return Joint(points, QUADS, "quadrilateral", *regions, {"S": np.array([[2, 3]])}, {"S": Seam(("LOW",), ("UP",))})
 
 
 @pytest.mark.parametrize("depth", [None, 1.0])
@@ -36,8 +37,9 @@ def test_rotated_turns_counter_clockwise(depth):
 
 def test_s_inside_one_body_swapped_and_rotated():
     """The direction of the upper side turns with the body, and round when sides are swapped."""
-    two, body = sandwich(2.0, 0.8, 1.1, 0.5), ("BODY",)
-    joint = replace(two, region=0 * two.region, regions=body, upper=body, lower=body, direction=(0.3, 1.0))
+    two = sandwich(2.0, 0.8, 1.1, 0.5)
+    seams = {"S": Seam(direction=(0.3, 1.0))}
+    joint = replace(two, region=0 * two.region, regions=("BODY",), seams=seams)
     assert joint.interface_normals == pytest.approx(two.interface_normals)
     assert joint.swapped().interface_normals == pytest.approx(-two.interface_normals)
     for angle in (1.0, 2.5, -2.0):
@@ -89,7 +91,7 @@ def test_a_corner_of_the_fixed_body_in_the_way():
     cells = [[0, 1, 2], [1, 3, 2], [5, 6, 4], [6, 0, 2], [6, 2, 4], [7, 8, 9], [7, 9, 5], [5, 9, 6], [8, 10, 9]]
     region = np.zeros(len(cells), np.int64)
     joint = Joint(
-        np.array(points, float), np.array(cells), "triangle", region, ("C",), {"S": np.array([[0, 1]])}, ("C",)
+        np.array(points, float), np.array(cells), "triangle", region, ("C",), {"S": np.array([[0, 1]])}, {"S": Seam()}
     )
     inflate(joint, 0.9)
     with pytest.raises(GeometryError, match=r"no room for a layer of thickness 1\.2 at \(2\.1, -1\)"):

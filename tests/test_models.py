@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from forms import Anisotropic, BulkLaw, LawError, LinearElastic, MohrCoulomb, Stack
 from forms.work import work
 from geometry import GeometryError, block, sandwich
+from geometry.joint import Seam
 from tests.limit_load_run import dragged
 from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
 from thinlayer.errors import RangeWarning
@@ -435,10 +436,11 @@ def test_a_load_on_a_side_of_a_base_or_under_a_profile():
 def test_a_load_that_the_layer_cannot_share():
     """Two bodies end at the same named side of the layer, and one of them is loaded."""
     joint = sandwich(1.0, 0.5, 0.5, 0.25)
-    far = (joint.points[joint.corners].mean(axis=1)[:, 0] > 0.5) & (joint.side > 0)
+    far = (joint.points[joint.corners].mean(axis=1)[:, 0] > 0.5) & (joint.region == joint.regions.index("UPPER"))
     sides = np.concatenate([joint.facets["LEFT"], joint.facets["RIGHT"]])
-    parts = {"regions": (*joint.regions, "END"), "region": np.where(far, 2, joint.region), "upper": ("UPPER", "END")}
-    joint = replace(joint, facets={**joint.facets, "SIDES": sides}, **parts)
+    parts = {"regions": (*joint.regions, "END"), "region": np.where(far, 2, joint.region)}
+    seams = {"S": Seam(("LOWER",), ("UPPER", "END"))}
+    joint = replace(joint, facets={**joint.facets, "SIDES": sides}, seams=seams, **parts)
     loaded = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"SIDES/END": (1.0, 0.0)})
     with pytest.warns(RangeWarning, match=r"'SIDES/END': other bodies than 'END'.*Load 'SIDES', or 'SIDES/LAYER'"):
         loaded.full(ThinLayer(GLUE, 0.1), bodies="extended")

@@ -208,7 +208,7 @@ def test_refused_joints():
     joint = wall(2, 2, (1.0, 0.5), 0.25)
     with pytest.raises(GeometryError, match=r"facets are in two seams, 'BED' and 'HEAD', the first at \("):
         replace(joint, facets=joint.facets | {"HEAD": joint.facets["BED"]})
-    with pytest.raises(GeometryError, match="'HEAD' does not separate two bodies.*one region on both sides; give the"):
+    with pytest.raises(GeometryError, match=r"'HEAD' does not separate two bodies.*one region on both sides; give the"):
         replace(joint, seams={"BED": Seam(), "HEAD": Seam()})
     with pytest.raises(GeometryError, match=r"direction \(1.0, 0.0\) does not tell the upper side of 'BED'"):
         replace(joint, seams=joint.seams | {"BED": Seam(direction=(1.0, 0.0))})
@@ -217,7 +217,7 @@ def test_refused_joints():
     with pytest.raises(GeometryError, match="'S' is all seams together"):
         replace(joint, facets=joint.facets | {"S": joint.facets["TOP"]}, seams=joint.seams | {"S": Seam()})
     for bad in (dict(bricks=1, courses=1), dict(bricks=1.5, courses=2), dict(bricks=2, courses=0)):
-        with pytest.raises(GeometryError, match="brick is no wall|whole number"):
+        with pytest.raises(GeometryError, match=r"brick is no wall|whole number"):
             wall(**bad, brick=(1.0, 0.5))
 
 
@@ -233,7 +233,7 @@ def test_refused_layers():
         bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1), "HEAD": layer})
     with pytest.raises(ModelError, match="unknown seam 'BEDS'"):
         Surface(bricks.interface(layer), "BEDS")
-    with pytest.raises(ModelError, match="several seams.*use structure.interface"):
+    with pytest.raises(ModelError, match=r"several seams.*use structure.interface"):
         bricks.full(layer)
     with pytest.raises(GeometryError, match="several seams"):
         inflate(joint, 0.01)

@@ -27,6 +27,7 @@ from forms import (
 from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
+from geometry.joint import Seam
 from tests.ranks import CLONE, mpirun
 from tests.test_readme import OWN, README
 from thinlayer import (
@@ -157,7 +158,7 @@ class Blocks:
         }
         return Joint(
             x, np.asarray(grid.geometry.dofmap, np.int64), self.kind, self.cells.values - LOWER, ("LOWER", "UPPER"), sets,
-            upper=("UPPER",), lower=("LOWER",),
+            seams={"S": Seam(("LOWER",), ("UPPER",))},
         )  # fmt: skip
 
     def difference(self, other: fem.Function, original) -> float:

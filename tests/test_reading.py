@@ -8,8 +8,23 @@ import numpy as np
 import pytest
 
 from geometry import GeometryError, block, inflate, read, sandwich
+from geometry.joint import Seam
 from geometry.topology import lagrange
-from tests.meshes import CELLS, GRID, LINES, QUADS, boxes, drawing, rings, save, sides, stack, volume, write
+from tests.meshes import (
+    CELLS,
+    GRID,
+    LINES,
+    QUADS,
+    boxes,
+    drawing,
+    rings,
+    save,
+    sides,
+    stack,
+    upper_cells,
+    volume,
+    write,
+)
 
 FORMATS = [(2.2, 0), (2.2, 1), (4.1, 0), (4.1, 1)]
 
@@ -24,7 +39,7 @@ def draw():
 @pytest.mark.parametrize(("version", "binary"), FORMATS)
 def test_gmsh_formats(draw, tmp_path, dim, version, binary, capfd):
     joint = read(stack(draw, tmp_path / "a.msh", dim, version=version, binary=binary), upper="UPPER")
-    assert (joint.dim, joint.upper, joint.lower) == (dim, ("UPPER",), ("LOWER",))
+    assert (joint.dim, joint.seams) == (dim, {"S": Seam(("LOWER",), ("UPPER",))})
     assert volume(joint) == pytest.approx(4.0)
     assert set(joint.facets) == {"S", "TOP"}
     assert joint.points[joint.facets["TOP"]][..., 1] == pytest.approx(1.0)
@@ -50,7 +65,7 @@ def test_cells(draw, tmp_path, cell, degree, suffix):
         meshio.Mesh(mesh.points, mesh.cells, cell_data=data).write(path)
     s, core, ring = names
     joint = read(path, S=s, upper=ring)
-    assert (joint.cell_type, joint.lower, set(joint.facets)) == (cell, (core,), {"S"})
+    assert (joint.cell_type, joint.seams["S"].lower, set(joint.facets)) == (cell, (core,), {"S"})
     assert joint.cells.shape[1] == lagrange(cell, degree).dim
     assert volume(joint) == pytest.approx(4 * np.pi, rel=0.1 if degree == 1 else 3e-3)
     radial = joint.points[joint.surface] * ([1, 1, 0][: joint.dim])
@@ -106,13 +121,14 @@ def test_whole_boundary_between_bodies(draw, tmp_path):
     path = save(tmp_path / "a.msh", 2, groups)
     joint = read(path, S=None, upper=["LEFT", "RIGHT"], lower="LOW")
     assert np.ptp(joint.points[joint.facets["S"]][..., 0]) == pytest.approx(2.0)
-    assert len(joint.bonded) == 0
+    assert joint.tip is None
     inflate(joint, 0.1)
     joint = read(path, S=None, upper="LEFT", lower=["LOW", "RIGHT"])  # an angle
     assert np.abs(joint.interface_normals).min(axis=1) == pytest.approx(0.0, abs=1e-12)
     assert {tuple(n) for n in np.rint(joint.interface_normals).astype(int)} == {(0, 1), (-1, 0)}
-    with pytest.raises(GeometryError, match=r"region 'RIGHT' belongs to no body"):
-        read(path, S=None, upper="LEFT", lower="LOW")
+    joint = read(path, S=None, upper="LEFT", lower="LOW")  # the third region is bonded to both
+    assert joint.points[joint.facets["S"]][..., 0].max() == pytest.approx(1.0)
+    assert (joint.bodies, joint.tip) == (("LOW", "LEFT", "RIGHT"), pytest.approx([1.0, 0.0]))
     with pytest.raises(GeometryError, match=r"S=None .*give upper and lower; regions: LOW, LEFT, RIGHT"):
         read(path, S=None, upper="LEFT")
     with pytest.raises(GeometryError, match=r"did you mean 'RIGHT'\?; known: LEFT, LOW, RIGHT \(physical names\)"):
@@ -128,7 +144,7 @@ def test_rigid_base(draw, tmp_path, dim):
     path = save(tmp_path / "a.msh", dim, groups)
     joint = read(path, S="FOOT")
     assert joint.rigid_base
-    assert (joint.upper, set(joint.facets)) == (("ONE", "TWO"), {"S"})
+    assert (joint.seams["S"].upper, set(joint.facets)) == (("ONE", "TWO"), {"S"})
     assert joint.interface_normals[:, 1] == pytest.approx(1.0)
     inflate(joint, 0.1)
     with pytest.raises(GeometryError, match="direction is for S inside one body; 'FOOT' lies on the outer boundary"):
@@ -153,9 +169,9 @@ def test_bodies_that_are_not_connected(tmp_path):
             GeometryError, match=r"'S' lies on the outer boundary of LOW, and UP, .* does not touch it there"
         ):
             read(path, **named)
-    with pytest.raises(GeometryError, match="region 'UP' belongs to no body"):
-        read(path, upper="LOW")
-    assert read(path).rigid_base
+    for joint in (read(path, upper="LOW"), read(path)):
+        assert joint.rigid_base
+        assert set(joint.regions[k] for k in joint.region[joint.surface_cells[:, 1]]) == {"LOW"}
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -169,10 +185,10 @@ def test_s_inside_one_body(draw, tmp_path, dim):
     }
     path, up = save(tmp_path / "a.msh", dim, groups), np.eye(dim)[1]
     joint = read(path, S="CUT", direction=up)
-    assert joint.upper == joint.lower == ("BODY",)
+    assert joint.bodies == ("BODY",)
     assert joint.interface_normals @ up == pytest.approx(1.0)
-    assert joint.points[joint.corners[joint.side > 0]].mean(axis=1)[:, 1].min() > 0
-    assert len(joint.bonded) == 0
+    assert joint.points[joint.corners[upper_cells(joint)]].mean(axis=1)[:, 1].min() > 0
+    assert joint.tip is None
     assert volume(inflate(joint, 0.1)) == pytest.approx(4.2)
     crack = read(path, S="CRACK", direction=-up)
     assert crack.interface_normals @ up == pytest.approx(-1.0)
@@ -188,8 +204,11 @@ def test_s_ends_between_two_bodies(draw, tmp_path, dim):
     parts = boxes(draw, (0, -1, 1, 1), (1, -1, 1, 1), (0, 0, 1, 1), (1, 0, 1, 1), dim=dim)
     groups = {(dim, "LOW"): parts[:2], (dim, "UP"): parts[2:], (dim - 1, "S"): sides(0, 0, 1, 0, dim)}
     joint = read(save(tmp_path / "a.msh", dim, groups), upper="UP")
-    assert len(joint.bonded)
-    assert joint.points[joint.table.vertices[joint.bonded]][..., 0].min() == pytest.approx(1.0)
+    assert joint.tip[:2] == pytest.approx([1.0, 0.0])
+    split = joint.points[np.flatnonzero(joint.splitting.valence == 2)]
+    assert split[:, 0].max() < 1.0 - 1e-9
+    assert split[:, 1] == pytest.approx(0.0)
+    assert set(joint.splitting.pieces) == {0}
     with pytest.raises(GeometryError, match=r"ends inside the bodies \(near \(1, 0"):
         inflate(joint, 0.1)
 
@@ -209,7 +228,7 @@ def test_names_of_gmsh(draw, tmp_path):
 
     for version, _ in FORMATS[1:3]:
         joint = read(saved(MshFileVersion=version), upper="7")
-        assert (joint.lower, set(joint.facets)) == (("LOW",), {"S", "BOTH"})
+        assert (joint.seams["S"].lower, set(joint.facets)) == (("LOW",), {"S", "BOTH"})
         assert len(joint.facets["BOTH"]) == len(joint.facets["S"])  # the top; what is S is S alone
     gmsh.model.addPhysicalGroup(2, [up], name="S")
     with pytest.raises(GeometryError, match=r"physical name 'S' stands for the groups \d+ of dimension 1 and \d+ of"):
@@ -247,7 +266,7 @@ def test_facets_turned_round(tmp_path):
     for tags in ([7, 7], [7, -7], [-7, -7]):
         joint = read(write(tmp_path / "a.msh", GRID, blocks, [tags, [1, 1, 2, 2]], names), upper="UP")
         assert joint.facets["S"].tolist() == LINES[:2].tolist()
-        assert len(joint.bonded) == 0
+        assert joint.tip is None
     for tags in ([7, 7], [7, -7]):  # without names
         joint = read(write(tmp_path / "a.msh", GRID, blocks, [tags, [1, 1, 2, 2]], {}), S="7", upper="2")
         assert len(joint.facets["S"]) == 2

@@ -5,11 +5,12 @@ from __future__ import annotations
 import gmsh
 import numpy as np
 import pytest
+import ufl
 
-from forms import LinearElastic
+from forms import HolonomicCoulomb, LinearElastic
 from geometry import GeometryError, inflate, read, sandwich
 from tests.meshes import GRID, LINES, NAMES, SPACE, boxes, drawing, save, sides, squares, volume
-from thinlayer import Structure, Surface, ThinLayer, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, solve
 
 
 @pytest.fixture
@@ -151,7 +152,7 @@ def test_branching_interface(tmp_path):
     joint = read(path, S=None, upper="UP", lower="LOW")
     assert len(joint.facets["S"]) == 4
     for bodies in ("kept", "extended"):
-        with pytest.raises(GeometryError, match=r"S branches at \(1, 0\)|not planar"):
+        with pytest.raises(GeometryError, match=r"S branches at \(1, 0\)"):
             inflate(joint, 0.01, bodies=bodies)
 
 
@@ -173,8 +174,9 @@ def test_several_joints_in_one_body(draw, tmp_path):
     groups = {(2, "BODY"): parts, (1, "S"): sides(0, 1, 2, 0) + sides(0, 2, 2, 0), (1, "BOTTOM"): sides(0, 0, 2, 0)}
     joint = read(save(tmp_path / "a.msh", 2, groups | {(1, "TOP"): sides(0, 3, 2, 0)}), direction=(0, 1))
     assert joint.tip is joint.branch is None
-    with pytest.raises(GeometryError, match=r"at \([\d.]+, 1\.[\d]+\) lies above one piece of S and below another"):
+    with pytest.raises(GeometryError, match=r"one body, as at \([\d.]+, 1\.[\d]+\), lies below S and above it"):
         inflate(joint, 0.1)
+    assert volume(inflate(joint, 0.1, bodies="extended")) == pytest.approx(6.0)
     law, k = LinearElastic(3.0, 2.0), 0.7
     held = {"BOTTOM": {"y": 0}, "TOP": {"y": 0.1}, (0.0, 0.0): {"x": 0}}
     model = Structure(joint, body=law, supports=held).interface(ThinLayer(LinearElastic(0.0, k / 2), 1.0))
@@ -198,17 +200,89 @@ def test_upper_body_on_both_sides(draw, tmp_path):
 def test_bonded_beside_s(draw, tmp_path):
     parts = boxes(draw, (0, 0, 3, 1), (0, 1, 1, 1), (2, 1, 1, 1))
     groups = {(2, "LOW"): parts[:1], (2, "UP"): parts[1:], (1, "S"): sides(0, 1, 1, 0)}
-    with pytest.raises(GeometryError, match=r"the bodies are bonded outside S \(near \(2\.\d+, 1\)\)"):
-        inflate(read(save(tmp_path / "a.msh", 2, groups), upper="UP"), 0.1)
+    joint = read(save(tmp_path / "a.msh", 2, groups), upper="UP")
+    opened = inflate(joint, 0.1)  # what is bonded to the lower body goes down with it
+    x = opened.points[opened.corners[opened.region == opened.regions.index("UP")]]
+    assert x[x[..., 0] < 1.5].max(axis=0)[1] == pytest.approx(2.05)
+    assert x[x[..., 0] > 1.5].max(axis=0)[1] == pytest.approx(1.95)
+    assert volume(opened) == pytest.approx(5.1)
 
 
-@pytest.mark.parametrize("direction", [(0, 1), (1, 1), (0.3, 1)])
-def test_running_bond(draw, tmp_path, direction):
+def test_bridge(draw, tmp_path):
+    """The upper body stands with one leg on S, with the other one it is bonded: one body, on both sides of S."""
+    low = [(0, 0, 3, 1), (0, 1, 1, 1), (2, 1, 1, 1)]
+    parts = boxes(draw, *low, (0, 2, 1, 1), (2, 2, 1, 1), (0, 3, 3, 1))
+    groups = {(2, "LOW"): parts[:3], (2, "UP"): parts[3:], (1, "S"): sides(0, 2, 1, 0)}
+    joint = read(save(tmp_path / "a.msh", 2, groups), upper="UP")
+    assert joint.tip is None
+    with pytest.raises(GeometryError, match=r"one body, as at .*, lies below S and above it: .*'extended'"):
+        inflate(joint, 0.1)
+    assert volume(inflate(joint, 0.1, bodies="extended")) == pytest.approx(10.0)
+
+
+CONTACT = HolonomicCoulomb(30.0, 10.0, 0.3)
+CORNERS = {(0.0, 0.0): 0.0, (4.0, 0.0): {"y": 0.0}}
+
+
+def wall(draw, tmp_path):
+    """A wall in running bond, two courses high."""
     parts = boxes(draw, (0, 0, 2, 1), (2, 0, 2, 1), (0, 1, 1, 1), (1, 1, 2, 1), (3, 1, 1, 1))
-    joints = sides(0, 1, 4, 0) + sides(2, 0, 0, 1) + sides(1, 1, 0, 1) + sides(3, 1, 0, 1)
-    path = save(tmp_path / "a.msh", 2, {(2, "WALL"): parts, (1, "S"): joints})
-    with pytest.raises(GeometryError, match=r"S branches at \([123], 1\), where three or more parts of the body meet"):
-        read(path, direction=direction)
+    bed, head = sides(0, 1, 4, 0), sides(2, 0, 0, 1) + sides(1, 1, 0, 1) + sides(3, 1, 0, 1)
+    ends = {"BOTTOM": (0, 0, 4, 0), "TOP": (0, 2, 4, 0), "LEFT": (0, 0, 0, 2), "RIGHT": (4, 0, 0, 2)}
+    groups = {(1, name): sides(*where) for name, where in ends.items()} | {(1, "JOINTS"): bed + head}
+    path = save(tmp_path / "a.msh", 2, {(2, "WALL"): parts, (1, "BED"): bed, (1, "HEAD"): head, **groups})
+    return lambda **data: read(path, **data)
+
+
+def test_running_bond(draw, tmp_path):
+    """S branches: the interface model is sound, whatever the upper side is; a layer is not meshed."""
+    build = wall(draw, tmp_path)
+    with pytest.raises(GeometryError, match=r"does not tell the upper side of 'S': it lies in the facet near \(\d, "):
+        build(S="JOINTS", direction=(0, 1))
+    law, layer = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.1)
+    pull = {
+        "up": {"TOP": (0.0, 3.0), "BOTTOM": (0.0, -3.0)},
+        "along": {"LEFT": (-2.0, 0.0), "RIGHT": (2.0, 0.0)},
+    }
+    found = {name: [] for name in pull}
+    choices = [{"S": "JOINTS", "direction": way} for way in [(1, 1), (0.3, 1), (-1, 0.5)]]
+    choices += [{"S": {"BED": (0, 1), "HEAD": (1, 0)}}, {"S": {"BED": (0, -1), "HEAD": (1, 1)}}]
+    for choice in choices:
+        joint = build(**choice)
+        branches = np.unique(joint.points[joint.splitting.valence == 3], axis=0)
+        assert branches == pytest.approx(np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]]))
+        assert set(joint.splitting.pieces) == set(range(5))
+        for name, tractions in pull.items():
+            model = Structure(joint, body=law, supports=CORNERS, tractions=tractions).interface(layer)
+            state, surface = solve(model), Surface(model)
+            energies = state.energies()
+            found[name].append([energies["bodies"], energies["layer"], surface.norm(surface.jump(state))])
+        with pytest.raises(GeometryError, match=r"S branches at \([123], 1\), where three or more parts"):
+            inflate(joint, 0.01, bodies="extended")
+    with pytest.raises(ModelError, match=r"contact law .* three or more parts of the bodies meet at \([123], 1\)"):
+        Structure(build(**choices[0]), body=law, supports=CORNERS, element="P1").interface(CONTACT)
+    jump = 3.0 / (30 + 2 * 20)
+    bodies = 8 * 3.0**2 * (1 - 0.2**2) / 100.0 / 2
+    assert found["up"][0] == pytest.approx([bodies, 4 * 3.0 * jump / 2, jump * 2], rel=1e-9)
+    for rows in found.values():
+        for row in rows:
+            assert row == pytest.approx(rows[0], rel=1e-9)
+    assert found["along"][0][1] > 0
+
+
+def test_tractions_of_seams(draw, tmp_path):
+    """At junctions the bodies' reactions contain the tractions of several seams; each seam gets its own."""
+    joint = wall(draw, tmp_path)(S={"BED": (0, 1), "HEAD": (1, 0)})
+    pull = {"LEFT": (-2.0, 0.0), "RIGHT": (2.0, 0.0)}
+    structure = Structure(joint, body=LinearElastic.young(100.0, 0.2), supports=CORNERS, tractions=pull)
+    state = solve(structure.interface(ThinLayer(LinearElastic(30.0, 20.0), 0.1)))
+    for name, error in (("HEAD", 0.02), ("BED", 0.3)):
+        surface = Surface(state.model, name)
+        jump, n = surface.jump(state), surface.sides.n
+        law = 20 * jump + 50 * ufl.inner(jump, n) * n
+        assert surface.norm(surface.traction(state) - law) < error * surface.norm(law), name
+    x, _ = surface.profile(surface.traction(state))
+    assert x[:, 1] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("open_end", [0.0, 1e-6])
@@ -229,7 +303,10 @@ def test_gap_beside_s(draw, tmp_path, open_end):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"S": ["BED", "HEAD"]}, r"S is \['BED', 'HEAD'\]; give the name of one set of facets .* or None"),
+        ({"S": ["BED", 1]}, r"S is \['BED', 1\]; give the name of one set of facets .* or None"),
+        ({"S": []}, r"S is \[\]; give the name of one set of facets"),
+        ({"S": {"BED": 3}}, "S: the upper side of 'BED' is 3; give a vector, .* or None"),
+        ({"S": {"BED": None}, "upper": "UP"}, "S names several seams: give the sides of each there"),
         ({"upper": 3}, "upper is 3; give the name of a region, or several in a list"),
         ({"lower": ["LOW", 1]}, r"lower is \['LOW', 1\]; give"),
         ({"direction": "up"}, "direction is 'up'; it needs 2 components"),

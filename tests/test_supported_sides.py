@@ -223,4 +223,4 @@ def test_rollers_that_hold_a_component_of_both_bodies(coupling, angle):
     expected = w @ K
     assert found[0] == pytest.approx(expected[0], abs=0.05 * np.abs(expected).max())
     assert found[-1] == pytest.approx(expected[-1], abs=0.05 * np.abs(expected).max())
-    assert list(model.zero_tractions[0]) == [coupling == angle == 0] * 2
+    assert list(model.layers["S"].zero_tractions(False)[0]) == [coupling == angle == 0] * 2

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic
+from forms import HolonomicCoulomb, LinearElastic
 from geometry import GeometryError, Joint, block, inflate, ring, sandwich
-from geometry.joint import BONDED
+from geometry.joint import Seam
 from thinlayer import Model, ModelError, Structure, Surface, ThinLayer, solve
 
 BODY = LinearElastic.young(100.0, 0.3)
@@ -27,7 +27,7 @@ def partly(joint: Joint, inside) -> Joint:
 def in_one_body(joint: Joint, direction: tuple[float, ...]) -> Joint:
     """The same mesh as one region."""
     region = np.zeros(len(joint.cells), np.int64)
-    return replace(joint, region=region, regions=("ROCK",), upper=("ROCK",), lower=("ROCK",), direction=direction)
+    return replace(joint, region=region, regions=("ROCK",), seams={"S": Seam(direction=direction)})
 
 
 def pulled(joint: Joint, layer: ThinLayer, **options) -> tuple[Model, Surface]:
@@ -85,7 +85,10 @@ def test_closes_at_the_tip():
     state, surface = pulled(joint, ThinLayer(SOFT, 1e-3))
     x, jump = surface.profile(surface.jump(state))
     assert np.abs(jump[np.isclose(x[:, 0], 1.0)]).max() < 0.2 * np.abs(jump).max()  # projected to degree 1
-    assert len(state.model.domain.facets(BONDED)) == len(joint.bonded) > 0
+    x, count = np.unique(np.round(state.model.V.tabulate_dof_coordinates()[:, :2], 9), axis=0, return_counts=True)
+    on_s = (x[:, 1] == 0) & (x[:, 0] < 1.0)
+    assert on_s.sum() == 10  # vertices and middles of five facets without the tip
+    assert (count == 1 + on_s).all()
 
 
 def test_traction_up_to_the_tip():
@@ -104,9 +107,10 @@ def test_traction_up_to_the_tip():
 def test_cut_through_one_body_is_a_layer_like_any():
     whole = sandwich(1.0, 0.5, 0.5, 0.25)
     one = in_one_body(whole, (0.0, 1.0))
-    assert len(one.bonded) == 0
-    assert (one.side == whole.side).all()
-    inflate(one, 0.1)
+    assert one.tip is None
+    assert (one.surface_cells == whole.surface_cells).all()
+    assert (one.splitting.pieces == whole.splitting.pieces).all()
+    assert (inflate(one, 0.1).points == inflate(whole, 0.1).points).all()
 
 
 def test_what_a_tip_refuses():
@@ -120,16 +124,44 @@ def test_what_a_tip_refuses():
 
 def test_directions_are_checked():
     whole = sandwich(1.0, 0.5, 0.5, 0.25)
-    with pytest.raises(GeometryError, match=r"direction \(1.0, 0.0\) does not tell the sides of S: it lies in S near"):
+    with pytest.raises(
+        GeometryError, match=r"direction \(1.0, 0.0\) does not tell the upper side of 'S': it lies in the facet near"
+    ):
         in_one_body(whole, (1.0, 0.0))
     with pytest.raises(GeometryError, match="needs 2 components, not all zero"):
         in_one_body(whole, (0.0, 0.0))
-    with pytest.raises(GeometryError, match="upper and lower are different regions"):
-        replace(whole, direction=(0.0, 1.0))
+    with pytest.raises(GeometryError, match="'S': a direction tells the upper side, or regions do; give one"):
+        replace(whole, seams={"S": replace(whole.seams["S"], direction=(0.0, 1.0))})
     with pytest.raises(GeometryError, match="on both sides of 'S'; give the direction"):
-        replace(in_one_body(whole, (0.0, 1.0)), direction=None)
-    with pytest.raises(GeometryError, match="does not tell the sides of S"):
-        in_one_body(ring(0.5, 1.0, 2.0, 0.2), (0.1, 1.0))  # out of the circle above, into it below
+        replace(in_one_body(whole, (0.0, 1.0)), seams={"S": Seam(("ROCK",), ("ROCK",))})
+    with pytest.raises(GeometryError, match="have one region on both sides; give the direction of the upper side"):
+        replace(in_one_body(whole, (0.0, 1.0)), seams={"S": Seam()})
+    with pytest.raises(GeometryError, match="does not tell the upper side of 'S'"):
+        in_one_body(ring(0.5, 1.0, 2.0, 0.2), (0.1, 1.0))
+
+
+def test_upper_side_that_changes():
+    """A direction out of the circle above and into it below: the same interface model, and a layer that is not meshed."""
+    two, found, values = ring(0.5, 1.0, 2.0, 0.2), [], []
+    one = in_one_body(two, (0.0, 1.0))
+    assert set(np.rint((one.interface_normals * two.interface_normals).sum(axis=1))) == {-1, 1}
+    for joint in (two, one):
+        data = {"body": BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (3.0, 1.0)}}
+        state = solve(Structure(joint, **data).interface(ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01)))
+        surface = Surface(state.model)
+        found.append(
+            [surface.norm(surface.jump(state)), surface.norm(surface.traction(state)), *state.energies().values()]
+        )
+        x, opening = surface.profile(surface.frame(surface.jump(state))[1])
+        values.append({tuple(np.round(at, 9)): value for at, value in zip(x, opening, strict=True)})
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert len(x) == 32 + 2  # where the upper side changes, two of the bodies' nodes lie on it
+    size = max(map(abs, values[0].values()))
+    assert values[1] == pytest.approx(values[0], abs=0.03 * size)
+    with pytest.raises(GeometryError, match="the upper side of S changes at"):
+        inflate(one, 0.01, bodies="extended")
+    with pytest.raises(GeometryError, match="the upper side of S changes at"):
+        Structure(one, body=BODY, supports={"INSIDE": 0.0}, element="P1").interface(HolonomicCoulomb(30.0, 10.0, 0.3))
 
 
 def test_s_is_s_alone():

@@ -18,7 +18,7 @@ import pyvista
 from dolfinx import fem
 from mpi4py import MPI
 
-from geometry.joint import BASE, Joint, S
+from geometry.joint import BASE, Joint
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES
 from thinlayer.discretisation.state import State
@@ -176,9 +176,10 @@ def _orient(points: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> No
 def _base(joint: Joint) -> tuple[npt.NDArray[np.float64], int]:
     """Facets of the rigid base, (n, k, 3) in VTK's order of nodes, and their VTK type."""
     kind = FACET_TYPES[joint.cell_type]
-    if not joint.rigid_base:
+    names = (BASE,) if joint.band and joint.rigid_base else joint.base_seams
+    if not names:
         return np.empty((0, joint.dim, 3)), VTK_LAGRANGE[kind]
-    rows = np.unique(joint.table.index(joint.facets[BASE if joint.band else S]))
+    rows = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in names])))
     nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
     order = np.argsort(dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(kind), nodes.shape[1]))
     facets = joint.points[nodes[:, order]]

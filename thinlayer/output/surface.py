@@ -194,6 +194,10 @@ class Surface:
         - elsewhere it is extrapolated linearly from the nodes around, two nodes deep (zero where supports hold all of
           these, too). This is exact for uniform and linear tractions.
 
+        At nodes of one seam that lie on other seams too, the reactions contain the tractions of these; the traction is
+        extrapolated there. A surface of all seams, or an S with corners, has one function around each node of a body: its
+        tractions are smeared over the cells next to corners and junctions.
+
         At nodes where S ends inside the bodies the traction is zero, because nothing jumps there.
         """
         self._require_same_joint(state)
@@ -208,6 +212,7 @@ class Surface:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[unknown] = by_law.x.array[unknown]
         zero = self._zero_tractions(unknown & ~self._jumps(u))
+        unknown |= self._shared
         if not state.model.contact and self.model.comm.allreduce(int((unknown & ~zero).any())):
             self._extrapolate(r, unknown, unknown & ~zero)
         t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, zero)
@@ -220,7 +225,7 @@ class Surface:
         f = self._expression(f, (self.model.joint.dim,))
         v = ufl.TestFunction(self.trace_space)
         r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
-        return self._divide_by_mass(r, np.zeros(len(r.x.array), bool))
+        return self._divide_by_mass(r, np.zeros(len(r.x.array), bool), self._upper_mass)
 
     def frame(self, f: Expr) -> Expr:
         """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
@@ -262,6 +267,18 @@ class Surface:
     def _upper_nodes(self) -> npt.NDArray[np.bool_]:
         """Which local nodes of the trace space lie on the upper side of S."""
         return self._areas(self.sides.upper).reshape(-1, self.model.joint.dim)[:, 0] > 0
+
+    @cached_property
+    def _shared(self) -> npt.NDArray[np.bool_]:
+        """Where the local degrees of freedom of the trace space lie on seams beside this one."""
+        others = [Surface(self.model, name) for name in self.model.joint.seams if name not in self._seams]
+        areas = [one._areas(*one._all_sides) for one in others]
+        return np.asarray(np.sum(areas, axis=0) > 0) if areas else np.zeros(len(self._areas(self.sides.upper)), bool)
+
+    @property
+    def _all_sides(self) -> tuple[Callable[[Expr], Expr], ...]:
+        """The sides of S that are bodies: on a rigid base the upper one, else both."""
+        return (self.sides.upper,) if self._on_base else (self.sides.upper, self.sides.lower)
 
     def _areas(self, *sides: Callable[[Expr], Expr]) -> npt.NDArray[np.float64]:
         """Area of S around the nodes of sides, for every trace degree of freedom; zero elsewhere."""
@@ -387,11 +404,17 @@ class Surface:
     @cached_property
     def _mass(self) -> tuple[PETSc.Mat, np.ndarray]:
         """Mass matrix of both sides of S, and the local degrees of freedom on S."""
-        V, sides = self.trace_space, self.sides
+        return self._mass_of(*self._all_sides)
+
+    @cached_property
+    def _upper_mass(self) -> tuple[PETSc.Mat, np.ndarray]:
+        """Mass matrix of the upper side of S, and the local degrees of freedom there."""
+        return self._mass_of(self.sides.upper)
+
+    def _mass_of(self, *sides: Callable[[Expr], Expr]) -> tuple[PETSc.Mat, np.ndarray]:
+        V = self.trace_space
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        form = ufl.inner(sides.upper(u), sides.upper(v)) * sides.measure
-        if not self._on_base:
-            form += ufl.inner(sides.lower(u), sides.lower(v)) * sides.measure
+        form = sum(ufl.inner(side(u), side(v)) for side in sides) * self.sides.measure
         A = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
         A.assemble()
         diagonal = A.getDiagonal()
@@ -405,10 +428,12 @@ class Surface:
         t.x.scatter_forward()
         return t
 
-    def _divide_by_mass(self, r: fem.Function, zero: npt.NDArray[np.bool_]) -> fem.Function:
-        """Solve M t = r on the nodes of S, with the mass matrix M; t = 0 for the components in `zero`."""
+    def _divide_by_mass(
+        self, r: fem.Function, zero: npt.NDArray[np.bool_], of: tuple[PETSc.Mat, np.ndarray] | None = None
+    ) -> fem.Function:
+        """Solve M t = r on the nodes of S, with a mass matrix M (default: of both sides); t = 0 where `zero`."""
         V = self.trace_space
-        mass, on_s = self._mass
+        mass, on_s = of or self._mass
         keep = on_s & ~zero[: len(on_s)]
         first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
         rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)

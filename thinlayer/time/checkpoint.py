@@ -190,9 +190,8 @@ class Checkpoint:
                 return None
             raise ModelError(f"{self.path} cannot be read ({error}); remove it to start anew") from error
         if there != here:
-            names = [k for k in {**here, **there} if here.get(k) != there.get(k)]
-            other = [f"{k}: {there.get(k)} there, {here.get(k)} here" for k in names]
-            raise ModelError(f"{self.path} is of another march ({'; '.join(other)}); give another folder, or remove it")
+            other = "; ".join(_differences(there, here))
+            raise ModelError(f"{self.path} is of another march ({other}); give another folder, or remove it")
         return (table, pace) if resume else None
 
     def _read_state(self, row: int, table: Table) -> State:
@@ -277,3 +276,10 @@ class Checkpoint:
 def _is_single(name: str) -> bool:
     """Whether an array of a state's file is one number."""
     return name == "t" or name.startswith(STORED)
+
+
+def _differences(there: object, here: object, name: str = "") -> list[str]:
+    """What differs between two descriptions, with the names that lead to it."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        return [one for k in {**here, **there} for one in _differences(there.get(k), here.get(k), f"{name}{k}: ")]
+    return [] if there == here else [f"{name}{there} there, {here} here"]

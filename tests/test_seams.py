@@ -1,0 +1,111 @@
+"""Joints with several seams, a layer on each: columns whose layers act in series, on rigid bases too."""
+
+from __future__ import annotations
+
+import gmsh
+import numpy as np
+import pytest
+import ufl
+
+from forms import HolonomicCoulomb, LinearElastic, Maxwell, Stack
+from geometry import GeometryError, read
+from tests.meshes import boxes, drawing, save, sides
+from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.output.fields import gather
+
+BODY = LinearElastic(30.0, 20.0)
+SOFT, STIFF = LinearElastic(3.0, 1.0), LinearElastic(5.0, 2.0)  # per thickness
+SHARE = 1 / 5 + 1 / 9  # compliance of both layers against a normal traction without strain along S
+STACK = {"ONE": (0, 1), "TWO": (0, 1)}
+ROLLERS = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """Three blocks of height 1 on one another, (0, 2) x (0, 3)."""
+    with drawing() as occ:
+        parts = boxes(occ, (0, 0, 2, 1), (0, 1, 2, 1), (0, 2, 2, 1))
+        groups = {(2, name): [part] for name, part in zip(("A", "B", "C"), parts, strict=True)}
+        lines = {"BOTTOM": (0, 0, 2, 0), "ONE": (0, 1, 2, 0), "TWO": (0, 2, 2, 0), "TOP": (0, 3, 2, 0)}
+        lines |= {"LEFT": (0, 0, 0, 3), "RIGHT": (2, 0, 0, 3)}
+        groups |= {(1, name): sides(*where) for name, where in lines.items()}
+        yield save(tmp_path_factory.mktemp("column") / "a.msh", 2, groups)
+    assert not gmsh.isInitialized()
+
+
+@pytest.mark.parametrize("seams", [STACK, ["TWO", "ONE"], {"ONE": ("B", "A"), "TWO": (0.2, -1)}])
+def test_layers_in_series(path, seams):
+    """Each seam has its own layer; which side is the upper one makes no difference."""
+    joint = read(path, S=seams)
+    structure = Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.1}, **ROLLERS})
+    state = solve(structure.interface({"ONE": ThinLayer(SOFT, 0.01), "TWO": ThinLayer(STIFF, 0.02)}))
+    t = 0.1 / (3 / 70 + SHARE)
+    for name, stiffness in (("ONE", 5), ("TWO", 9)):
+        surface = Surface(state.model, name)
+        w, n = surface.jump(state), surface.sides.n
+        assert surface.norm(w - t / stiffness * n[1] * ufl.as_vector([0, 1])) < 1e-9 * surface.norm(w)
+        x, traction = surface.profile(surface.traction(state))
+        assert x[:, 1] == pytest.approx({"ONE": 1.0, "TWO": 2.0}[name])
+        assert np.abs(traction) == pytest.approx(np.tile([0.0, t], (len(x), 1)), abs=1e-9 * t)
+    whole = Surface(state.model)
+    assert whole.norm(whole.jump(state)) == pytest.approx(np.sqrt(2 * ((t / 5) ** 2 + (t / 9) ** 2)), rel=1e-9)
+    assert state.energies()["layer"] == pytest.approx(2 * t**2 * SHARE / 2, rel=1e-9)
+
+
+def test_a_seam_on_a_rigid_base(path):
+    """The foot stands on a base; the whole S has no sides of one kind, its seams have."""
+    joint = read(path, S={"BOTTOM": None, "TWO": (0, 1)})
+    assert joint.base_seams == ("BOTTOM",)
+    structure = Structure(joint, body=BODY, supports={"TOP": {"y": 0.1}, **ROLLERS})
+    state = solve(structure.interface({"BOTTOM": ThinLayer(SOFT, 0.01), "TWO": ThinLayer(STIFF, 0.02)}))
+    t = 0.1 / (3 / 70 + SHARE)
+    for name, stiffness in (("BOTTOM", 5), ("TWO", 9)):
+        surface = Surface(state.model, name)
+        _, jump = surface.profile(surface.jump(state))
+        assert jump[:, 1] == pytest.approx(t / stiffness, rel=1e-9)
+        _, traction = surface.profile(surface.traction(state))
+        assert traction[:, 1] == pytest.approx(t, rel=1e-9)
+    assert len(gather(state).base) == len(joint.facets["BOTTOM"])
+    whole = Surface(state.model)
+    with pytest.raises(
+        ModelError, match="S lies between bodies and on a rigid base; name one of the seams BOTTOM, TWO"
+    ):
+        whole.norm(whole.jump(state))
+
+
+def test_layers_that_remember(path):
+    """A Maxwell and an elastic layer in series relax as one layer with two sublayers does."""
+    supports = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.1}, **ROLLERS}
+    apart = {"ONE": ThinLayer(Maxwell(3.0, 1.0, t1=2.0, t2=2.0), 0.01), "TWO": ThinLayer(STIFF, 0.02)}
+    together = ThinLayer(Stack((0.5, Maxwell(1.5, 0.5, t1=2.0, t2=2.0)), (0.5, LinearElastic(2.5, 1.0))), 0.03)
+    found = []
+    for joint, layers in ((read(path, S=STACK), apart), (read(path, S="ONE", upper=["B", "C"]), together)):
+        model = Structure(joint, body=BODY, supports=supports).interface(layers)
+        surface = Surface(model, next(iter(joint.seams)))
+        found.append([surface.profile(surface.traction(state))[1][:, 1] for state in march(model, [0.5, 1.0, 3.0])])
+    assert np.array(found[0]) == pytest.approx(np.array(found[1]), rel=1e-9)
+    assert found[0][0].max() > 1.5 * found[0][-1].max()
+
+
+def test_what_is_refused(path):
+    for seams, message in (
+        (["ONE", "TWOO"], "unknown set of facets 'TWOO', did you mean 'TWO'"),
+        ({"ONE": (1, 0)}, "direction .* does not tell the upper side of 'ONE'"),
+        ({"ONE": ("A", "C"), "TWO": None}, "'ONE' does not separate two bodies"),
+        ({"ONE": ("A", "D")}, "unknown region 'D'"),
+    ):
+        with pytest.raises(GeometryError, match=message):
+            read(path, S=seams)
+    structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0})
+    layer = ThinLayer(SOFT, 0.01)
+    with pytest.raises(ModelError, match="the seam 'TWO' has no layer"):
+        structure.interface({"ONE": layer})
+    with pytest.raises(ModelError, match="unknown seam 'TWOO', did you mean 'TWO'"):
+        structure.interface({"ONE": layer, "TWO": layer, "TWOO": layer})
+    with pytest.raises(ModelError, match=r"several seams \(ONE, TWO\) has no meshed layers"):
+        structure.full(layer)
+    with pytest.raises(ModelError, match="unknown seam 'THREE'"):
+        Surface(structure.interface(layer), "THREE")
+    contact = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0}, element="P1")
+    with pytest.raises(ModelError, match="contact laws are for a joint with one seam"):
+        contact.interface(HolonomicCoulomb(30.0, 10.0, 0.3))
