@@ -31,11 +31,7 @@ def opened(model, upper):
     cells = np.flatnonzero(model.domain.on_cells(upper_cells(model.joint))).astype(np.int32)
     u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
     u.x.scatter_forward()
-<<<<<<< HEAD
     return _Faces.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.layers["S"])
-=======
-    return _Faces.of(State(model, u, 0.0, Report("none", 0, 0.0, 0.0)), model.layers["S"])
->>>>>>> nettests
 
 
 def excess(model, upper):
