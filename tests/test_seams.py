@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, LinearElastic, Maxwell, Stack
+from forms import HolonomicCoulomb, LinearElastic, Maxwell, NonMonotone, Stack
 from geometry import GeometryError, read
 from tests.meshes import boxes, drawing, save, sides
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
 from thinlayer.output.fields import gather
 
 BODY = LinearElastic(30.0, 20.0)
@@ -85,6 +85,20 @@ def test_layers_that_remember(path):
         found.append([surface.profile(surface.traction(state))[1][:, 1] for state in march(model, [0.5, 1.0, 3.0])])
     assert np.array(found[0]) == pytest.approx(np.array(found[1]), rel=1e-9)
     assert found[0][0].max() > 1.5 * found[0][-1].max()
+
+
+def test_phases_of_one_layer_of_two(path):
+    """The report is of the seam whose layer has phases."""
+    structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0, "TOP": {"y": 0.5}, **ROLLERS})
+    phases = NonMonotone(3.0, 1.0, 0.5, 0.07, [[0.2, 0.5], [0.5, 1.0]])
+    history = march(structure.interface({"ONE": ThinLayer(STIFF, 0.02), "TWO": ThinLayer(phases, 0.01)}), [1.0])
+    x, phase = PhaseReport(history.last).profile()
+    assert x[:, 1] == pytest.approx(2.0)
+    assert phase == pytest.approx(PhaseReport(history.last).plus, rel=1e-6)
+    assert 0 < phase[0] <= 1
+    both = structure.interface(ThinLayer(phases, 0.01))
+    with pytest.raises(ModelError, match="several layers have phases; a report is of one"):
+        PhaseReport(march(both, [1.0]).last)
 
 
 def test_what_is_refused(path):
