@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, LinearElastic, Maxwell, NonMonotone, Stack
+from forms import LinearElastic, Maxwell, NonMonotone, Stack
 from geometry import GeometryError, read
 from tests.meshes import boxes, drawing, save, sides
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
@@ -120,6 +120,3 @@ def test_what_is_refused(path):
         structure.full(layer)
     with pytest.raises(ModelError, match="unknown seam 'THREE'"):
         Surface(structure.interface(layer), "THREE")
-    contact = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0}, element="P1")
-    with pytest.raises(ModelError, match="contact laws are for a joint with one seam"):
-        contact.interface(HolonomicCoulomb(30.0, 10.0, 0.3))
