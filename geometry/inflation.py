@@ -167,6 +167,11 @@ def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Le
 
 def _band_cells(joint: Joint, levels: _Levels, fractions: Sequence[float]) -> tuple[IntArray, IntArray, FloatArray]:
     """Cells between the levels, their sublayer, and the normal of S at each of their corners."""
+    if joint.periods:
+        raise GeometryError(
+            "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or inflate "
+            "a large piece that is not periodic"
+        )
     surface, degree = joint.surface, joint.degree
     if is_tensor(joint.cell_type):
         patterns = _extruded(joint.cell_type, degree, len(surface))

@@ -188,7 +188,7 @@ class Equations(PartSum):
         found, end = self.end_parts(self.u, self.interval.t)
         every = found.values()
         audit = Audit(
-            supplied,
+            supplied + sum(one.supplied for one in every),
             sum(one.after - one.before for one in every),
             sum(one.dissipated for one in every),
             sum(one.remainder for one in every),
