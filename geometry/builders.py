@@ -1,4 +1,4 @@
-"""Ready-made joints in 2D and 3D: a body on a rigid base, two stacked bodies, discs, rings, walls of bricks and their periodic cell."""
+"""Ready-made joints in 2D and 3D: a body on a rigid base, two stacked bodies, discs, rings, walls, cells of a wall."""
 
 from __future__ import annotations
 
@@ -214,8 +214,8 @@ def bond_cell(
             half a brick, and in its height.
         depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); the sides BACK
             and FRONT are free.
-        cut: place of the cell's left lower corner in a brick, as shares of its width and height, which are rounded to cells;
-            what the cell is like as a whole does not depend on it.
+        cut: place of the cell's left lower corner in a brick, as shares of its width and height, which are rounded to
+            cells; what the cell is like as a whole does not depend on it.
         cell: as in `wall`.
         comm: communicator whose rank 0 meshes (default: the world).
 

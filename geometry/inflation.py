@@ -145,6 +145,11 @@ def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[flo
         all(map(is_finite, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
     ):
         raise GeometryError(f"the sublayers' fractions {tuple(fractions)} must be numbers > 0 and add up to 1")
+    if joint.periods:
+        raise GeometryError(
+            "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
+            "inflate a large piece that is not periodic"
+        )
     if len(joint.seams) > 1:
         raise GeometryError(f"a joint with several seams, {', '.join(joint.seams)}, cannot be inflated")
     if joint.tip is not None:
@@ -167,11 +172,6 @@ def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Le
 
 def _band_cells(joint: Joint, levels: _Levels, fractions: Sequence[float]) -> tuple[IntArray, IntArray, FloatArray]:
     """Cells between the levels, their sublayer, and the normal of S at each of their corners."""
-    if joint.periods:
-        raise GeometryError(
-            "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or inflate "
-            "a large piece that is not periodic"
-        )
     surface, degree = joint.surface, joint.degree
     if is_tensor(joint.cell_type):
         patterns = _extruded(joint.cell_type, degree, len(surface))

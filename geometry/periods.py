@@ -75,8 +75,8 @@ def _outer_rows(joint: Joint, name: str) -> IntArray:
         raise GeometryError(unknown("side", name, joint.facets.keys() - joint.seams.keys()))
     if name in joint.seams:
         raise GeometryError(
-            f"the seam {name!r} cannot be a periodic side: the cells on its two sides are no neighbours in the mesh; cut the "
-            "periodic cell through bodies instead"
+            f"the seam {name!r} cannot be a periodic side: the cells on its two sides are no neighbours in the mesh; cut "
+            "the periodic cell through bodies instead"
         )
     rows = np.unique(joint.table.index(joint.facets[name]))
     inner = joint.table.cells[rows, 1] >= 0

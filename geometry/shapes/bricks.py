@@ -36,7 +36,7 @@ class Bricks:
     def build(self) -> Joint:
         """The joint; raises GeometryError for sizes and numbers that are out of range."""
         self._check()
-        d, h, kind = len(self.size), self.cells.h or min(self.size) / 4, self._kind
+        h, kind = self.cells.h or min(self.size) / 4, self._kind
         half, *others = (max(1, ceil(round(length / h, DIGITS))) for length in (self.size[0] / 2, *self.size[1:]))
         counts = [2 * half * self.bricks, others[0] * self.courses, *others[1:]]
         lengths = [self.size[0] * self.bricks, self.size[1] * self.courses, *self.size[2:]]
@@ -94,8 +94,8 @@ class BondCell:
         across, up = round(2 * half * self.cut[0]), round(height * self.cut[1])
         if across % half == 0 or up % height == 0:
             raise GeometryError(
-                f"cut is {tuple(self.cut)}, which is along a joint of a grid with {2 * half} x {height} cells in a brick: the "
-                "cells on the two sides of a joint on the periodic boundary are no neighbours in the mesh; cut through bricks"
+                f"cut is {tuple(self.cut)}, which is along a joint of a grid with {2 * half} x {height} cells in a brick: "
+                "the cells on its two sides would be no neighbours in the mesh; cut through bricks"
             )
         return across, up
 

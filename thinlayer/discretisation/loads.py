@@ -163,8 +163,8 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
     """Raise ModelError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
     if joint.periods and name.split("/")[0] in joint.periods.names:
         raise ModelError(
-            f"{what} on {name!r}: this side is identified with another one, the structure goes on there; a periodic cell is "
-            "loaded by a mean strain, Structure(..., strain=...)"
+            f"{what} on {name!r}: this side is identified with another one, the structure goes on there; a periodic cell "
+            "is loaded by a mean strain, Structure(..., strain=...)"
         )
 
 

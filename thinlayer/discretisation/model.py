@@ -124,7 +124,7 @@ class Model(ABC):
         ordered = [name for name, one in self.layers.items() if one.thin and one.thin.order]
         if ordered:
             raise ModelError(
-                f"the layer {ordered[0]!r} is of order 1, whose strains along S would have a part of the mean strain; under a "
+                f"the layer {ordered[0]!r} is of order 1, whose strains along S have a part of the mean strain; under a "
                 "mean strain layers are of order 0"
             )
         return MeanStrain(given, self.coordinates, self.joint)

@@ -96,4 +96,5 @@ class UnitStrains(MeanStrain):
         super().__init__(self.basis[0], model.coordinates, model.joint)
 
     def at(self, t: float) -> Array:
+        """The strain number t."""
         return np.asarray(self.basis[round(t)])

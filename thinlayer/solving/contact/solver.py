@@ -132,8 +132,8 @@ def check_method(model: Model, method: Any) -> None:
         raise ModelError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
     if method in METHODS and _is_network(model):
         raise ModelError(
-            f"method={method!r} is for one seam without branches, not periodic, whose jumps are independent of each other; use "
-            "method='newton'"
+            f"method={method!r} is for one seam without branches, not periodic, whose jumps are independent of each other; "
+            "use method='newton'"
         )
     if method in METHODS and not _linear_bodies(model):
         raise ModelError(
