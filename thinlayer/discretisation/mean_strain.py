@@ -31,6 +31,9 @@ class MeanStrain:
         at: coordinates and time.
         joint: the periodic joint.
 
+    Attributes:
+        size: largest extent of the cell along an axis.
+
     Raises:
         ModelError: the joint is not periodic; not (d, d) finite numbers, not symmetric, or depending on the place.
     """
@@ -39,6 +42,7 @@ class MeanStrain:
         if joint.periods is None:
             raise ModelError("a mean strain loads a periodic cell, and this joint is none; see geometry.periodic")
         self.given, self._coordinates, self._dim = given, at, joint.dim
+        self.size = float(np.ptp(joint.points, axis=0).max())
         if callable(given):
             found = self._components(at.t)
             for node in (node for row in found for c in row for node in unique_pre_traversal(ufl.as_ufl(c))):

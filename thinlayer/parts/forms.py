@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import dolfinx.fem.petsc
+import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -220,6 +221,8 @@ class LawForms(FormPart):
             g=g,
         )
         self._in_layer = len(bodies) < len(terms)
+        self._middle: Array = np.zeros((1, 1))
+        self._judged = bool(mean) and any(p.n is None for p in others)
         self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
 
     # ---------------------------------------------------------------- the mean strain
@@ -234,10 +237,26 @@ class LawForms(FormPart):
         if self._mean:
             old, new = self._mean.at(interval.old.t), self._mean.at(interval.t)
             self._E.value[:] = self._middle = interval.theta * new + (1 - interval.theta) * old
-            self._dE.value[:] = new - old
+            self._growth = new - old
 
     def _supplied(self) -> float:
-        return float(self.comm.allreduce(fem.assemble_scalar(self._power))) if self._mean else 0.0
+        return self._work_of(self._growth) if self._mean else 0.0
+
+    def _work_of(self, strain: Array) -> float:
+        """Work of the stresses of the bodies, at the last evaluation, in a strain (d, d) of the whole cell."""
+        self._dE.value[:] = strain
+        return float(self.comm.allreduce(fem.assemble_scalar(self._power)))
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        """As in `Part`. The scale of forces also knows that of the mean stress on a side of the cell.
+
+        Nodal forces of equal stresses cancel, and bodies that are not linear have no stiffness in K to judge them by.
+        """
+        size, strain = super().add_forces(out), float(np.abs(self._middle).max())
+        if not self._judged or not strain:
+            return size
+        force = abs(self._work_of(self._middle)) / (strain * self._mean.size)  # type: ignore[union-attr]
+        return max(size, force) if np.isfinite(force) else size
 
     def _stored(self, u: PETSc.Vec, t: float) -> float:
         if not self._mean:
