@@ -58,7 +58,7 @@ def yielded() -> tuple[float, ...]:
 
 def slid(times) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Mean stresses, and mean tractions on S, of a laminate that is pressed to t = 1 and then sheared."""
-    law = MohrCoulombMonodirectional(0.08, 0.04, cohesion=0.02, friction_angle=30.0)
+    law = MohrCoulombMonodirectional(8.0, 4.0, cohesion=0.02, friction_angle=30.0)
 
     def strain(x, t):
         return ((0.0, 0.05 * t), (0.05 * t, -0.04))

@@ -28,12 +28,13 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]
     rows: dict[str, Any] = {}
     for i in range(d):
         rows[f"translation {AXES[i]}"] = lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)])
-    vectors = joint.periods.vectors(joint.points) if joint.periods else np.empty((0, d))
-    axis = vectors[0] / np.linalg.norm(vectors[0]) if d == 3 and np.linalg.matrix_rank(vectors) == 1 else None
-    if axis is not None:
-        place = f"({', '.join(f'{c:.3g}' for c in axis)})"
-        rows[f"rotation about {place}"] = lambda x: np.cross(axis, (x.T - centre) / size).T
-    for i in range(d) if joint.periods is None else ():
+    if joint.periods:
+        vectors = joint.periods.vectors(joint.points)
+        if d == 3 and np.linalg.matrix_rank(vectors) == 1:
+            axis = vectors[0] / np.linalg.norm(vectors[0])
+            name = f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"
+            rows[name] = lambda x: np.cross(axis, (x.T - centre) / size).T
+    for i in () if joint.periods else range(d):
         for j in range(i + 1, d):
             rows[f"rotation {AXES[i]}{AXES[j]}"] = lambda x, i=i, j=j: _rotation(x, i, j, centre, size)
     motions, places = {}, _places(V)
