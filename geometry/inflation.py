@@ -150,14 +150,14 @@ def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[flo
             "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
             "inflate a large piece that is not periodic"
         )
-    if len(joint.seams) > 1:
-        raise GeometryError(f"a joint with several seams, {', '.join(joint.seams)}, cannot be inflated")
     if joint.tip is not None:
         raise GeometryError(
             f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
             "use the interface model"
         )
     require_no_branches(joint)
+    if len(joint.seams) > 1:
+        raise GeometryError(f"a joint with several seams, {', '.join(joint.seams)}, cannot be inflated")
 
 
 def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Levels:
