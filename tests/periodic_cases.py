@@ -9,9 +9,9 @@ import numpy as np
 from mpi4py import MPI
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
-from geometry import Joint, bond_cell, periodic, wall
+from geometry import Joint, bond_cell, periodic, sandwich, wall
 from tests.network_cases import springs
-from thinlayer import Structure, Surface, ThinLayer, homogenised_stiffness, march
+from thinlayer import Structure, Surface, ThinLayer, homogenised_stiffness, march, solve
 
 BRICK = (2.0, 1.0)
 MORTAR = {"BED": springs(5.0, 2.1), "HEAD": springs(3.0, 1.3)}
@@ -72,12 +72,23 @@ def slid(times) -> tuple[list[np.ndarray], list[np.ndarray]]:
     ]
 
 
+def held_at_a_point() -> list[float]:
+    """Mean displacement of a strip that is moved by one vertex of its periodic sides, and the mean stress."""
+    strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral"), ("LEFT", "RIGHT"))
+    supports = {(1.0, -0.5): {"x": 0.1, "y": 0.2}}
+    structure = Structure(strip, body=LinearElastic.young(10.0, 0.25), supports=supports, strain=((1e-3, 0), (0, 0)))
+    state = solve(structure.interface(springs(4.0, 1.5)))
+    mean = [state.integral(state.u[k] * state.model.dx) for k in range(2)]
+    return [*mean, *state.mean_stress().ravel().tolist()]
+
+
 def main() -> None:
     """Print the numbers as JSON."""
     found = {f"bond {E:g}": stiffness(bond_cell(BRICK, 0.25), E).ravel().tolist() for E in (1e2, 1e4)}
     found["triangles"] = stiffness(bond_cell(BRICK, 0.25, cell="triangle"), 1e2, "P1").ravel().tolist()
     found["space"] = stiffness(bond_cell(BRICK, 0.5, depth=1.0), 1e2, "Q1").ravel().tolist()
     found["yielded"] = yielded()[:3]
+    found["held at a point"] = held_at_a_point()
     found["slid"] = slid([0.5, 1.0])[0][-1].ravel().tolist()
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found))

@@ -12,7 +12,19 @@ from forms.law import BulkLaw
 from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
 from tests.meshes import renumbered
 from tests.network_cases import springs
-from tests.periodic_cases import BOND, BRICK, FREE, MORTAR, RIGID, bond, laminate, slid, stiffness, yielded
+from tests.periodic_cases import (
+    BOND,
+    BRICK,
+    FREE,
+    MORTAR,
+    RIGID,
+    bond,
+    held_at_a_point,
+    laminate,
+    slid,
+    stiffness,
+    yielded,
+)
 from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
@@ -241,6 +253,34 @@ def test_only_free_translations_are_held():
     pushed = Structure(strip, body=ROCK, supports={"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.1, -1.0)})
     with pytest.raises(ModelError, match=r"add up to 0\.1 along x at t = 0, and nothing balances them"):
         solve(pushed.interface(springs(4.0, 1.5)))
+
+
+def test_a_vertex_of_a_periodic_side_may_be_held():
+    """Along the strip it stretches to plane strain's modulus; across it contracts freely, from the vertex up."""
+    found, up = held_at_a_point(), -1e-3 * ROCK.lmbda / (ROCK.lmbda + 2 * ROCK.mu)
+    assert found[:2] == pytest.approx([0.1, 0.2 + up / 2], rel=1e-11)
+    assert found[2] == pytest.approx(
+        1e-3 * 4 * ROCK.mu * (ROCK.lmbda + ROCK.mu) / (ROCK.lmbda + 2 * ROCK.mu), rel=1e-11
+    )
+    assert np.abs(found[3:]).max() < 1e-13
+
+
+def test_a_box_that_repeats_in_one_direction_may_turn_about_it():
+    box = periodic(sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron"), ("LEFT", "RIGHT"))
+    with pytest.raises(ModelError, match=r"rigid motion of the structure \(rotation about \(1, 0, 0\)\)"):
+        Structure(box, body=ROCK, supports={}, element="Q1").interface(springs(4.0, 1.5))
+
+
+def test_profiles_and_runs_of_periodic_cells(tmp_path):
+    model = bond(strain=lambda x, t: ((1e-3 * t, 0.0), (0.0, -1e-3 * t))).interface(MORTAR)
+    march(model, [0.5], out=tmp_path / "run")
+    history = march(model, [0.5, 1.0], out=tmp_path / "run", resume=True)
+    assert history.last.mean_stress() == pytest.approx(2 * history.at(0.5).mean_stress(), rel=1e-9, abs=1e-15)
+    bed = Surface(model, "BED")
+    x, jump = bed.profile(bed.jump(history.last))
+    assert len(x) == len(jump) == 2 * (8 + 1)  # a bed is a circle of 8 edges, with a junction above
+    assert {0.5, 1.5} == set(np.round(x[:, 1], 9))
+    assert x[:, 0].max() < 2.0
 
 
 @pytest.mark.parametrize("ranks", [2, 3])

@@ -199,25 +199,28 @@ class LawForms(FormPart):
         self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
         bodies = [p for p in terms if p.n is None]
         u, v = fem.Function(V), ufl.TestFunction(V)
-        self._mean, g, stored = mean, None, energy(others, u)
+        self._mean, g = mean, None
         moved = linear_bodies = [p for p in linear if p.n is None and mean]
         if mean:
             self._E = mean.constant()
             others, moved = mean.added(others, self._E), mean.added(linear_bodies, self._E)
             g = sum(ufl.inner(_stress_of_mean(p), p.strain(v)) * p.weight * p.measure for p in moved) if moved else None
-            stored = energy(others + moved, u) - energy(linear_bodies, u)  # K has the energy of the displacements alone
             self._dE = mean.constant()
             power = [
                 ufl.inner(stress(p, u), lift(self._dE)) * p.weight * p.measure for p in mean.added(bodies, self._E)
             ]
             self._power = compiled(sum(power))
-        has_energy = bool(others or moved) and all(p.law.traits.has_energy for p in others + moved)
+        stored = None
+        if (others or moved) and all(p.law.traits.has_energy for p in others + moved):
+            stored = energy(others + moved, u)
+            if moved:
+                stored -= energy(linear_bodies, u)  # K has the energy of the displacements alone
         super().__init__(
             "forms",
             u,
             _stiffness(V, linear, bodies),
             work(others, u, v) if others else None,
-            stored if has_energy else None,
+            stored,
             g=g,
         )
         self._in_layer = len(bodies) < len(terms)
