@@ -26,7 +26,9 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
             a seam on a periodic side; a joint whose layer is meshed.
     """
     if joint.band is not None:
-        raise GeometryError("the joint's layer is meshed; make the joint periodic before: but only S can be periodic")
+        raise GeometryError(
+            "the joint's layer is meshed; in a periodic joint it is a surface, S, with an interface model"
+        )
     if not sides:
         raise GeometryError('periodic needs pairs of sides, such as ("LEFT", "RIGHT")')
     before = joint.periods or Periods((), ())

@@ -10,6 +10,7 @@ import ufl
 from forms import HolonomicCoulomb, LinearElastic
 from forms.law import BulkLaw
 from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
+from studies import homogenised_bond
 from tests.meshes import renumbered
 from tests.network_cases import springs
 from tests.periodic_cases import (
@@ -37,6 +38,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
+from thinlayer.running.cli import main
 
 SIDES = (("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
 ROCK = LinearElastic.young(10.0, 0.25)
@@ -290,6 +292,13 @@ def test_same_on_several_ranks(ranks):
     for name, values in alone.items():
         size = np.abs(values).max()
         assert found[name] == pytest.approx(values, rel=1e-10, abs=1e-12 * size), name
+
+
+def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):
+    assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "right")]) == 0
+    assert (tmp_path / "right" / "rigid_bricks.png").stat().st_size > 10_000
+    monkeypatch.setattr(homogenised_bond, "NU", 0.25)
+    assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "wrong")]) == 1
 
 
 # ---------------------------------------------------------------- what is refused
