@@ -38,9 +38,12 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
     return np.array(way, np.int64)
 
 
-def edges_of_s(joint: Joint, numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S."""
-    facets = joint.table.vertices[joint.surface_rows]
+def edges_of_s(joint: Joint, numbers: IntArray, facets: IntArray | None = None) -> tuple[IntArray, IntArray]:
+    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S.
+
+    `facets`: as in `order_on_s`.
+    """
+    facets = joint.table.vertices[joint.surface_rows] if facets is None else facets
     k = facets.shape[1]
     pairs = np.concatenate([facets[:, [i, j]] for i in range(k) for j in range(i + 1, k)])
     order = np.argsort(numbers)
@@ -49,12 +52,19 @@ def edges_of_s(joint: Joint, numbers: IntArray) -> tuple[IntArray, IntArray]:
     return order[at[there, 0]], order[at[there, 1]]
 
 
-def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray) -> IntArray:
-    """Order of some vertices of a joint, on S at x (n, d), one or several times each: along S in 2D, else by place."""
+def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray, facets: IntArray | None = None) -> IntArray:
+    """Order of some vertices of a joint, on S at x (n, d), one or several times each: along S in 2D, else by place.
+
+    Args:
+        joint: the joint.
+        numbers: (n,) numbers of the vertices.
+        x: (n, d) their places.
+        facets: (n_S, k) vertices of the facets of S, if they have other numbers than the joint's.
+    """
     size = float(np.ptp(joint.points, axis=0).max())
     vertices, first, number = np.unique(numbers, return_index=True, return_inverse=True)
     if joint.dim == 2:
-        order = along(x[first], np.column_stack(edges_of_s(joint, vertices)), size)
+        order = along(x[first], np.column_stack(edges_of_s(joint, vertices, facets)), size)
     else:
         order = by_place(x[first], size)
     return np.argsort(np.argsort(order)[number], kind="stable")
