@@ -22,7 +22,7 @@ from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, transfer
-from thinlayer.output.surface_mass import SurfaceMass, nodal_forces, reaction
+from thinlayer.output.surface_mass import SurfaceMass, contact_forces, nodal_forces, reaction
 from thinlayer.parallel.exchange import ask
 
 Mask = npt.NDArray[np.bool_]
@@ -63,6 +63,8 @@ class JunctionTractions:
             assert model.pairs is not None, "models of one joint"
             return self.pairs.from_other(JunctionTractions(model, model.pairs).recovered(state), model.pairs)
         r = reaction(state)
+        if model.contact:
+            r.x.array[:] -= contact_forces(state).x.array  # of areas around nodes, not of tractions of degree 1
         held, u = fem.Function(r.function_space), fem.Function(r.function_space)
         held.x.array[model.supports.held(r.function_space, model.supports.given)] = 1.0
         held.x.scatter_forward()
@@ -74,18 +76,18 @@ class JunctionTractions:
         t, fixed, mute = fem.Function(self.pairs.space), self._blocks(self.pairs.tip), []
         for name in self._sides:
             layer, here = model.layers.get(name), self._on(name)
-            if layer and layer.contact:
-                t.x.array[here] = self._by_contact(state, layer).x.array[here]
+            if layer.contact if layer else model.layers:  # bonded bodies have no layers
+                fixed |= here
             elif layer and _is_told(layer) and self._is_finite(by_law := self._by_law(layer, u)):
                 t.x.array[here] = by_law.x.array[here]
-            elif layer or not model.layers:  # bonded bodies have no layers
+            else:
                 mute.append(name)
-            if layer.contact if layer else model.layers:
-                fixed |= here
-        t.x.array[self._blocks(self.pairs.tip)] = 0.0
+        t.x.array[fixed] = 0.0
         if mute:
             self._extrapolate(t, fixed, r, free, u, state, mute)
         self._fit(t, fixed, r, free)
+        for name in model.contacts:
+            t.x.array[:] += self._by_contact(state, model.layers[name]).x.array
         return t
 
     # ---------------------------------------------------------------- forms on all seams

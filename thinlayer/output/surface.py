@@ -19,31 +19,15 @@ from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface
 from geometry.joint import S, unknown
 from geometry.order import order_on_s
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
 from thinlayer.output.junction_tractions import JunctionTractions
-from thinlayer.output.surface_mass import SurfaceMass, nodal_forces, reaction
+from thinlayer.output.surface_mass import SurfaceMass, contact_forces, nodal_forces, reaction
 
 NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
-
-
-def contact_forces(state: State) -> fem.Function:
-    """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
-    model, forces = state.model, fem.Function(state.model.V)
-    for name, law in model.contacts.items():
-        nodes = ContactNodes(ContactSurface.of(model, name))
-        out = nodes.zero()
-        slip = state.memory[contact_key(model, name)]
-        nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), slip), out)
-        forces.x.array[: out.getLocalSize()] += out.array_r
-        nodes.destroy()
-        out.destroy()
-    forces.x.scatter_forward()
-    return forces
 
 
 @dataclass(frozen=True, init=False)

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from forms.kinematics import Expr
 from forms.work import work
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 
@@ -29,8 +30,12 @@ def reaction(state: State) -> fem.Function:
     model = state.model
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    forces = work(model.bodies, state.u, v) + model.added_work(state.u, v)
-    return nodal_forces(W, forces - model.external_work(v, state.t))
+    # Each form by itself: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with unlike quadrature.
+    r = nodal_forces(W, work(model.bodies, state.u, v))
+    if model.parts:
+        r.x.array[:] += nodal_forces(W, model.added_work(state.u, v)).x.array
+    r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array
+    return r
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr, maps: Any = None) -> fem.Function:
@@ -41,6 +46,21 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr, maps: Any = None) -> fem.Func
     values = fem.Function(V)
     values.x.array[:] = vector.array
     return values
+
+
+def contact_forces(state: State) -> fem.Function:
+    """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
+    model, forces = state.model, fem.Function(state.model.V)
+    for name, law in model.contacts.items():
+        nodes = ContactNodes(ContactSurface.of(model, name))
+        out = nodes.zero()
+        slip = state.memory[contact_key(model, name)]
+        nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), slip), out)
+        forces.x.array[: out.getLocalSize()] += out.array_r
+        nodes.destroy()
+        out.destroy()
+    forces.x.scatter_forward()
+    return forces
 
 
 class SurfaceMass:
