@@ -13,6 +13,7 @@ from ufl.utils.stacks import StackDict
 
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import BulkLaw, LawError, Step
+from forms.numbers import numbers
 from forms.trace import symbolic
 
 Array = npt.NDArray[np.float64]
@@ -108,12 +109,12 @@ def _stress(law: BulkLaw, e: Array, n: Array) -> Array | None:
     try:
         named = law.mapped(lambda value, _: ufl.as_tensor(value.tolist()) if np.ndim(value) else float(value))
         step = Step(ufl.as_matrix(e.tolist()), ufl.as_vector(n.tolist()), zero, q, dt, 1.0)
-        stress: Any = expand_derivatives(ufl.as_ufl(named.stress(step)))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # UFL warns of roots of negative numbers
-            return np.array([float(stress((0.0,), component=(i, j))) * (1.0 if i == j else ROOT2) for i, j in MANDEL])
+            stress = numbers(expand_derivatives(ufl.as_ufl(named.stress(step))))
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
+    return mandel(stress) if np.isfinite(stress).all() else None
 
 
 def uncoupled_axes(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:

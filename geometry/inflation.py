@@ -145,14 +145,14 @@ def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[flo
         all(map(is_finite, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
     ):
         raise GeometryError(f"the sublayers' fractions {tuple(fractions)} must be numbers > 0 and add up to 1")
-    if len(joint.seams) > 1:
-        raise GeometryError(f"a joint with several seams, {', '.join(joint.seams)}, cannot be inflated")
     if joint.tip is not None:
         raise GeometryError(
             f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
             "use the interface model"
         )
     require_no_branches(joint)
+    if len(joint.seams) > 1:
+        raise GeometryError(f"a joint with several seams, {', '.join(joint.seams)}, cannot be inflated")
 
 
 def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Levels:

@@ -9,13 +9,16 @@ from collections import Counter
 from contextlib import redirect_stderr, redirect_stdout
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import dolfinx
-import meshio
 import numpy as np
 
 from geometry.cells import Cells
 from geometry.joint import GeometryError, unknown
+
+if TYPE_CHECKING:
+    import meshio
 
 CELLS = {
     "triangle": "triangle",
@@ -41,6 +44,8 @@ def load(path: Path, scale: float) -> meshio.Mesh:
     Raises:
         GeometryError: no such file, not readable, or two groups with one physical name.
     """
+    import meshio  # not needed by joints that are built
+
     if not path.is_file():
         raise GeometryError("this is a folder, not a file" if path.is_dir() else "there is no such file")
     if not {path.suffix.lower(), "".join(path.suffixes[-2:]).lower()} & meshio.extension_to_filetypes.keys():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geometry.joint import Joint
+from geometry.joint import Joint, S
 from geometry.topology import FloatArray, IntArray
 
 CLOSE = 1e-9  # distance, over the size of the whole, below which two places are the same
@@ -38,12 +38,13 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
     return np.array(way, np.int64)
 
 
-def edges_of_s(joint: Joint, numbers: IntArray, facets: IntArray | None = None) -> tuple[IntArray, IntArray]:
-    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S.
+def edges_of_s(joint: Joint, numbers: IntArray, seam: str = S) -> tuple[IntArray, IntArray]:
+    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S, or of one seam."""
+    return edges_of(joint.table.vertices[joint.rows_of(seam)], numbers)
 
-    `facets`: as in `order_on_s`.
-    """
-    facets = joint.table.vertices[joint.surface_rows] if facets is None else facets
+
+def edges_of(facets: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs of positions in `numbers` of those that share one of the facets (m, k), given by such numbers."""
     k = facets.shape[1]
     pairs = np.concatenate([facets[:, [i, j]] for i in range(k) for j in range(i + 1, k)])
     order = np.argsort(numbers)
@@ -52,19 +53,23 @@ def edges_of_s(joint: Joint, numbers: IntArray, facets: IntArray | None = None) 
     return order[at[there, 0]], order[at[there, 1]]
 
 
-def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray, facets: IntArray | None = None) -> IntArray:
-    """Order of some vertices of a joint, on S at x (n, d), one or several times each: along S in 2D, else by place.
+def order_on_s(
+    joint: Joint, numbers: IntArray, x: FloatArray, seam: str = S, facets: IntArray | None = None
+) -> IntArray:
+    """Order of vertices of a joint on S, or on a seam, at x (n, d), each once or more: along S in 2D, else by place.
 
     Args:
         joint: the joint.
         numbers: (n,) numbers of the vertices.
         x: (n, d) their places.
-        facets: (n_S, k) vertices of the facets of S, if they have other numbers than the joint's.
+        seam: name of the seam, or "S".
+        facets: (m, k) vertices of its facets, if they have other numbers than the joint's.
     """
     size = float(np.ptp(joint.points, axis=0).max())
     vertices, first, number = np.unique(numbers, return_index=True, return_inverse=True)
     if joint.dim == 2:
-        order = along(x[first], np.column_stack(edges_of_s(joint, vertices, facets)), size)
+        edges = edges_of_s(joint, vertices, seam) if facets is None else edges_of(facets, vertices)
+        order = along(x[first], np.column_stack(edges), size)
     else:
         order = by_place(x[first], size)
     return np.argsort(np.argsort(order)[number], kind="stable")

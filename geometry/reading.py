@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import meshio
 import numpy as np
 from mpi4py import MPI
 
@@ -17,6 +17,9 @@ from geometry.meshfile import cells_of, load
 from geometry.naming import Groups, Named, SeamsOf, Sides
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
+
+if TYPE_CHECKING:
+    import meshio
 
 FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
 PHYSICAL = "gmsh:physical"

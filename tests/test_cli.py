@@ -53,7 +53,7 @@ def assert_drawn(path: Path) -> None:
     """A picture with more than a background: many different colours."""
     image = matplotlib.image.imread(path)
     assert min(image.shape[:2]) > 400
-    assert len(np.unique((image[..., :3] * 255).astype(int).reshape(-1, 3), axis=0)) > 50
+    assert len(np.unique((image[..., :3] * 255).astype(int) @ [1, 256, 65536])) > 50
 
 
 def test_list_is_light_and_matches_the_readme():
@@ -81,6 +81,7 @@ def test_info():
 def test_fig6(tmp_path):
     done = process("run", "fig6_stratified", "--quick", "--eps", "0.2", "0.1", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
     table = rows(tmp_path / "out" / "table.csv")
     assert list(table[0]) == ["x_mm", "ratio_band", "ratio_interface"]
     inner = [row for row in table if 6 <= float(row["x_mm"]) <= 30]
@@ -232,13 +233,9 @@ def test_solver_that_does_not_converge(tmp_path):
 
 
 def test_verbose(tmp_path):
-    """What solves do is told on standard error, and only there, when it is asked for."""
-    quiet, told = (
-        process("run", "sweep_elastic", "--quick", "--eps", "0.1", "--out", tmp_path / name, *words)
-        for name, words in (("a", ()), ("b", ("-v",)))
-    )
-    assert (quiet.returncode, told.returncode) == (0, 0)
-    assert quiet.stderr == ""
+    """What solves do is told on standard error, and only there, when it is asked for; `test_fig6` has not asked."""
+    told = process("run", "sweep_elastic", "--quick", "--eps", "0.1", "--out", tmp_path, "-v")
+    assert told.returncode == 0
     assert "eps = 0.1, t = 0: linear, " in told.stderr
     assert "thinlayer." not in told.stdout
 

@@ -114,7 +114,8 @@ def test_a_law_for_each_seam(element):
     energy, traction, jump = panel_energy(element)
     assert energy == pytest.approx(PANEL[element], rel=1e-12)
     if element == "P2":
-        assert (traction, jump) == pytest.approx((0.01974486643, 0.0109003443), rel=1e-9)
+        assert jump == pytest.approx(0.0109003443, rel=1e-9)
+        assert traction == pytest.approx(0.01999684277, rel=2e-5)  # of the law at the jump; reactions are projections
 
 
 @pytest.mark.parametrize("element", YIELDED)
@@ -235,7 +236,7 @@ def test_refused_layers():
         Surface(bricks.interface(layer), "BEDS")
     with pytest.raises(ModelError, match=r"several seams.*use structure.interface"):
         bricks.full(layer)
-    with pytest.raises(GeometryError, match="several seams"):
+    with pytest.raises(GeometryError, match=r"S branches at \("):
         inflate(joint, 0.01)
     with pytest.raises(ModelError, match="method='condensed' is for one seam without branches"):
         solve(

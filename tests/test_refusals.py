@@ -173,11 +173,19 @@ def test_numbers_of_numpy_and_texts():
 
 
 def test_crossing_pieces_of_s():
-    """Upper cells that meet only at a crossing would be hinged there."""
+    """Four pieces, none hinged to another at the crossing: a pull opens one line by t/K; no layer is meshed."""
     axis = np.linspace(0.0, 1.0, 5)
     joint = grid([axis, axis], lambda x: (x[:, 0] < 0.5) == (x[:, 1] > 0.5), "quadrilateral")
+    assert joint.splitting.valence.max() == joint.splitting.pieces.max() + 1 == 4
+    body, layer, t = LinearElastic.young(100.0, 0.2), ThinLayer(LinearElastic(30.0, 20.0), 0.01), 3.0
+    structure = Structure(
+        joint, body=body, supports={"LEFT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.0, t)}
+    )
+    state = solve(structure.interface(layer))
+    assert state.energies()["layer"] == pytest.approx(t**2 / (30 + 2 * 20) / 2, rel=1e-9)
+    assert state.energies()["bodies"] == pytest.approx(t**2 * (1 - 0.2**2) / 100.0 / 2, rel=1e-9)
     with pytest.raises(GeometryError, match=r"S branches at \(0.5, 0.5\)"):
-        Structure(joint, **SETUP).interface(LAYER)
+        structure.full(layer, bodies="extended")
 
 
 def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):

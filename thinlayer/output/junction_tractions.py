@@ -40,7 +40,7 @@ class JunctionTractions:
     forces for each component and each vertex around which the seams close a cycle, such as a T-junction or a crossing;
     and the components of the bodies on both sides that supports hold. There the tractions are those closest to
 
-    - the law's at the jump, if this tells them: of laws without memory whose stress is a part of a UFL form;
+    - the law's at the jump, if this tells them: of laws in UFL without memory and rate;
     - for other laws the ones that are extrapolated from the nodes around (`SurfaceMass.extrapolate`); zero where supports
       hold both bodies together, if this follows from the law (`SeamLayer.zero_tractions`).
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from scipy.optimize import brentq
-
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import TIE
@@ -72,6 +70,8 @@ def _probes(start: float, end: float) -> Iterator[float]:
 
 def _first(excess: Callable[[float], float], start: float, end: float) -> float:
     """The first time at which the excess is positive, to rounding; the excess is positive at `end`."""
+    from scipy.optimize import brentq  # not needed by most marches
+
     if excess(start) > 0:
         return start
     width = TIME_ROUNDING * max(abs(start), abs(end))
