@@ -145,6 +145,11 @@ def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[flo
         all(map(is_finite, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
     ):
         raise GeometryError(f"the sublayers' fractions {tuple(fractions)} must be numbers > 0 and add up to 1")
+    if joint.periods:
+        raise GeometryError(
+            "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
+            "inflate a large piece that is not periodic"
+        )
     if joint.tip is not None:
         raise GeometryError(
             f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
