@@ -449,9 +449,10 @@ class Joint:
     @cached_property
     def seams_meet(self) -> bool:
         """Whether S branches, or two seams have a vertex in common."""
-        vertices = self.table.vertices[self.surface_rows]
+        _, counts = ridges(self.masters[self.surface], self.cell_type)
+        vertices = self.masters[self.table.vertices[self.surface_rows]]
         keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
-        return self.branch is not None or len(np.unique(keys // len(self.seams))) < len(keys)
+        return bool((counts > 2).any()) or len(np.unique(keys // len(self.seams))) < len(keys)
 
     @cached_property
     def tip(self) -> FloatArray | None:

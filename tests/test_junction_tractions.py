@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 
 from forms import Incompressible, LinearElastic
-from geometry import Seam, wall
+from geometry import Seam, sandwich, wall
 from tests.junction_run import LAYERS, STRONG, blocks, by_law, left_over, sheared
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
@@ -279,3 +279,16 @@ def test_no_pairs_where_seams_do_not_meet():
     model = Structure(joint, body=LinearElastic.young(5.0, 0.2), supports={"BOTTOM": 0.0}).interface(springs(2.0, 1.0))
     assert model.pairs is None
     assert Surface(model).entity_maps is None
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_bodies_of_one_law_under_their_weight(cell):
+    """S carries the upper body, in both models; loads and laws are integrated over unlike sets of regions."""
+    structure = Structure(
+        sandwich(2.0, 1.0, 1.0, 0.25, cell=cell), body=LinearElastic(0.0, 3.0), supports={"BOTTOM": 0.0},
+        body_force=(0.0, -1.0),
+    )  # fmt: skip
+    layer = ThinLayer(LinearElastic(0.0, 1.0), 0.1)
+    surface = Surface(structure.interface(layer))
+    for model in (surface.model, structure.full(layer)):
+        assert surface.integral(surface.traction(solve(model))[1]) == pytest.approx(-2.0, rel=1e-11)

@@ -42,6 +42,7 @@ class Pairs:
         space: the functions.
         of_facets: (n_S, k) number of the pair at each vertex of the joint's facets of S, the same on all ranks.
         numbers: (n,) number of the pair at each local node of `space`.
+        at_vertices: (n,) its vertex; in a periodic cell the one that stands for all that are identified.
         seam: (n,) position of its seam in `joint.seams`.
         tip: (n,) whether a seam ends inside a body there: nothing jumps.
         shared: (n,) whether there are several pairs at its vertex.
@@ -57,7 +58,8 @@ class Pairs:
         below, above = (component_at(joint, cells, vertices) for cells in joint.surface_cells.T)
         count = int(max(below.max(), above.max())) + 2
         codes = (joint.seam_numbers[:, None] * count + above) * count + below + 1
-        self.of_facets = vertices * (codes.max() + 1) + codes
+        masters = joint.masters[vertices]
+        self.of_facets = masters * (codes.max() + 1) + codes
         several, number = np.unique(self.of_facets, return_inverse=True)
         _, times = np.unique(several // (codes.max() + 1), return_counts=True)
         shared = np.repeat(times > 1, times)[number.ravel()].reshape(vertices.shape)
@@ -67,9 +69,9 @@ class Pairs:
         self.vertices = points[np.asarray(self.mesh.geometry.dofmap)[:, : vertices.shape[1]]]
         self._place = (vertices[self.rows][:, None, :] == self.vertices[:, :, None]).argmax(axis=2)
         element = basix.ufl.element("Lagrange", self.mesh.basix_cell(), 1, shape=(d,))
-        keys = Keys.of_components(domain.comm, self.mesh, element, [self._here(codes)])
-        self.space = broken_space(domain.comm, keys)
-        self.numbers = self._at_nodes(self.of_facets)
+        keys = self._here(number.reshape(vertices.shape))
+        self.space = broken_space(domain.comm, Keys.of_entities(domain.comm, self.mesh, element, [keys]))
+        self.numbers, self.at_vertices = self._at_nodes(self.of_facets), self._at_nodes(masters)
         self.seam = self._at_nodes(np.broadcast_to(joint.seam_numbers[:, None], vertices.shape))
         self.tip, self.shared = self._at_nodes(above == below), self._at_nodes(shared)
 

@@ -230,9 +230,9 @@ class Surface:
         f = self._expression(f, (d,), ())
         at = np.flatnonzero(self._upper_nodes[: V.dofmap.index_map.size_local])
         values = self.nodal(f if f.ufl_shape else ufl.as_vector([f] + [0.0] * (d - 1))).x.array.reshape(-1, d)
-        numbers = pairs.numbers if pairs else self._vertices
-        vertices = self.model.domain.joint.masters[numbers[at]]
-        rows = np.column_stack([vertices, self.model.domain.joint.points[vertices], values[at]])
+        vertices = pairs.at_vertices[at] if pairs else self.model.domain.joint.masters[self._vertices[at]]
+        numbers = pairs.numbers[at] if pairs else vertices
+        rows = np.column_stack([numbers, self.model.domain.joint.points[vertices], values[at]])
         rows = np.concatenate(self.model.comm.allgather(rows))
         x = rows[:, 1 : 1 + d]
         of_facets = pairs.of_facets if pairs else None
