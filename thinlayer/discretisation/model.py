@@ -16,7 +16,7 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.joint import LOWER_FACE, UPPER_FACE, Joint
+from geometry.joint import Joint
 from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
@@ -95,6 +95,8 @@ class Model(ABC):
             for names in of_law.values()
         ]
         self.layer_terms = self._layer_terms()
+        if sum(term.law.traits.constrained for term in self.layer_terms) > 1:
+            raise ModelError("several seams have incompressible layers; only one may have a pressure")
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
@@ -144,7 +146,7 @@ class Model(ABC):
         joint = self.domain.joint
         if joint.band is None:
             return joint.splitting
-        facets = [joint.facets[name] for name in (LOWER_FACE, UPPER_FACE) if name in joint.facets]
+        facets = [joint.facets[name] for name in joint.band.faces]
         rows = np.unique(joint.table.index(np.concatenate(facets)))
         return Splitting(joint.cells, joint.cell_type, joint.table, rows)
 
