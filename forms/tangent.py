@@ -11,6 +11,7 @@ import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.utils.stacks import StackDict
 
+from forms.kernel import KernelLaw
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import BulkLaw, LawError, Step
 from forms.numbers import numbers
@@ -87,17 +88,18 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 
 def needs_director(law: BulkLaw) -> bool:
-    """Whether the stress of a law depends on the director n; True for a kernel in C, which does not tell."""
+    """Whether the stress of a law depends on the director n; a kernel in C says so itself (`KernelLaw.isotropic`)."""
     if law.traits.in_ufl:
         return traces_director(law)
-    if law.source is not None:  # type: ignore[attr-defined]
-        return True
+    assert isinstance(law, KernelLaw)
+    if law.source is not None:
+        return not law.isotropic
     unknown = np.full(3, np.nan)
     for size in STRAINS:
         stress, tangent, memory = np.zeros(6), np.zeros((6, 6)), np.zeros(law.memory)
         given = np.linspace(-size, size, 6), np.zeros(6), memory, 1.0, 1.0, unknown, law.parameter_values()
         with np.errstate(all="ignore"):
-            type(law).kernel(*given, stress, tangent, memory.copy(), np.zeros(3))  # type: ignore[attr-defined]
+            type(law).kernel(*given, stress, tangent, memory.copy(), np.zeros(3))
         if not (np.isfinite(stress).all() and np.isfinite(tangent).all()):
             return True
     return False

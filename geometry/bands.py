@@ -177,10 +177,14 @@ def columns_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> t
         wanted = 1 - heights[other][::-1] if way else heights[other]
         if not _same(heights[one], wanted):
             names = list(joint.seams)
-            what = f"{names[one]!r} and {names[other]!r} continue one another" if one != other else "the upper side changes"
+            what = (
+                f"{names[one]!r} and {names[other]!r} continue one another"
+                if one != other
+                else "the upper side changes"
+            )
             raise GeometryError(
-                f"at {place(joint.points[joint.surface.ravel()[where]])} {what}, and their sublayers do not meet: give both "
-                "the same ones, and an upper side on the same body"
+                f"at {place(joint.points[joint.surface.ravel()[where]])} {what}, and their sublayers do not meet: give "
+                "them the same ones, and an upper side on the same body"
             )
         if way and joint.dim == 3:
             raise GeometryError(
@@ -240,7 +244,7 @@ def band_cells(
         middle = (heights[base] + heights[base + degree]) / 2
         for picked, offsets in patterns:
             at, turned = (np.take_along_axis(of[rows], picked, axis=1) for of in (footing.columns, footing.turned))
-            level = np.where(turned, top - base - offsets, base + offsets)
+            level = np.where(turned, top - base - offsets, base + offsets).astype(np.int64)
             cells.append(columns.number(at, level))
             director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
             sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))

@@ -25,11 +25,20 @@ from geometry.joint import (
     unknown,
 )
 from geometry.junctions import Ring, fill, junction_columns, rings_of
-from geometry.motion import NOT_KEPT, UNIFORM, extended_motion, face_motion, kept_motion, require_apart, require_room
+from geometry.motion import (
+    NOT_KEPT,
+    UNIFORM,
+    extended_motion,
+    face_motion,
+    kept_motion,
+    require_apart,
+    require_room,
+    ways_of,
+)
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
 
 WAYS = ("kept", "extended")
-ONE_WAY = 1e-9  # relative difference of the motions of bodies on both sides of S that counts as none
+MANY = 3  # number of different motions of bodies whose ways are checked, pair by pair
 Given = TypeVar("Given")
 
 
@@ -37,7 +46,7 @@ def inflate(
     joint: Joint,
     eps: float | Mapping[str, float],
     *,
-    profile: Profile | None | Mapping[str, Profile | None] = None,
+    profile: Profile | Mapping[str, Profile | None] | None = None,
     cells_through: int = 4,
     fractions: Sequence[float] | Mapping[str, Sequence[float]] = (),
     bodies: str = "kept",
@@ -75,8 +84,8 @@ def inflate(
         GeometryError: a size, cells_through or fractions out of range; S ends inside the bodies or is folded; the
             thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that touch S and are nearly
             parallel to it, layers of different thickness that meet in line (extended); cells turned inside out, layers
-            that overlap the bodies; junctions in 3D, of sublayers, of a varying thickness, of curved cells, of an odd number
-            of cells, on a rigid base.
+            that overlap the bodies; junctions in 3D, of sublayers, of a varying thickness, of curved cells, on a rigid
+            base, of an odd number of cells.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
@@ -90,7 +99,8 @@ def inflate(
     _check_junctions(joint, copies, columns, footing.seam[meeting], meeting, layers)
     columns, rings = rings_of(joint, columns, meeting)
 
-    copied = _motion(joint, copies, layers.thickness, bodies)
+    translation = _translation(joint, layers.thickness) if bodies == "kept" else None
+    copied = _motion(joint, copies, layers.thickness, translation)
     nodes, between, below = columns.between(copied)
     motion = np.concatenate([copied, np.empty((columns.size, joint.dim))])
     footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(columns.size, np.int64)])
@@ -134,8 +144,8 @@ def inflate(
             np.concatenate([bands.director, polygons.director]),
         ),
     )
-    if bodies == "kept":
-        _require_room(joint, copies, copied, layers, opened)
+    if translation is not None and not _is_swept(joint, translation):
+        require_apart(opened)
     return opened
 
 
@@ -189,7 +199,7 @@ class _Layers:
         cls,
         joint: Joint,
         eps: float | Mapping[str, float],
-        profile: Profile | None | Mapping[str, Profile | None],
+        profile: Profile | Mapping[str, Profile | None] | None,
         cells_through: int,
         fractions: Sequence[float] | Mapping[str, Sequence[float]],
     ) -> _Layers:
@@ -201,11 +211,13 @@ class _Layers:
             if not is_finite(one) or one <= 0:
                 raise GeometryError(f"the layer's thickness eps{which} is {one!r}; it must be > 0")
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
-                raise GeometryError(f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1")
+                raise GeometryError(
+                    f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
+                )
         if joint.tip is not None:
             raise GeometryError(
-                f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
-                "use the interface model"
+                f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
+                "meshed; use the interface model"
             )
         thickness = np.empty(joint.surface.shape)
         for number, name in enumerate(joint.seams):
@@ -271,7 +283,9 @@ def _check_junctions(
     reasons = {
         "in 3D junctions are not meshed yet": np.full(len(meeting), joint.dim == 3),
         "junctions are not meshed on a rigid base": based,
-        "the sublayers of one layer have no place in the others": np.array([len(layers.fractions[n]) > 0 for n in names]),
+        "the sublayers of one layer have no place in the others": np.array(
+            [len(layers.fractions[n]) > 0 for n in names]
+        ),
         "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
         "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
     }
@@ -283,9 +297,10 @@ def _check_junctions(
             )
     odd = columns.top[meeting] % 2 > 0
     if odd.any():
+        first = meeting[odd][0]
         raise GeometryError(
-            f"cells_through is {columns.top[meeting][odd][0]}: layers meet at {place(joint.points[columns.nodes[meeting[odd][0]]])} "
-            "and need an even number of cells through their thickness"
+            f"cells_through is {columns.top[first]}: layers meet at {place(joint.points[columns.nodes[first]])} and need an "
+            "even number of cells through their thickness"
         )
 
 
@@ -318,39 +333,35 @@ def _bands(
     return _Cells.joined(found), names
 
 
-def _motion(joint: Joint, copies: Copies, thickness: FloatArray, bodies: str) -> FloatArray:
+def _motion(joint: Joint, copies: Copies, thickness: FloatArray, translation: FloatArray | None) -> FloatArray:
     """(n, d) motion of each node of the parted bodies, and of the copies on a rigid base."""
     n_nodes = len(joint.points) + len(copies.new)
-    on_base = (joint.surface_cells[:, 0] < 0)[:, None]
-    if bodies == "extended":
+    if translation is None:
+        on_base = (joint.surface_cells[:, 0] < 0)[:, None]
         up, down = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
         known, values = face_motion(joint, copies, (down, up))
         return extended_motion(joint, copies.cells, n_nodes, known, values)
-    for number, name in enumerate(joint.seams):
-        own = thickness[joint.seam_numbers == number]
-        if np.ptp(own) > UNIFORM * own.max():
-            raise GeometryError(f"the thickness varies along {name}: {NOT_KEPT}")
-    translation = kept_motion(joint, thickness[:, 0])
     motion = np.zeros((n_nodes, joint.dim))
     motion[copies.cells] = translation[joint.splitting.pieces][:, None]
     motion[len(joint.points) :][copies.base] = translation[-1]
     return motion
 
 
-def _require_room(joint: Joint, copies: Copies, motion: FloatArray, layers: _Layers, opened: Joint) -> None:
-    """Raise GeometryError if bodies that are kept overlap each other or a layer.
+def _translation(joint: Joint, thickness: FloatArray) -> FloatArray:
+    """Translations of the pieces of kept bodies, and of the rigid base if there is one, last."""
+    for number, name in enumerate(joint.seams):
+        own = thickness[joint.seam_numbers == number]
+        if np.ptp(own) > UNIFORM * own.max():
+            raise GeometryError(f"the thickness varies along {name}: {NOT_KEPT}")
+    translation = kept_motion(joint, thickness[:, 0])
+    if _is_swept(joint, translation):
+        require_room(joint, translation)
+    return translation
 
-    Where all of S opens in one way, neither is allowed to meet anything on its way. Otherwise the result counts.
-    """
-    jump = (motion[copies.above] - motion[copies.below]).reshape(-1, joint.dim)
-    eps = float(np.linalg.norm(jump[0]))
-    beside = [np.unique(joint.splitting.pieces[side[side >= 0]]) for side in joint.surface_cells.T]
-    if np.abs(jump - jump[0]).max() <= ONE_WAY * eps and not len(np.intersect1d(*beside)):
-        require_room(joint, jump[0] / eps, eps)
-    elif joint.dim == 2:
-        require_apart(opened)
-    else:
-        raise GeometryError(f"in 3D, S has to lie in planes of one direction and with bodies on one side: {NOT_KEPT}")
+
+def _is_swept(joint: Joint, translation: FloatArray) -> bool:
+    """Whether the bodies' ways are checked; in 2D, of many different ones, it is the result instead."""
+    return joint.dim == 3 or len(ways_of(translation)[0]) <= MANY
 
 
 def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int) -> None:

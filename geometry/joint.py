@@ -33,7 +33,7 @@ S = "S"
 LAYER = "LAYER"
 JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
 LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
-RESERVED = (LAYER, JUNCTIONS, LOWER_FACE, UPPER_FACE, BASE)
+RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
 LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
 FLAT = 1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
 
@@ -203,6 +203,8 @@ class Joint:
     def _check_seams(self) -> None:
         if not self.seams:
             raise GeometryError(f"a joint needs a seam, such as {S!r}")
+        if JUNCTIONS in self.seams:
+            raise GeometryError(f"{JUNCTIONS!r} cannot be the name of a seam: it is the part of a layer where layers meet")
         if len(self.seams) > 1 and S in self.seams:
             raise GeometryError(f"{S!r} is all seams together and cannot name one of several")
         for name in self.seams:

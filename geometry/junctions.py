@@ -74,7 +74,9 @@ def rings_of(joint: Joint, columns: Columns, found: IntArray) -> tuple[Columns, 
             f"at {place(joint.points[nodes[loose][0]])} bodies touch at a vertex only, between layers that meet there: the "
             "layers' ends enclose no polygon"
         )
-    begin = np.lexsort((copies, degree, at))[np.searchsorted(np.sort(at), np.arange(len(nodes)))]  # an end, if there is one
+    begin = np.lexsort((copies, degree, at))[
+        np.searchsorted(np.sort(at), np.arange(len(nodes)))
+    ]  # an end, if there is one
     rings = []
     for m, closed in np.unique(np.column_stack([corners, corners == sides]), axis=0):
         here = np.flatnonzero((corners == m) & ((corners == sides) == closed))
@@ -146,7 +148,7 @@ def fill(
     found[:, 1 + m * inner :] = blocks.reshape(n, -1, d)
 
     quads = np.stack([grid[..., :-1, :-1], grid[..., 1:, :-1], grid[..., :-1, 1:], grid[..., 1:, 1:]], axis=-1)
-    cells = quads.reshape(n, -1, 4)
-    if not is_tensor(cell_type):  # halved from the corner to the centre: sound for corners of any angle below 180 degrees
+    cells: IntArray = quads.reshape(n, -1, 4)
+    if not is_tensor(cell_type):  # halved from the corner to the centre, which suits corners of all angles
         cells = np.concatenate([cells[..., [0, 1, 3]], cells[..., [0, 3, 2]]], axis=1)
     return cells, found.reshape(-1, d), np.repeat(ring.nodes, per_junction)

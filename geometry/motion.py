@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
@@ -135,7 +137,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     area = _areas(joint)
     pairs, at = np.unique(ends, axis=0, return_inverse=True)
     at = at.ravel()
-    weight = np.bincount(at, area)
+    weight: FloatArray = np.bincount(at, area).astype(float)
     moment, opened = np.zeros((len(pairs), d, d)), np.zeros((len(pairs), d))
     np.add.at(moment, at, area[:, None, None] * n[:, :, None] * n[:, None, :])
     np.add.at(opened, at, (area * eps)[:, None] * n)
@@ -168,11 +170,15 @@ def _areas(joint: Joint) -> FloatArray:
     x = joint.points[joint.surface]
     if joint.dim == 2:
         return np.asarray(np.linalg.norm(x[:, 1] - x[:, 0], axis=1))
-    first, second = (x[:, 3] - x[:, 0], x[:, 2] - x[:, 1]) if is_tensor(joint.cell_type) else (x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    first, second = (
+        (x[:, 3] - x[:, 0], x[:, 2] - x[:, 1]) if is_tensor(joint.cell_type) else (x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    )
     return np.asarray(np.linalg.norm(np.cross(first, second), axis=1) / 2)
 
 
-def _translations(pairs: IntArray, count: int, wanted: FloatArray, across: FloatArray, weight: FloatArray) -> FloatArray:
+def _translations(
+    pairs: IntArray, count: int, wanted: FloatArray, across: FloatArray, weight: FloatArray
+) -> FloatArray:
     """Least squares of the jumps along S, under the constraint of those across: (count, d), up to a common translation.
 
     By an augmented Lagrangian, whose multiplier exists for redundant constraints, too.
@@ -326,23 +332,39 @@ def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     return solution
 
 
-def require_room(joint: Joint, n: FloatArray, eps: float) -> None:
-    """Raise GeometryError if the body below S, or the layer on a rigid base, moved by -eps n, hits the upper body."""
-    table = joint.table
+def require_room(joint: Joint, translation: FloatArray) -> None:
+    """Raise GeometryError if bodies that are kept, or a layer on a rigid base, hit one another on their way.
+
+    Args:
+        joint: the joint before inflating.
+        translation: of its pieces, and of the rigid base if there is one, see `kept_motion`.
+    """
+    table, cells = joint.table, joint.surface_cells
+    first, alike = ways_of(translation)
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
-    on_s = np.isin(outer, joint.surface_rows)
-    pieces, under = joint.splitting.pieces, joint.surface_cells[:, 0]
-    below = on_s | np.isin(pieces[table.cells[outer, 0]], pieces[under[under >= 0]])
-    moving, fixed = outer[below], outer[~below]
-    for rows, others, way in ((moving, fixed, -1.0), (fixed, moving, 1.0)):
-        corners = table.vertices[rows]
-        weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
-        probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
-        x = _first_hit(joint, probes, others, way * n, eps)
-        if x is not None:
-            raise GeometryError(
-                f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
-            )
+    piece = joint.splitting.pieces[table.cells[outer, 0]]
+    below = np.where(cells[:, 0] >= 0, joint.splitting.pieces[cells[:, 0]], len(translation) - 1)
+    piece[np.searchsorted(outer, joint.surface_rows)] = below
+    group = alike[piece]
+    for one, other in combinations(range(len(first)), 2):
+        way = translation[first[one]] - translation[first[other]]
+        eps = float(np.linalg.norm(way))
+        for moving, fixed, sign in ((one, other, 1.0), (other, one, -1.0)):
+            corners = table.vertices[outer[group == moving]]
+            weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
+            probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
+            x = _first_hit(joint, probes, outer[group == fixed], sign * way / eps, eps)
+            if x is not None:
+                raise GeometryError(
+                    f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
+                )
+
+
+def ways_of(translation: FloatArray) -> tuple[IntArray, IntArray]:
+    """The first pieces with each translation, but for rounding errors; and (n_pieces,) which of these each piece has."""
+    scale = SAME_GAP * max(float(np.abs(translation).max()), np.finfo(float).tiny)
+    _, first, alike = np.unique(np.round(translation / scale), axis=0, return_index=True, return_inverse=True)
+    return first, alike.ravel()
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:

@@ -49,8 +49,8 @@ class FullModel(Model):
         for name in self.joint.seams:
             if name not in self.layers:
                 raise ModelError(
-                    f"the seam {name!r} is open: an open joint has no thickness, so layers that end at it cannot be meshed; "
-                    "give it a weak layer, or use structure.interface"
+                    f"the seam {name!r} is open: an open joint has no thickness, so layers that end at it cannot be "
+                    "meshed; give it a weak layer, or use structure.interface"
                 )
         for one in self.layers.values():
             self._check(one)
