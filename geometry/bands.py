@@ -244,7 +244,7 @@ def band_cells(
         middle = (heights[base] + heights[base + degree]) / 2
         for picked, offsets in patterns:
             at, turned = (np.take_along_axis(of[rows], picked, axis=1) for of in (footing.columns, footing.turned))
-            level = np.where(turned, top - base - offsets, base + offsets).astype(np.int64)
+            level = np.asarray(np.where(turned, top - base - offsets, base + offsets), np.int64)
             cells.append(columns.number(at, level))
             director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
             sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))

@@ -298,9 +298,9 @@ def _check_junctions(
     odd = columns.top[meeting] % 2 > 0
     if odd.any():
         first = meeting[odd][0]
+        x = joint.points[columns.nodes[first]]
         raise GeometryError(
-            f"cells_through is {columns.top[first]}: layers meet at {place(joint.points[columns.nodes[first]])} and need an "
-            "even number of cells through their thickness"
+            f"cells_through is {columns.top[first]}: layers meet at {place(x)} and need an even number of cells there"
         )
 
 

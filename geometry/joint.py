@@ -204,7 +204,9 @@ class Joint:
         if not self.seams:
             raise GeometryError(f"a joint needs a seam, such as {S!r}")
         if JUNCTIONS in self.seams:
-            raise GeometryError(f"{JUNCTIONS!r} cannot be the name of a seam: it is the part of a layer where layers meet")
+            raise GeometryError(
+                f"{JUNCTIONS!r} cannot be the name of a seam: it is the part of a layer where layers meet"
+            )
         if len(self.seams) > 1 and S in self.seams:
             raise GeometryError(f"{S!r} is all seams together and cannot name one of several")
         for name in self.seams:

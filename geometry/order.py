@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geometry.joint import Joint
+from geometry.joint import Joint, S
 from geometry.topology import FloatArray, IntArray
 
 CLOSE = 1e-9  # distance, over the size of the whole, below which two places are the same
@@ -38,9 +38,9 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
     return np.array(way, np.int64)
 
 
-def edges_of_s(joint: Joint, numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S."""
-    facets = joint.table.vertices[joint.surface_rows]
+def edges_of_s(joint: Joint, numbers: IntArray, seam: str = S) -> tuple[IntArray, IntArray]:
+    """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S, or of one seam."""
+    facets = joint.table.vertices[joint.rows_of(seam)]
     k = facets.shape[1]
     pairs = np.concatenate([facets[:, [i, j]] for i in range(k) for j in range(i + 1, k)])
     order = np.argsort(numbers)
@@ -49,12 +49,12 @@ def edges_of_s(joint: Joint, numbers: IntArray) -> tuple[IntArray, IntArray]:
     return order[at[there, 0]], order[at[there, 1]]
 
 
-def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray) -> IntArray:
-    """Order of some vertices of a joint, on S at x (n, d), one or several times each: along S in 2D, else by place."""
+def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray, seam: str = S) -> IntArray:
+    """Order of vertices of a joint on S, or on a seam, at x (n, d), each once or more: along S in 2D, else by place."""
     size = float(np.ptp(joint.points, axis=0).max())
     vertices, first, number = np.unique(numbers, return_index=True, return_inverse=True)
     if joint.dim == 2:
-        order = along(x[first], np.column_stack(edges_of_s(joint, vertices)), size)
+        order = along(x[first], np.column_stack(edges_of_s(joint, vertices, seam)), size)
     else:
         order = by_place(x[first], size)
     return np.argsort(np.argsort(order)[number], kind="stable")

@@ -65,7 +65,7 @@ def test_no_step_leads_on():
     assert 0.1 * (1 + C * 7.0) - 0.002 < t < 0.1 * (1 + C * 7.0)
     with pytest.raises(SolveError, match=r"nothing moves from t = 0 to 0\.1: the path has no direction"):
         march(bar(STEEP, lambda x, t: 0.0), ArcLength(end=1.0, first=0.1))
-    with pytest.raises(SolveError, match=r"the first state, at t = 0: .*law failed"):
+    with pytest.raises(SolveError, match=r"the first state, at t = 0: .*the law of 'layer' failed"):
         march(bar(Torn(k=7.0, k_T=1.9), lambda x, t: 2 + t), ArcLength(end=1.0, first=0.1))
 
 

@@ -95,7 +95,7 @@ def test_only_the_same_march_is_resumed(tmp_path):
     assert (tmp_path / "table.csv").read_text().startswith(first)
     assert len(longer) == 4
     with pytest.raises(
-        ModelError, match=r"another march \(law: KelvinVoigt.*theta_mu=0.5.* there, Kelvin.*theta_mu=0.6"
+        ModelError, match=r"another march \(law: S: KelvinVoigt.*theta_mu=0.5.* there, Kelvin.*theta_mu=0.6"
     ):
         march(interface(KelvinVoigt(60.0, 40.0, 0.3, 0.6)), [0.1], out=tmp_path, resume=True)
     assert [state.t for state in longer] == pytest.approx([0.0, 0.1, 0.2, 0.3])

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, LinearElastic, Maxwell, Stack
+from forms import LinearElastic, Maxwell, NonMonotone, Stack
 from geometry import GeometryError, read
 from tests.meshes import boxes, drawing, save, sides
-from thinlayer import ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
 from thinlayer.output.fields import gather
 
 BODY = LinearElastic(30.0, 20.0)
@@ -87,6 +87,20 @@ def test_layers_that_remember(path):
     assert found[0][0].max() > 1.5 * found[0][-1].max()
 
 
+def test_phases_of_one_layer_of_two(path):
+    """The report is of the seam whose layer has phases."""
+    structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0, "TOP": {"y": 0.5}, **ROLLERS})
+    phases = NonMonotone(3.0, 1.0, 0.5, 0.07, [[0.2, 0.5], [0.5, 1.0]])
+    history = march(structure.interface({"ONE": ThinLayer(STIFF, 0.02), "TWO": ThinLayer(phases, 0.01)}), [1.0])
+    x, phase = PhaseReport(history.last).profile()
+    assert x[:, 1] == pytest.approx(2.0)
+    assert phase == pytest.approx(PhaseReport(history.last).plus, rel=1e-6)
+    assert 0 < phase[0] <= 1
+    both = structure.interface(ThinLayer(phases, 0.01))
+    with pytest.raises(ModelError, match="several layers have phases; a report is of one"):
+        PhaseReport(march(both, [1.0]).last)
+
+
 def test_what_is_refused(path):
     for seams, message in (
         (["ONE", "TWOO"], "unknown set of facets 'TWOO', did you mean 'TWO'"),
@@ -102,10 +116,5 @@ def test_what_is_refused(path):
         structure.interface({"ONE": layer})
     with pytest.raises(ModelError, match="unknown seam 'TWOO', did you mean 'TWO'"):
         structure.interface({"ONE": layer, "TWO": layer, "TWOO": layer})
-    with pytest.raises(ModelError, match=r"several seams \(ONE, TWO\) has no meshed layers"):
-        structure.full(layer)
     with pytest.raises(ModelError, match="unknown seam 'THREE'"):
         Surface(structure.interface(layer), "THREE")
-    contact = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0}, element="P1")
-    with pytest.raises(ModelError, match="contact laws are for a joint with one seam"):
-        contact.interface(HolonomicCoulomb(30.0, 10.0, 0.3))

@@ -122,11 +122,10 @@ class SeamLayer:
         return self.at_rest.zero_tractions(self.sheet.planar, moving)
 
     def identity(self) -> dict[str, Any]:
-        """Description of the layer, as JSON."""
+        """Description of the layer without its law, as JSON."""
         thin, profile = self.thin, self.thin.profile if self.thin else None
         shape = self.structure.joint.relative_thickness(profile, self.name) if profile else None
         return {
-            "law": described(self.law),
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
             "profile": None if shape is None else described(shape),

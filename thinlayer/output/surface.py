@@ -252,7 +252,7 @@ class Surface:
         rows = np.column_stack([self._vertices[at], V.tabulate_dof_coordinates()[at, :d], values[at]])
         rows = np.concatenate(self.model.comm.allgather(rows))
         x = rows[:, 1 : 1 + d]
-        order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x)
+        order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x, self.seam)
         return x[order], rows[order, 1 + d :] if f.ufl_shape else rows[order, 1 + d]
 
     @cached_property

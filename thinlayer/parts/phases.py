@@ -84,7 +84,7 @@ class PhaseReport:
         return max(1 - self.plus - self.minus, 0.0) * float(self._layer.eps) * phase_thickness(self._layer.law)
 
     def profile(self) -> tuple[Array, Array]:
-        """Centres (columns, d) of the facets of S and the mean phase (columns,) of the layer there.
+        """Centres (columns, d) of the facets of the layer's seam and the mean phase (columns,) of the layer there.
 
         Centres are those before inflating. They are ordered along S in 2D, else by coordinates, the same on all ranks.
         """
@@ -94,6 +94,8 @@ class PhaseReport:
             places = columns.centres
             sums.append([columns.sum_of(weights * phase), columns.sum_of(weights)])
         part, whole = np.sum(sums, axis=0)
+        covered = whole > 0  # of several seams, the one of this layer
+        places, part, whole = places[covered], part[covered], whole[covered]
         order = self._order(places)
         return places[order], (part / whole)[order]
 
