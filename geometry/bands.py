@@ -243,8 +243,9 @@ def band_cells(
     for base in range(0, top, degree):
         middle = (heights[base] + heights[base + degree]) / 2
         for picked, offsets in patterns:
-            at, turned = (np.take_along_axis(of[rows], picked, axis=1) for of in (footing.columns, footing.turned))
-            level = np.asarray(np.where(turned, top - base - offsets, base + offsets), np.int64)
+            at = np.take_along_axis(footing.columns[rows], picked, axis=1)
+            turned = np.take_along_axis(footing.turned[rows], picked, axis=1)
+            level = np.where(turned, top - base - offsets, base + offsets)
             cells.append(columns.number(at, level))
             director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
             sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))

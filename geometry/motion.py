@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from geometry.bands import Copies
 from geometry.joint import FLAT, GeometryError, Joint, place
-from geometry.topology import BoolArray, FloatArray, IntArray, facet_normals, is_tensor, lagrange
+from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
 EXACT = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
@@ -147,12 +147,19 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     wanted = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse, vectors, opened / weight[:, None])
     T = _translations(pairs, count, wanted, (vectors * across[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
 
-    jump = T[ends[:, 1]] - T[ends[:, 0]]
-    gap = (jump * n).sum(axis=1)
-    lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
-    wrong = np.abs(gap - eps) > SAME_GAP * eps + FLAT * lean
-    if wrong.any():
-        raise GeometryError(f"{_why_not_kept(joint, at, across.sum(axis=1), wrong)}: {NOT_KEPT}")
+    for jump, reason in (
+        (wanted[at], "S is not planar, as at {}"),
+        (
+            T[ends[:, 1]] - T[ends[:, 0]],
+            "the layers around the bodies at {} ask for motions that contradict one another",
+        ),
+    ):
+        gap = (jump * n).sum(axis=1)
+        lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
+        wrong = np.abs(gap - eps) > SAME_GAP * eps + FLAT * lean
+        if wrong.any():
+            x = joint.points[joint.surface[wrong][0]].mean(axis=0)
+            raise GeometryError(f"{reason.format(place(x))}: {NOT_KEPT}")
     graph = scipy.sparse.coo_matrix((np.ones(len(pairs), np.int8), tuple(pairs.T)), shape=(count, count))
     part = connected_components(graph, directed=False)[1]
     based = np.zeros(part.max() + 1, bool)
@@ -209,21 +216,6 @@ def _translations(
             break
         best, last, multiplier = T, error, multiplier + missing
     return best
-
-
-def _why_not_kept(joint: Joint, pair: IntArray, ways: IntArray, wrong: BoolArray) -> str:
-    """What keeps the bodies from moving apart in one piece, for a message.
-
-    Args:
-        joint: the joint before inflating.
-        pair: (n_S,) pair of pieces on both sides of each facet.
-        ways: (n_pairs,) number of directions across the layers between two pieces.
-        wrong: (n_S,) where the layer does not get its thickness.
-    """
-    x = place(joint.points[joint.surface[wrong][0]].mean(axis=0))
-    if (ways[pair[wrong]] > 1).any():
-        return f"S is not planar, as at {x}"
-    return f"the layers around the bodies at {x} ask for motions that contradict one another"
 
 
 def require_apart(opened: Joint) -> None:

@@ -99,7 +99,8 @@ class FullModel(Model):
             )
         if needs_director(law):
             raise ModelError(
-                f"{law!r} of the seam {name!r} depends on the normal of S, which is not defined where layers meet; {hint}"
+                f"{type(law).__name__} of the seam {name!r} depends on the normal of S, which is not defined where layers "
+                f"meet; {hint}"
             )
 
     def _layer_terms(self) -> list[forms.Term]:
