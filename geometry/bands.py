@@ -1,4 +1,4 @@
-"""Bands: copies of the nodes of S, one for each body there, columns of nodes between two copies, cells between columns."""
+"""Bands: copies of the nodes of S, one for each body there, posts of nodes between two copies, cells between posts."""
 
 from __future__ import annotations
 
@@ -66,16 +66,16 @@ class Copies:
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Columns of nodes from one copy of a node of S to another one. Level 0 is the first copy, the last level the second.
+class Posts:
+    """Posts of nodes from one copy of a node of S to another one. Level 0 is the first copy, the last level the second.
 
     Cells of degree 2 have nodes at the levels of their faces and half-way between.
 
     Attributes:
         first_new: number of the first node between copies.
-        ends: (n, 2) the two copies of each column.
+        ends: (n, 2) the two copies of each post.
         nodes: (n,) the node of S that they are copies of.
-        kind: (n,) position of the column's heights in `heights`.
+        kind: (n,) position of the post's heights in `heights`.
         heights: heights of the levels, in units of the thickness, from 0 to 1.
     """
 
@@ -87,12 +87,12 @@ class Columns:
 
     @cached_property
     def top(self) -> IntArray:
-        """(n,) the last level of each column."""
+        """(n,) the last level of each post."""
         return np.array([len(one) - 1 for one in self.heights])[self.kind]
 
     @cached_property
     def _places(self) -> tuple[IntArray, IntArray]:
-        """(n,) number of the node at level 1 of each column, and the step of numbers from level to level."""
+        """(n,) number of the node at level 1 of each post, and the step of numbers from level to level."""
         count = np.bincount(self.kind, minlength=len(self.heights))
         sizes = count * (np.array([len(one) for one in self.heights]) - 2)
         start = self.first_new + np.cumsum(sizes) - sizes
@@ -106,12 +106,12 @@ class Columns:
         """Number of nodes between copies."""
         return int((self.top - 1).sum())
 
-    def number(self, columns: IntArray, level: IntArray | int) -> IntArray:
-        """Nodes of columns at levels."""
+    def number(self, posts: IntArray, level: IntArray | int) -> IntArray:
+        """Nodes of posts at levels."""
         start, step = self._places
-        between = start[columns] + (np.asarray(level) - 1) * step[columns]
-        second = np.where(level == self.top[columns], self.ends[columns, 1], between)
-        return np.where(np.asarray(level) == 0, self.ends[columns, 0], second)
+        between = start[posts] + (np.asarray(level) - 1) * step[posts]
+        second = np.where(level == self.top[posts], self.ends[posts, 1], between)
+        return np.where(np.asarray(level) == 0, self.ends[posts, 0], second)
 
     def between(self, values: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
         """Nodes between copies, values there, linear between those (n_nodes, d) at the copies, and their nodes of S."""
@@ -127,10 +127,10 @@ class Columns:
             return np.empty(0, np.int64), np.empty((0, values.shape[1])), np.empty(0, np.int64)
         return np.concatenate(nodes), np.concatenate(found), np.concatenate(below)
 
-    def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> Columns:
-        """These columns and more of them."""
+    def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> Posts:
+        """These posts and more of them."""
         more = np.full(len(nodes), kind)
-        return Columns(
+        return Posts(
             self.first_new, np.concatenate([self.ends, ends]), np.concatenate([self.nodes, nodes]),
             np.concatenate([self.kind, more]), self.heights,
         )  # fmt: skip
@@ -138,21 +138,21 @@ class Columns:
 
 @dataclass(frozen=True)
 class Footing:
-    """Where the facets of S have their columns.
+    """Where the facets of S have their posts.
 
     Attributes:
-        columns: (n_S, k) the column at each node of each facet.
-        turned: (n_S, k) whether the column leads from the upper side of this facet to the lower one.
-        seam: (n columns,) number of the seam of a facet at the column.
+        posts: (n_S, k) the post at each node of each facet.
+        turned: (n_S, k) whether the post leads from the upper side of this facet to the lower one.
+        seam: (n posts,) number of the seam of a facet at the post.
     """
 
-    columns: IntArray
+    posts: IntArray
     turned: BoolArray
     seam: IntArray
 
 
-def columns_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tuple[Columns, Footing]:
-    """The columns at the nodes of S, one for each two copies with a facet between them.
+def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tuple[Posts, Footing]:
+    """The posts at the nodes of S, one for each two copies with a facet between them.
 
     Args:
         joint: the joint before inflating.
@@ -191,11 +191,11 @@ def columns_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> t
                 f"the upper side of S changes at {place(joint.points[joint.surface.ravel()[where]])}: in 3D a layer needs "
                 "one upper side and one lower side there"
             )
-    columns = Columns(
+    posts = Posts(
         len(joint.points) + len(copies.new), ends, joint.surface.ravel()[first], kind_of_seam[seam[first]], tuple(kinds)
     )
     shape = joint.surface.shape
-    return columns, Footing(at.reshape(shape), turned.reshape(shape), seam[first])
+    return posts, Footing(at.reshape(shape), turned.reshape(shape), seam[first])
 
 
 def _same(one: FloatArray, other: FloatArray) -> bool:
@@ -228,7 +228,7 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
 
 
 def band_cells(
-    joint: Joint, columns: Columns, footing: Footing, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
+    joint: Joint, posts: Posts, footing: Footing, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Cells of the band over some facets of S, their sublayer, and the normal of S at each of their corners."""
     surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
@@ -243,10 +243,10 @@ def band_cells(
     for base in range(0, top, degree):
         middle = (heights[base] + heights[base + degree]) / 2
         for picked, offsets in patterns:
-            at = np.take_along_axis(footing.columns[rows], picked, axis=1)
+            at = np.take_along_axis(footing.posts[rows], picked, axis=1)
             turned = np.take_along_axis(footing.turned[rows], picked, axis=1)
             level = np.where(turned, top - base - offsets, base + offsets)
-            cells.append(columns.number(at, level))
+            cells.append(posts.number(at, level))
             director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
             sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))
     return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from forms.base import is_finite
-from geometry.bands import Columns, Copies, Footing, band_cells, columns_of, level_heights
+from geometry.bands import Posts, Copies, Footing, band_cells, posts_of, level_heights
 from geometry.joint import (
     BASE,
     JUNCTIONS,
@@ -24,7 +24,7 @@ from geometry.joint import (
     place,
     unknown,
 )
-from geometry.junctions import Ring, fill, junction_columns, rings_of
+from geometry.junctions import Ring, fill, junction_posts, rings_of
 from geometry.motion import (
     NOT_KEPT,
     UNIFORM,
@@ -94,22 +94,22 @@ def inflate(
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
     layers = _Layers.of(joint, eps, profile, cells_through, fractions)
     copies = Copies.of(joint)
-    columns, footing = columns_of(joint, copies, layers.heights)
-    meeting = junction_columns(columns)
-    _check_junctions(joint, copies, columns, footing.seam[meeting], meeting, layers)
-    columns, rings = rings_of(joint, columns, meeting)
+    posts, footing = posts_of(joint, copies, layers.heights)
+    meeting = junction_posts(posts)
+    _check_junctions(joint, copies, posts, footing.seam[meeting], meeting, layers)
+    posts, rings = rings_of(joint, posts, meeting)
 
     translation = _translation(joint, layers.thickness) if bodies == "kept" else None
     copied = _motion(joint, copies, layers.thickness, translation)
-    nodes, between, below = columns.between(copied)
-    motion = np.concatenate([copied, np.empty((columns.size, joint.dim))])
-    footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(columns.size, np.int64)])
+    nodes, between, below = posts.between(copied)
+    motion = np.concatenate([copied, np.empty((posts.size, joint.dim))])
+    footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
     motion[nodes], footprint[nodes] = between, below
 
-    bands, names = _bands(joint, columns, footing, layers)
+    bands, names = _bands(joint, posts, footing, layers)
     blocks = [_Cells.empty(joint)]
     for ring in rings:
-        cells, moved, below = fill(ring, columns, joint.cell_type, motion, len(motion))
+        cells, moved, below = fill(ring, posts, joint.cell_type, motion, len(motion))
         motion, footprint = np.concatenate([motion, moved]), np.concatenate([footprint, below])
         blocks.append(_Cells.of_junctions(cells, _owners(joint, ring, footing, junctions)))
     polygons = _Cells.joined(blocks)
@@ -264,22 +264,22 @@ class _Cells:
 
 
 def _check_junctions(
-    joint: Joint, copies: Copies, columns: Columns, seams: IntArray, meeting: IntArray, layers: _Layers
+    joint: Joint, copies: Copies, posts: Posts, seams: IntArray, meeting: IntArray, layers: _Layers
 ) -> None:
     """Raise GeometryError where layers meet that cannot be meshed there.
 
     Args:
         joint: the joint before inflating.
         copies: of its nodes.
-        columns: all columns at the nodes of S.
-        seams: numbers of the seams of the columns at junctions.
-        meeting: these columns.
+        posts: all posts at the nodes of S.
+        seams: numbers of the seams of the posts at junctions.
+        meeting: these posts.
         layers: the layers.
     """
     if not len(meeting):
         return
     names = np.array(list(joint.seams))[seams]
-    based = np.concatenate([np.zeros(len(joint.points), bool), copies.base])[columns.ends[meeting]].any(axis=1)
+    based = np.concatenate([np.zeros(len(joint.points), bool), copies.base])[posts.ends[meeting]].any(axis=1)
     reasons = {
         "in 3D junctions are not meshed yet": np.full(len(meeting), joint.dim == 3),
         "junctions are not meshed on a rigid base": based,
@@ -291,16 +291,16 @@ def _check_junctions(
     }
     for reason, holds in reasons.items():
         if holds.any():
-            x = joint.points[columns.nodes[meeting[holds][0]]]
+            x = joint.points[posts.nodes[meeting[holds][0]]]
             raise GeometryError(
                 f"S branches at {place(x)}, where three or more bodies meet: {reason}; use the interface model"
             )
-    odd = columns.top[meeting] % 2 > 0
+    odd = posts.top[meeting] % 2 > 0
     if odd.any():
         first = meeting[odd][0]
-        x = joint.points[columns.nodes[first]]
+        x = joint.points[posts.nodes[first]]
         raise GeometryError(
-            f"cells_through is {columns.top[first]}: layers meet at {place(x)} and need an even number of cells there"
+            f"cells_through is {posts.top[first]}: layers meet at {place(x)} and need an even number of cells there"
         )
 
 
@@ -311,21 +311,19 @@ def _owners(joint: Joint, ring: Ring, footing: Footing, junctions: Sequence[str]
             raise GeometryError(f"junctions: {unknown('seam', name, joint.seams)}")
     order = list(dict.fromkeys([*junctions, *joint.seams]))
     rank = np.array([order.index(name) for name in joint.seams])
-    of_columns = np.append(rank[footing.seam], len(order))  # the sides that close a polygon have no seam
-    first = of_columns[np.minimum(ring.sides, len(footing.seam))].min(axis=1)
+    of_posts = np.append(rank[footing.seam], len(order))  # the sides that close a polygon have no seam
+    first = of_posts[np.minimum(ring.sides, len(footing.seam))].min(axis=1)
     return np.argsort(rank)[first]
 
 
-def _bands(
-    joint: Joint, columns: Columns, footing: Footing, layers: _Layers
-) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
+def _bands(joint: Joint, posts: Posts, footing: Footing, layers: _Layers) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
     """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face."""
     found: list[_Cells] = []
     names: dict[str, tuple[str, ...]] = {}
     first = len(joint.regions)
     for number, seam in enumerate(joint.seams):
         rows, fractions = np.flatnonzero(joint.seam_numbers == number), layers.fractions[seam]
-        cells, sublayer, director = band_cells(joint, columns, footing, rows, layers.heights[number], fractions)
+        cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
         whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
         found.append(_Cells(cells, first + sublayer, director))

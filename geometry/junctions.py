@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.bands import Columns
+from geometry.bands import Posts
 from geometry.joint import GeometryError, Joint, place
 from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
 
@@ -23,8 +23,8 @@ class Ring:
     Attributes:
         nodes: (n,) the vertex of S of each junction.
         corners: (n, m) its copies, in order around the polygon.
-        sides: (n, m) the column from each corner to the next one.
-        turned: (n, m) whether this column leads from the next corner to this one.
+        sides: (n, m) the post from each corner to the next one.
+        turned: (n, m) whether this post leads from the next corner to this one.
     """
 
     nodes: IntArray
@@ -33,41 +33,41 @@ class Ring:
     turned: BoolArray
 
 
-def junction_columns(columns: Columns) -> IntArray:
-    """Columns at nodes that have several of them, in the order of the nodes."""
-    count = np.bincount(columns.nodes)
-    found = np.flatnonzero(count[columns.nodes] > 1)
-    return found[np.argsort(columns.nodes[found], kind="stable")]
+def junction_posts(posts: Posts) -> IntArray:
+    """Posts at nodes that have several of them, in the order of the nodes."""
+    count = np.bincount(posts.nodes)
+    found = np.flatnonzero(count[posts.nodes] > 1)
+    return found[np.argsort(posts.nodes[found], kind="stable")]
 
 
-def rings_of(joint: Joint, columns: Columns, found: IntArray) -> tuple[Columns, list[Ring]]:
-    """The junctions, and all columns, with those that close the polygons on the outer boundary.
+def rings_of(joint: Joint, posts: Posts, found: IntArray) -> tuple[Posts, list[Ring]]:
+    """The junctions, and all posts, with those that close the polygons on the outer boundary.
 
     Args:
         joint: the joint before inflating.
-        columns: all columns at the nodes of S.
-        found: those of junctions, see `junction_columns`.
+        posts: all posts at the nodes of S.
+        found: those of junctions, see `junction_posts`.
 
     Raises:
         GeometryError: bodies that touch at a vertex only lie between the layers that end there.
     """
     if not len(found):
-        return columns, []
-    first, second = columns.ends[found].T
+        return posts, []
+    first, second = posts.ends[found].T
     copy = np.concatenate([first, second])
     order = np.argsort(copy, kind="stable")
     copies, start, degree = np.unique(copy[order], return_index=True, return_counts=True)
     to, by = np.concatenate([second, first])[order], np.concatenate([found, found])[order]
-    # (copies, 2) the neighbours of each copy, and the columns that lead there; -1: there is one only
+    # (copies, 2) the neighbours of each copy, and the posts that lead there; -1: there is one only
     last = start + degree - 1
     neighbour = np.column_stack([to[start], np.where(degree > 1, to[last], -1)])
     link = np.column_stack([by[start], np.where(degree > 1, by[last], -1)])
 
     node_of = np.empty(len(copies), np.int64)
-    node_of[np.searchsorted(copies, first)] = columns.nodes[found]
-    node_of[np.searchsorted(copies, second)] = columns.nodes[found]
+    node_of[np.searchsorted(copies, first)] = posts.nodes[found]
+    node_of[np.searchsorted(copies, second)] = posts.nodes[found]
     nodes, at = np.unique(node_of, return_inverse=True)
-    corners, sides = np.bincount(at), np.bincount(np.searchsorted(nodes, columns.nodes[found]))
+    corners, sides = np.bincount(at), np.bincount(np.searchsorted(nodes, posts.nodes[found]))
     loose = (corners - sides > 1) | (np.bincount(at, degree > 2) > 0)
     if loose.any():
         raise GeometryError(
@@ -90,20 +90,20 @@ def rings_of(joint: Joint, columns: Columns, found: IntArray) -> tuple[Columns, 
                 by_side[:, k] = came
                 now = np.searchsorted(copies, neighbour[now, way])
         if not closed:
-            by_side[:, -1] = len(columns.nodes) + np.arange(len(here))
-            columns = columns.joined(ring[:, [-1, 0]], nodes[here], int(columns.kind[found[0]]))
-        rings.append(Ring(nodes[here], ring, by_side, columns.ends[by_side, 0] != ring))
-    return columns, rings
+            by_side[:, -1] = len(posts.nodes) + np.arange(len(here))
+            posts = posts.joined(ring[:, [-1, 0]], nodes[here], int(posts.kind[found[0]]))
+        rings.append(Ring(nodes[here], ring, by_side, posts.ends[by_side, 0] != ring))
+    return posts, rings
 
 
 def fill(
-    ring: Ring, columns: Columns, cell_type: str, values: FloatArray, first: int
+    ring: Ring, posts: Posts, cell_type: str, values: FloatArray, first: int
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Cells of junctions, (n, cells, corners), and values at their new nodes, which are numbered from `first` on.
 
     Args:
         ring: junctions with the same number of corners.
-        columns: all columns; those of the sides have one even number of cells.
+        posts: all posts; those of the sides have one even number of cells.
         cell_type: "triangle" or "quadrilateral".
         values: (n_nodes, d) at the copies; linear from the centre to the sides, bilinear in the blocks.
         first: number of the first new node.
@@ -112,7 +112,7 @@ def fill(
         The cells, the values, and the node of S below each new node.
     """
     n, m = ring.corners.shape
-    N = int(columns.top[ring.sides[0, 0]])
+    N = int(posts.top[ring.sides[0, 0]])
     half, d = N // 2, values.shape[1]
     at = values[ring.corners]  # (n, m, d)
     centre = at.mean(axis=1)
@@ -126,8 +126,8 @@ def fill(
     grid = np.empty((n, m, half + 1, half + 1), np.int64)  # [p, q]: p along the next side, q along the one before
     k = np.arange(half + 1)
     level = np.where(ring.turned[..., None], N - k, k)
-    grid[:, :, :, 0] = columns.number(ring.sides[..., None], level)
-    grid[:, :, 0, :] = np.roll(columns.number(ring.sides[..., None], N - level), 1, axis=1)
+    grid[:, :, :, 0] = posts.number(ring.sides[..., None], level)
+    grid[:, :, 0, :] = np.roll(posts.number(ring.sides[..., None], N - level), 1, axis=1)
     grid[:, :, half, 1:half] = rays
     grid[:, :, 1:half, half] = np.roll(rays, 1, axis=1)
     grid[:, :, half, half] = start[:, None]
