@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from forms.base import is_finite
-from geometry.bands import Posts, Copies, Footing, band_cells, posts_of, level_heights
+from geometry.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
 from geometry.joint import (
     BASE,
     JUNCTIONS,
@@ -92,6 +92,9 @@ def inflate(
         raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
+    for name in junctions:
+        if name not in joint.seams:
+            raise GeometryError(f"junctions: {unknown('seam', name, joint.seams)}")
     layers = _Layers.of(joint, eps, profile, cells_through, fractions)
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
@@ -306,9 +309,6 @@ def _check_junctions(
 
 def _owners(joint: Joint, ring: Ring, footing: Footing, junctions: Sequence[str]) -> IntArray:
     """(n,) number of the seam to which the cells of each junction belong."""
-    for name in junctions:
-        if name not in joint.seams:
-            raise GeometryError(f"junctions: {unknown('seam', name, joint.seams)}")
     order = list(dict.fromkeys([*junctions, *joint.seams]))
     rank = np.array([order.index(name) for name in joint.seams])
     of_posts = np.append(rank[footing.seam], len(order))  # the sides that close a polygon have no seam

@@ -172,6 +172,7 @@ def test_layers_that_meet_on_the_boundary(cell):
     x = opened.points[opened.facets["SIDE/LAYER"]]
     assert x[..., 0] == pytest.approx(0.0, abs=1e-12)
     assert np.ptp(x[..., 1]) == pytest.approx(np.sqrt(2) * eps)
+    check(base, inflate(base, eps))
 
 
 def test_numbers_and_orientation_make_no_difference():
@@ -275,6 +276,35 @@ def test_heads_that_yield():
     errors = np.abs(errors)
     assert (errors[1] < (2e-3, 0.05)).all()
     assert errors[1, 1] < 0.7 * errors[0, 1]
+
+
+def test_incompressible_layers_have_one_pressure():
+    """Beds, heads and junctions keep their area together, and open as layers that are nearly incompressible."""
+    structure, eps = panel("P2"), 0.05
+    surface, found = Surface(structure.interface(mortar(eps))), []
+    for law in (Incompressible(0.5), LinearElastic(500.0, 0.5)):
+        state = solve(structure.full({"BED": ThinLayer(law, eps), "HEAD": ThinLayer(law, eps)}), 1.0)
+        w, model = surface.jump(state), state.model
+        layers = model.dx(model.domain.cell_values(*model.domain.layer_regions))
+        found.append([state.integral(ufl.div(state.u) * layers), state.energies()["bodies"], surface.norm(w)])
+    assert abs(found[0][0]) < 1e-12 * found[0][2]
+    assert found[0][1:] == pytest.approx(found[1][1:], rel=0.02)
+
+
+def test_loads_add_up():
+    """Extended bodies give the layers' sides their share of tractions."""
+    joint = wall(3, 4, BRICK, 0.25)
+    structure = Structure(
+        joint,
+        body=LinearElastic.young(1.0, 0.2),
+        supports={"BOTTOM": 0.0},
+        tractions={"TOP": (0.3, -2.0), "LEFT": (0.5, 0.1)},
+    )
+    whole = np.array([0.3 * 3 + 0.5 * 2, -2.0 * 3 + 0.1 * 2])
+    for bodies in WAYS:
+        state = solve(structure.full(mortar(0.02), bodies=bodies))
+        force = [state.integral(state.model.external_work(ufl.as_vector(way), 0.0)) for way in ([1.0, 0.0], [0.0, 1.0])]
+        assert force == pytest.approx(whole, rel=1e-12)
 
 
 def test_two_layers_in_series():
@@ -389,7 +419,7 @@ def test_refused_models():
         "LAYER/JUNCTIONS": "HEAD"
     }
     with pytest.raises(ModelError, match="several seams have incompressible layers"):
-        bricks.full(ThinLayer(Incompressible(1.0), eps))
+        bricks.interface(ThinLayer(Incompressible(1.0), eps))
     with pytest.raises(GeometryError, match=r"S branches at \(.*sublayers"):
         bricks.full({"BED": ThinLayer(Stack((0.5, elastic.law), (0.5, elastic.law)), eps), "HEAD": elastic})
     with pytest.raises(ModelError, match=r"order=1 needs an S without junctions"):

@@ -95,8 +95,11 @@ class Model(ABC):
             for names in of_law.values()
         ]
         self.layer_terms = self._layer_terms()
-        if sum(term.law.traits.constrained for term in self.layer_terms) > 1:
-            raise ModelError("several seams have incompressible layers; only one may have a pressure")
+        constrained = [term for term in self.layer_terms if term.law.traits.constrained]
+        if len({term.strain for term in constrained}) > 1:
+            raise ModelError(
+                "several seams have incompressible layers; on S only one may have a pressure; mesh the layers"
+            )
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
