@@ -25,6 +25,7 @@ class Term:
         weight: factor of the measure.
         measure: dx, ds or dS.
         n: director, (d,), or None in a body.
+        mean: strain (3, 3) that is added to that of the displacements, as in periodic cells; None: none is.
     """
 
     law: BulkLaw
@@ -32,10 +33,12 @@ class Term:
     weight: Any
     measure: ufl.Measure
     n: Expr | None = None
+    mean: Expr | None = None
 
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""
-        return Step(self.strain(u), self.n)
+        e = self.strain(u)
+        return Step(e if self.mean is None else self.mean + e, self.n)
 
     @property
     def proportional(self) -> bool:
@@ -121,14 +124,15 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0) -> list[T
     return [Term(law, at(z), eps / 2, sides.measure, sides.n) for z in GAUSS]
 
 
+def stress(term: Term, u: Expr) -> Expr:
+    """The stress (3, 3) of a term's law at displacements u."""
+    with explained(term.law, "stress"):
+        return shaped(term.law, "stress", term.law.stress(term.step(u)), (3, 3))
+
+
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:
     """Virtual work of the stresses of u in the strains of v, a UFL form linear in v."""
-
-    def stress(p: Term) -> Expr:
-        with explained(p.law, "stress"):
-            return shaped(p.law, "stress", p.law.stress(p.step(u)), (3, 3))
-
-    return sum(ufl.inner(stress(p), p.strain(v)) * p.weight * p.measure for p in terms)
+    return sum(ufl.inner(stress(p, u), p.strain(v)) * p.weight * p.measure for p in terms)
 
 
 def energy(terms: Iterable[Term], u: Expr) -> Expr:

@@ -1,21 +1,25 @@
 """Meshes with names: builders, joints, inflating S into a layer, distributing over MPI ranks."""
 
-from geometry.builders import block, disc, ring, sandwich, wall
+from geometry.builders import block, bond_cell, disc, ring, sandwich, wall
 from geometry.domain import Domain
 from geometry.gathering import from_dolfinx
 from geometry.inflation import inflate
-from geometry.joint import GeometryError, Joint, Seam
+from geometry.joint import GeometryError, Joint, Periods, Seam
+from geometry.periods import periodic
 from geometry.reading import read
 
 __all__ = [
     "Domain",
     "GeometryError",
     "Joint",
+    "Periods",
     "Seam",
     "block",
+    "bond_cell",
     "disc",
     "from_dolfinx",
     "inflate",
+    "periodic",
     "read",
     "ring",
     "sandwich",

@@ -1,4 +1,4 @@
-"""Ready-made joints in 2D and 3D: a body on a rigid base, two stacked bodies, discs, rings, and walls of bricks."""
+"""Ready-made joints in 2D and 3D: a body on a rigid base, two stacked bodies, discs, rings, walls, cells of a wall."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from mpi4py import MPI
 
 from geometry.joint import Joint
 from geometry.parallel import on_root
+from geometry.periods import periodic
 from geometry.shapes.boxes import Boxes
-from geometry.shapes.bricks import Bricks
+from geometry.shapes.bricks import BondCell, Bricks
 from geometry.shapes.rounds import Discs, Rings
 from geometry.shapes.sizing import Cells
 
@@ -192,3 +193,39 @@ def wall(
     """
     size = tuple(brick) if depth is None else (*brick, depth)
     return on_root(comm, Bricks(Cells(h, None, None, cell), size, bricks, courses).build)
+
+
+def bond_cell(
+    brick: tuple[float, float],
+    h: float | None = None,
+    *,
+    depth: float | None = None,
+    cut: tuple[float, float] = (0.25, 0.5),
+    cell: str | None = None,
+    comm: MPI.Intracomm | None = None,
+) -> Joint:
+    """The periodic cell of a running bond: one brick wide and two courses high, its left lower corner at the origin.
+
+    Collective. It is cut through bricks, and its sides are identified, left with right and bottom with top.
+
+    Args:
+        brick: width and height of a brick with its mortar, lengths > 0.
+        h: largest cell size, a length (default: a quarter of the smallest side of a brick); there are two cells or more in
+            half a brick, and in its height.
+        depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); the sides BACK
+            and FRONT are free.
+        cut: place of the cell's left lower corner in a brick, as shares of its width and height, which are rounded to
+            cells; what the cell is like as a whole does not depend on it.
+        cell: as in `wall`.
+        comm: communicator whose rank 0 meshes (default: the world).
+
+    Returns:
+        Seams "BED" (the upper side above) and "HEAD" (the upper side on the right); regions "COURSE 1" (which is also on
+        top) and "COURSE 2"; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
+
+    Raises:
+        GeometryError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
+    """
+    size = tuple(brick) if depth is None else (*brick, depth)
+    joint = on_root(comm, BondCell(Cells(h, None, None, cell), size, cut).build)
+    return periodic(joint, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))

@@ -121,9 +121,14 @@ class Domain:
         return self.facet_tags.indices[found]
 
     def vertices(self, original: int) -> npt.NDArray[np.int32]:
-        """Local vertices made from a vertex of the joint before inflating: one, or all copies of a vertex on S."""
+        """Local vertices made from a vertex of the joint before inflating: one, or all copies of a vertex on S.
+
+        Those that periodic sides identify with it are among them.
+        """
         joint, topology = self.joint, self.mesh.topology
         copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
+        if joint.periods:
+            copies = np.flatnonzero(np.isin(joint.masters, joint.masters[copies]))
         topology.create_connectivity(0, joint.dim)
         local = np.arange(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, dtype=np.int32)
         nodes = dolfinx.mesh.entities_to_geometry(self.mesh, 0, local).ravel()

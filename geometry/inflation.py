@@ -217,6 +217,11 @@ class _Layers:
                 raise GeometryError(
                     f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
                 )
+        if joint.periods:
+            raise GeometryError(
+                "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
+                "inflate a large piece that is not periodic"
+            )
         if joint.tip is not None:
             raise GeometryError(
                 f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "

@@ -9,12 +9,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import basix
 import numpy as np
 from numpy.typing import NDArray
 
 from forms.base import InputError, is_finite
-from geometry.splitting import Splitting
+from geometry.splitting import Splitting, connected
 from geometry.topology import (
+    BITS,
     CELL_TYPES,
     FACET_TYPES,
     FacetTable,
@@ -35,6 +37,7 @@ JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part o
 LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
 RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
 LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
+SAME_PLACE = 1e-6  # distance of two places that are the same, at most, over the size of the joint
 FLAT = 1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
 
 
@@ -124,6 +127,36 @@ class Band:
     director: FloatArray = field(repr=False)
 
 
+@dataclass(frozen=True)
+class Periods:
+    """Pairs of sides of a cell that repeats in space; each side is the other one, moved by a translation. See `periodic`.
+
+    Attributes:
+        sides: names of the two sets of facets of each pair.
+        pairs: for each pair (n, 2) nodes on the first side and the same ones on the second.
+    """
+
+    sides: tuple[tuple[str, str], ...]
+    pairs: tuple[IntArray, ...] = field(repr=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all sides."""
+        return tuple(name for pair in self.sides for name in pair)
+
+    def vectors(self, points: FloatArray) -> FloatArray:
+        """(m, d) translations from the first side of each pair to the second."""
+        return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
+
+    def masters(self, n: int) -> IntArray:
+        """(n,) for each node of a mesh the first of those that it is identified with; elsewhere the node itself."""
+        first, second = np.concatenate(self.pairs).T
+        label = connected(first, second, n)
+        master = np.full(n, n)
+        np.minimum.at(master, label, np.arange(n))
+        return master[label]
+
+
 @dataclass(frozen=True, repr=False)
 class Joint:
     """Bodies meeting on S, the same on every MPI rank until it is distributed.
@@ -143,10 +176,12 @@ class Joint:
             removed from the other sets.
         seams: name of a seam -> which of its sides is the upper one. A single seam is named "S"; of several none is.
         band: how the layer was meshed; None while S is a surface.
+        periods: which sides are identified with each other, if the joint is a cell that repeats; None: none are.
 
     Raises:
         GeometryError: a seam is missing, empty or not oriented, or shares a facet with another one; a set of facets is
-            empty or not part of the mesh; a region has no cells.
+            empty or not part of the mesh; a region has no cells; a periodic cell is less than three cells wide, or a seam
+            lies on its boundary.
     """
 
     points: FloatArray
@@ -157,6 +192,7 @@ class Joint:
     facets: Mapping[str, IntArray]
     seams: Mapping[str, Seam]
     band: Band | None = field(default=None, repr=False)
+    periods: Periods | None = None
 
     def __post_init__(self) -> None:
         if self.cell_type not in CELL_TYPES:
@@ -176,6 +212,8 @@ class Joint:
         if self.band is None:
             self._check_seams()
             self._take_out_seams()
+        if self.periods:
+            self._check_periods(self.periods)
 
     def _check_regions(self) -> None:
         for name in [*self.regions, *self.facets] if self.band is None else []:
@@ -231,6 +269,46 @@ class Joint:
             for name, facets in self.facets.items()
         }
         object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
+
+    def _check_periods(self, periods: Periods) -> None:
+        """Raise GeometryError unless cells that meet across the periodic sides meet there in one facet, and in no seam."""
+        size = np.ptp(self.points, axis=0).max()
+        for names, pair, vector in zip(periods.sides, periods.pairs, periods.vectors(self.points), strict=True):
+            apart = np.abs(self.points[pair[:, 1]] - self.points[pair[:, 0]] - vector).max(axis=1)
+            if apart.max() > SAME_PLACE * size:
+                x = self.points[pair[apart.argmax(), 0]]
+                raise GeometryError(f"the sides {names[0]!r} and {names[1]!r} do not match any more at {place(x)}")
+        master = self.masters
+        identified = np.bincount(master, minlength=len(master))[master] > 1
+        rows = self.surface_rows[self.surface_cells[:, 0] < 0]
+        on_side = identified[self.table.vertices[rows]].all(axis=1)
+        if on_side.any():
+            x = self.points[self.table.vertices[rows[on_side][0]]].mean(axis=0)
+            raise GeometryError(
+                f"a seam lies on the periodic boundary, at {place(x)}: the cells on its two sides are no neighbours in the "
+                "mesh; cut the periodic cell through bodies instead"
+            )
+        local = np.array(basix.topology(basix.CellType[self.cell_type])[1])
+        nodes = self.corners[:, local].reshape(-1, 2)
+        ends = master[nodes]
+        turned = ends[:, 0] > ends[:, 1]
+        along = (self.points[nodes[:, 1]] - self.points[nodes[:, 0]]) * np.where(turned, -1.0, 1.0)[:, None]
+        keys = (ends.min(axis=1) << BITS) + ends.max(axis=1)
+        _, first, number = np.unique(keys, return_index=True, return_inverse=True)
+        apart = np.abs(along - along[first[number.ravel()]]).max(axis=1)
+        folded = (ends[:, 0] == ends[:, 1]) | (apart > SAME_PLACE * size)
+        if folded.any():
+            pairs = " and ".join(f"{one!r} and {other!r}" for one, other in periods.sides)
+            raise GeometryError(
+                f"a periodic cell needs three cells or more between its sides ({pairs}): near "
+                f"{place(self.points[nodes[folded][0]].mean(axis=0))} two edges have the same ends; use a finer mesh"
+            )
+
+    @cached_property
+    def masters(self) -> IntArray:
+        """(n_points,) for each node the first of those that periods identify it with; elsewhere the node itself."""
+        n = len(self.points)
+        return self.periods.masters(n) if self.periods else np.arange(n)
 
     @property
     def dim(self) -> int:
@@ -358,7 +436,15 @@ class Joint:
     @cached_property
     def splitting(self) -> Splitting:
         """The mesh, cut along S."""
-        return Splitting(self.cells, self.cell_type, self.table, self.surface_rows)
+        return self.split_along(self.surface_rows)
+
+    def split_along(self, rows: IntArray) -> Splitting:
+        """The mesh, cut along facets given by rows of `table`; across periodic sides its cells are neighbours."""
+        if self.periods is None:
+            return Splitting(self.cells, self.cell_type, self.table, rows)
+        table = FacetTable.of(self.masters[self.corners], self.cell_type)
+        cut = np.sort(table.index(self.masters[self.table.vertices[rows]]))
+        return Splitting(self.masters[self.cells], self.cell_type, table, cut)
 
     @cached_property
     def surface(self) -> IntArray:
@@ -465,6 +551,7 @@ class Joint:
             "regions": list(self.regions),
             "seams": {name: [list(s.lower), list(s.upper), s.direction] for name, s in self.seams.items()},
             "facets": {name: _digest(facets) for name, facets in sorted(self.facets.items())},
+            **({"periods": [list(pair) for pair in self.periods.sides]} if self.periods else {}),
         }
 
     def __repr__(self) -> str:

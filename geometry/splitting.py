@@ -41,6 +41,35 @@ class Splitting:
     def _corners(self) -> IntArray:
         return self.cells[:, : len(self._topology[0])]
 
+    def entities(self, dim: int) -> IntArray:
+        """(n_cells, entities of a cell) number of each of the cell's entities of a dimension, among those of the mesh."""
+        topology = self._topology
+        top = len(topology) - 1
+        if dim == top:
+            return np.arange(len(self.cells))[:, None]
+        if dim == 0:
+            return self._corners
+        if dim == top - 1:
+            out = np.empty((len(self.cells), len(topology[dim])), np.int64)
+            for cell, local in zip(self.table.cells.T, self.table.local.T, strict=True):
+                there = np.flatnonzero(cell >= 0)
+                out[cell[there], local[there]] = there
+            return out
+        ends = np.sort(self._corners[:, topology[dim]], axis=2)
+        _, number = np.unique((ends[..., 0] << BITS) + ends[..., 1], return_inverse=True)
+        return np.asarray(number.reshape(ends.shape[:2]), np.int64)
+
+    @cached_property
+    def keys(self) -> list[IntArray]:
+        """For each dimension (n_cells, entities of a cell): a number >= 0 for each component of each entity of the mesh."""
+        out, start = [], 0
+        for dim in range(len(self._topology)):
+            numbers, split = self.entities(dim), self.components(dim)
+            count = int(split.max(initial=0)) + 1
+            out.append(start + numbers * count + split)
+            start += (int(numbers.max(initial=-1)) + 1) * count
+        return out
+
     @cached_property
     def _touched(self) -> IntArray:
         """(n_cells, corners) whether each corner lies on the cut."""
@@ -86,7 +115,7 @@ class Splitting:
             entity = inside[facet]
             order = np.argsort(np.take_along_axis(keys[cell], entity, axis=1), axis=1)
             links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
-        label = _connected(links[0], links[1], keys.size)
+        label = connected(links[0], links[1], keys.size)
 
         first = np.full(label.max(initial=-1) + 1, len(near))
         np.minimum.at(first, label, np.repeat(np.arange(len(near)), len(local)))
@@ -125,7 +154,7 @@ class Splitting:
         """(n_cells,) number of the connected piece of each cell, in the order of their first cells."""
         corners = self.copies[1][:, : self._corners.shape[1]]
         first = corners[:, :1].repeat(corners.shape[1] - 1, axis=1)
-        label = _connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
+        label = connected(first.ravel(), corners[:, 1:].ravel(), int(corners.max(initial=-1)) + 1)[corners[:, 0]]
         _, start, number = np.unique(label, return_index=True, return_inverse=True)
         return np.argsort(np.argsort(start))[number.ravel()]
 
@@ -138,7 +167,7 @@ class Splitting:
         return out
 
 
-def _connected(first: IntArray, second: IntArray, n: int) -> IntArray:
+def connected(first: IntArray, second: IntArray, n: int) -> IntArray:
     """(n,) labels of the connected components of a graph, given by its links."""
     graph = scipy.sparse.coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)

@@ -29,6 +29,7 @@ from tests.network_cases import (
 )
 from tests.ranks import mpirun
 from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.running.cli import main
 
 ROCK = LinearElastic.young(10.0, 0.25)
 
@@ -239,3 +240,9 @@ def test_refused_layers():
             method="condensed",
         )
     assert cell_of("Q1") == "quadrilateral"
+
+
+def test_study(tmp_path):
+    """The wall carries what a bed does that slides along all of its length, and is softer with open heads."""
+    assert main(["run", "wall", "--quick", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "open_heads.png").stat().st_size > 10_000

@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
+    from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.contact import ContactPart
@@ -49,6 +50,7 @@ _NAMES = {
     "files.table": ["Table"],
     "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],
+    "output.homogenised": ["homogenised_stiffness"],
     "output.surface": ["Surface"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],

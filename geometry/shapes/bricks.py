@@ -1,4 +1,4 @@
-"""Walls of bricks in running bond, on a grid."""
+"""Walls of bricks in running bond, and the cell that repeats in them, on grids."""
 
 from __future__ import annotations
 
@@ -36,40 +36,104 @@ class Bricks:
     def build(self) -> Joint:
         """The joint; raises GeometryError for sizes and numbers that are out of range."""
         self._check()
-        d, h, kind = len(self.size), self.cells.h or min(self.size) / 4, self._kind
+        h, kind = self.cells.h or min(self.size) / 4, self._kind
         half, *others = (max(1, ceil(round(length / h, DIGITS))) for length in (self.size[0] / 2, *self.size[1:]))
         counts = [2 * half * self.bricks, others[0] * self.courses, *others[1:]]
         lengths = [self.size[0] * self.bricks, self.size[1] * self.courses, *self.size[2:]]
         points, cells, at = _grid(lengths, counts, kind)
         course = at[:, 1] // others[0]
         brick = (at[:, 0] + half * (course % 2)) // (2 * half)
-        table = FacetTable.of(cells, kind)
-        first, second = table.cells.T
-        cut = (second >= 0) & ((course[first] != course[second]) | (brick[first] != brick[second]))
-        beds = cut & (course[first] != course[second])
-        facets = {BED: table.vertices[beds], HEAD: table.vertices[cut & ~beds]}
-        x = points[table.vertices]
-        for k, names in enumerate(SIDES[:d]):
-            for name, end in zip(names, (0.0, lengths[k]), strict=True):
-                facets[name] = table.vertices[(second < 0) & (x[..., k] == end).all(axis=1)]
-        up, along = (tuple(float(k == axis) for k in range(d)) for axis in (1, 0))
-        seams = {BED: Seam(direction=up), HEAD: Seam(direction=along)}
-        seams = {name: seam for name, seam in seams.items() if len(facets[name])}
-        regions = tuple(f"COURSE {k + 1}" for k in range(self.courses))
-        return Joint(points, cells, kind, course, regions, {k: v for k, v in facets.items() if len(v)}, seams)
+        return _joined(points, cells, kind, lengths, course, brick, course)
 
     @property
     def _kind(self) -> str:
-        return self.cells.kind or {2: "quadrilateral", 3: "hexahedron"}[len(self.size)]
+        return _kind(self.cells, self.size)
 
     def _check(self) -> None:
-        names = ("width", "height", "depth")
-        self.cells.check({f"{name} of a brick": a for name, a in zip(names, self.size, strict=False)}, len(self.size))
+        _check_size(self.cells, self.size)
         for what, number in (("bricks", self.bricks), ("courses", self.courses)):
             if not is_finite(number) or number != int(number) or number < 1:
                 raise GeometryError(f"{what} is {number!r}; it must be a whole number >= 1")
         if self.bricks * self.courses == 1:
             raise GeometryError("one brick is no wall: there is no joint in it")
+
+
+@dataclass(frozen=True)
+class BondCell:
+    """The cell that repeats in a running bond: one brick wide and two courses high, cut through bricks.
+
+    Attributes:
+        cells: the requested cells.
+        size: lengths of a brick along each axis, > 0.
+        cut: place of the cell's left lower corner in a brick, as shares of its width and height, between 0 and 1.
+    """
+
+    cells: Cells
+    size: tuple[float, ...]
+    cut: tuple[float, float]
+
+    def build(self) -> Joint:
+        """The joint, not yet periodic; raises GeometryError for sizes that are out of range and cuts along joints."""
+        _check_size(self.cells, self.size)
+        h, kind = self.cells.h or min(self.size) / 4, _kind(self.cells, self.size)
+        half, height, *others = (ceil(round(length / h, DIGITS)) for length in (self.size[0] / 2, *self.size[1:]))
+        half, height, others = max(2, half), max(2, height), [max(1, n) for n in others]
+        across, up = self._cut(half, height)
+        counts, lengths = [2 * half, 2 * height, *others], [self.size[0], 2 * self.size[1], *self.size[2:]]
+        points, cells, at = _grid(lengths, counts, kind)
+        course = (at[:, 1] + up) // height
+        brick = (at[:, 0] + across + half * (course % 2)) // (2 * half)
+        return _joined(points, cells, kind, lengths, course, brick, course % 2)
+
+    def _cut(self, half: int, height: int) -> tuple[int, int]:
+        """The cut in cells, from the left lower corner of a brick."""
+        if np.shape(self.cut) != (2,) or not all(is_finite(c) and 0 < c < 1 for c in self.cut):
+            raise GeometryError(
+                f"cut is {self.cut!r}; it must be two shares of a brick's width and height, between 0 and 1"
+            )
+        across, up = round(2 * half * self.cut[0]), round(height * self.cut[1])
+        if across % half == 0 or up % height == 0:
+            raise GeometryError(
+                f"cut is {tuple(self.cut)}, which is along a joint of a grid with {2 * half} x {height} cells in a brick: "
+                "the cells on its two sides would be no neighbours in the mesh; cut through bricks"
+            )
+        return across, up
+
+
+def _kind(cells: Cells, size: Sequence[float]) -> str:
+    return cells.kind or {2: "quadrilateral", 3: "hexahedron"}[len(size)]
+
+
+def _check_size(cells: Cells, size: Sequence[float]) -> None:
+    names = ("width", "height", "depth")
+    cells.check({f"{name} of a brick": a for name, a in zip(names, size, strict=False)}, len(size))
+
+
+def _joined(
+    points: FloatArray,
+    cells: IntArray,
+    kind: str,
+    lengths: Sequence[float],
+    course: IntArray,
+    brick: IntArray,
+    region: IntArray,
+) -> Joint:
+    """The joint of a grid, with beds between courses, heads between the bricks of a course, and its sides."""
+    d = len(lengths)
+    table = FacetTable.of(cells, kind)
+    first, second = table.cells.T
+    cut = (second >= 0) & ((course[first] != course[second]) | (brick[first] != brick[second]))
+    beds = cut & (course[first] != course[second])
+    facets = {BED: table.vertices[beds], HEAD: table.vertices[cut & ~beds]}
+    x = points[table.vertices]
+    for k, names in enumerate(SIDES[:d]):
+        for name, end in zip(names, (0.0, lengths[k]), strict=True):
+            facets[name] = table.vertices[(second < 0) & (x[..., k] == end).all(axis=1)]
+    up, along = (tuple(float(k == axis) for k in range(d)) for axis in (1, 0))
+    seams = {BED: Seam(direction=up), HEAD: Seam(direction=along)}
+    seams = {name: seam for name, seam in seams.items() if len(facets[name])}
+    regions = tuple(f"COURSE {k + 1}" for k in range(int(region.max()) + 1))
+    return Joint(points, cells, kind, region, regions, {k: v for k, v in facets.items() if len(v)}, seams)
 
 
 def _grid(lengths: Sequence[float], counts: Sequence[int], kind: str) -> tuple[FloatArray, IntArray, IntArray]:

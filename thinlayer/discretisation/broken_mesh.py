@@ -18,7 +18,7 @@ from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
 from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
-from thinlayer.discretisation.broken import broken_space
+from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import ThinLayer, constants, real_law
 from thinlayer.errors import ModelError
@@ -101,7 +101,8 @@ class BrokenMesh:
         values = np.unique(np.concatenate([np.unique(self._body), *self.comm.allgather(np.unique(self._body))]))
         number = np.searchsorted(values, self._body)
         counts = [cpp.mesh.cell_num_entities(self.mesh.topology.cell_type, dim) for dim in range(self._dim)]
-        return broken_space(self.comm, self.mesh, element, [np.tile(number, (count, 1)).T for count in counts])
+        components = [np.tile(number, (count, 1)).T for count in counts]
+        return broken_space(self.comm, Keys.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
         """The two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""

@@ -13,7 +13,7 @@ from geometry.domain import Domain
 from geometry.joint import LAYER, S, unknown
 from geometry.sheet import Sheet
 from thinlayer.discretisation.load_curves import Moment
-from thinlayer.discretisation.loads import Coordinates, Load, vector
+from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, vector
 from thinlayer.errors import ModelError, warn
 
 BodyForce = Load | Mapping[str, Load]
@@ -74,6 +74,7 @@ class Forces:
         if name.split("/")[0] == S:
             raise ModelError("a traction on S is what the model computes; load another facet set")
         values = self.domain.values(name)
+        refuse_periodic(self.domain.joint, name, "traction")
         if not self.domain.is_outer(name):
             raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
         if not values and not name.endswith(f"/{LAYER}"):

@@ -17,6 +17,7 @@ from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
+BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which linearity is tested
 
 
@@ -38,7 +39,7 @@ class LoadHistory:
         """Nodal forces of the loads at a time; the caller destroys the vector.
 
         Raises:
-            ModelError: loads that are not finite.
+            ModelError: loads that are not finite, or that nothing balances in a periodic joint.
         """
         self._moment.set(t)
         b = dolfinx.fem.petsc.assemble_vector(self._work)
@@ -46,7 +47,21 @@ class LoadHistory:
         if not np.isfinite(b.norm()):
             names = self.model.forces.not_finite(t)
             raise ModelError(": ".join([f"the loads are not finite at t = {t:g}", *names]))
+        self._require_balance(b, t)
         return b
+
+    def _require_balance(self, b: PETSc.Vec, t: float) -> None:
+        """Raise ModelError if nodal forces move a periodic joint that only an anchored vertex holds."""
+        supports, size = self.model.supports, float(b.norm(PETSc.NormType.NORM_1))
+        if not supports.anchored or not size:
+            return
+        total = self.comm.allreduce(b.array_r.reshape(-1, len(supports.axes)).sum(axis=0))
+        for axis in supports.anchored:
+            if abs(force := float(total[supports.axes.index(axis)])) > BALANCE * size:
+                raise ModelError(
+                    f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}, and nothing balances "
+                    "them; add supports, or loads whose sum is zero"
+                )
 
     def prescribed_at(self, t: float) -> Array:
         """Prescribed displacements at a time, in the order of `held`.

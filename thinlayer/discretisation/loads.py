@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.mesh import Mesh
 from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
@@ -20,7 +20,7 @@ from forms.base import is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
-from geometry.joint import LAYER, S, unknown
+from geometry.joint import LAYER, Joint, S, unknown
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Moment, Time, symbols
@@ -72,7 +72,7 @@ def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
         if values.shape != (dim,) or not np.isfinite(values).all():
             raise ModelError(f"{what} is {load!r}; it needs {dim} finite components")
         return fem.Constant(at.mesh, values)
-    components = _call(load, at, what)
+    components = called(load, at, what)
     try:
         vector = ufl.as_vector([ufl.as_ufl(c) for c in components])
     except Exception as error:
@@ -147,15 +147,25 @@ def _scalar(value: Any, what: str) -> Expr:
     return found
 
 
-def _call(function: Callable[[Expr, Expr], Any], at: Coordinates, what: str) -> Any:
+def called(function: Callable[[Expr, Any], Any], at: Coordinates, what: str, t: Any = None) -> Any:
+    """What a user's function gives at the coordinates, and at the symbol of the time or at a number t."""
     try:
         with symbols():
-            return function(at.x, at.t)
+            return function(at.x, at.t if t is None else t)
     except Exception as error:
         raise ModelError(
             f"{what} is no function (x, t) of UFL coordinates: {error.__cause__ or error}; use ufl.sin(t), "
             "ufl.conditional(ufl.gt(t, 1), a, b), ..., and piecewise({time: value, ...}) for a table"
         ) from error
+
+
+def refuse_periodic(joint: Joint, name: str, what: str) -> None:
+    """Raise ModelError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
+    if joint.periods and name.split("/")[0] in joint.periods.names:
+        raise ModelError(
+            f"{what} on {name!r}: this side is identified with another one, the structure goes on there; a periodic cell "
+            "is loaded by a mean strain, Structure(..., strain=...)"
+        )
 
 
 class Supports:
@@ -173,6 +183,8 @@ class Supports:
     Attributes:
         given: (place, components) as given; `entries` has the clamped ones too.
         vectors: values of each entry, (d,) numbers or a UFL vector; 0 for free components.
+        anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
+            that translation; no force acts there.
 
     Raises:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
@@ -186,6 +198,7 @@ class Supports:
         self.entries: list[tuple[Place, dict[str, Value]]] = []
         for place, support in given.items():
             if isinstance(place, str):
+                refuse_periodic(domain.joint, place, "support")
                 if place.split("/")[0] == S:
                     raise ModelError("a support on S would replace the layer; support another facet set")
                 if not domain.values(place) and not place.endswith(f"/{LAYER}"):
@@ -197,6 +210,7 @@ class Supports:
         self.given = tuple(self.entries)
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
         self.vectors = [self._vector(place, components) for place, components in self.entries]
+        self.anchored: tuple[str, ...] = ()
 
     def _require_point(self, place: Any) -> None:
         d = len(self.axes)
@@ -228,7 +242,7 @@ class Supports:
         if not any(callable(value) for value in values):
             return np.array(values, float)
         what = f"support on {place!r}"
-        found = [_scalar(_call(value, self.at, what) if callable(value) else value, what) for value in values]
+        found = [_scalar(called(value, self.at, what) if callable(value) else value, what) for value in values]
         on_mesh = fem.Constant(self.domain.mesh, np.zeros(len(found)))  # a function may give plain numbers
         return ufl.as_vector(found) + on_mesh
 
@@ -248,9 +262,24 @@ class Supports:
 
         Collective.
         """
+        anchors = self.anchors(V) if entries is None else np.empty(0, np.int32)
         entries = self.entries if entries is None else entries
-        found = [self.dofs(V, place, axis) for place, components in entries for axis in components]
+        found = [anchors, *(self.dofs(V, place, axis) for place, components in entries for axis in components)]
         return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
+
+    def anchors(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """Local degrees of freedom (unrolled, ghosts included) of the anchored components, at one corner. Collective."""
+        if not self.anchored:
+            return np.empty(0, np.int32)
+        owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
+        cells = np.flatnonzero(self.domain.original_cells[:owned] == 0)
+        corner = np.asarray(V.dofmap.list)[cells][:, V.dofmap.dof_layout.entity_dofs(0, 0)].ravel()
+        mark = fem.Function(V)
+        for axis in self.anchored:
+            mark.x.array[corner * V.dofmap.bs + self.axes.index(axis)] = 1.0
+        mark.x.scatter_reverse(la.InsertMode.add)  # this rank may have the cell, and another one own its corner
+        mark.x.scatter_forward()
+        return np.flatnonzero(mark.x.array).astype(np.int32)
 
     def on(self, V: fem.FunctionSpace) -> Prescribed:
         """The prescribed displacements in a space. Collective."""
@@ -271,6 +300,7 @@ class Prescribed:
         for (place, components), vector in zip(supports.entries, supports.vectors, strict=True):
             dofs = [supports.dofs(V, place, axis) for axis in components]
             self._entries.append((np.concatenate([np.empty(0, np.int32), *dofs]), self._value(V, vector)))
+        self._entries.append((supports.anchors(V), fem.Function(V)))
         held = np.unique(np.concatenate([np.empty(0, np.int32), *(dofs for dofs, _ in self._entries)]))
         self.held = held[held < V.dofmap.index_map.size_local * V.dofmap.index_map_bs].astype(np.int32)
         self._values = fem.Function(V).x.array

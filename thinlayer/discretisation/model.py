@@ -20,13 +20,14 @@ from geometry.joint import Joint
 from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
-from thinlayer.discretisation.broken import broken_space
+from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.layer import constants, in_plane, layers_of
 from thinlayer.discretisation.loads import Coordinates, Supports
+from thinlayer.discretisation.mean_strain import MeanStrain
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
-from thinlayer.discretisation.rigid import require_support
+from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
@@ -50,9 +51,11 @@ class Model(ABC):
             `work(model.terms, u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal laws.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
-        bodies, layer_terms: terms of the laws of the bodies and of the layer.
+        bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
+            periodic cell, see `bodies_at`.
         supports: prescribed displacements.
         forces: tractions and body forces.
+        strain: mean strain of a periodic cell; None: there is none.
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
         coordinates: place and time as arguments of loads.
@@ -81,6 +84,7 @@ class Model(ABC):
         with on_all(self.comm):
             self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
             self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
+            self.strain = self._mean_strain()
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -103,8 +107,11 @@ class Model(ABC):
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
+        resistances = [partial(part.resistance, self) for part in self.parts]
+        if self.joint.periods and not self.joint.base_seams:
+            held = self.supports.held(self.V)
+            self.supports.anchored = free_translations(self.comm, self.V, self.joint, held, resistances)
         if not self.joint.base_seams:
-            resistances = [partial(part.resistance, self) for part in self.parts]
             require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
@@ -114,6 +121,18 @@ class Model(ABC):
     def _clamped(self) -> tuple[str, ...]:
         """Names of the facets that a rigid base holds."""
         return ()
+
+    def _mean_strain(self) -> MeanStrain | None:
+        given = self.structure.strain
+        if given is None:
+            return None
+        ordered = [name for name, one in self.layers.items() if one.thin and one.thin.order]
+        if ordered:
+            raise ModelError(
+                f"the layer {ordered[0]!r} is of order 1, whose strains along S have a part of the mean strain; under a "
+                "mean strain layers are of order 0"
+            )
+        return MeanStrain(given, self.coordinates, self.joint)
 
     @abstractmethod
     def _checked(self) -> Joint:
@@ -128,9 +147,7 @@ class Model(ABC):
     def splitting(self) -> Splitting:
         """The joint's mesh, cut where displacements jump."""
         joint = self.domain.joint
-        if self.broken:
-            return joint.splitting
-        return Splitting(joint.cells, joint.cell_type, joint.table, np.empty(0, np.int64))
+        return joint.splitting if self.broken else joint.split_along(np.empty(0, np.int64))
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
         """A vector space on the model's mesh with the jumps of its displacements. Collective.
@@ -143,15 +160,18 @@ class Model(ABC):
         mesh, dim = self.domain.mesh, self.joint.dim
         element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(dim,))
         cut = self._cut_at_faces() if broken_at_faces else self.splitting
-        return broken_space(self.comm, mesh, element, [self.domain.on_cells(cut.components(k)) for k in range(dim)])
+        if self.joint.periods:
+            of_entities = [self.domain.on_cells(of_dim) for of_dim in cut.keys]
+            return broken_space(self.comm, Keys.of_entities(self.comm, mesh, element, of_entities))
+        components = [self.domain.on_cells(cut.components(k)) for k in range(dim)]
+        return broken_space(self.comm, Keys.of_components(self.comm, mesh, element, components))
 
     def _cut_at_faces(self) -> Splitting:
         joint = self.domain.joint
         if joint.band is None:
             return joint.splitting
         facets = [joint.facets[name] for name in joint.band.faces]
-        rows = np.unique(joint.table.index(np.concatenate(facets)))
-        return Splitting(joint.cells, joint.cell_type, joint.table, rows)
+        return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act
     @property
@@ -165,6 +185,10 @@ class Model(ABC):
     def terms(self) -> list[forms.Term]:
         """All terms of the model."""
         return self.bodies + self.layer_terms
+
+    def bodies_at(self, t: float) -> list[forms.Term]:
+        """The terms of the bodies' laws with the mean strain at a time."""
+        return self.strain.added(self.bodies, self.strain.constant(self.strain.at(t))) if self.strain else self.bodies
 
     @property
     def contacts(self) -> dict[str, ContactLaw]:
@@ -228,6 +252,7 @@ class Model(ABC):
             "supports": [[str(place), described(given)] for place, given in self.supports.entries],
             "loads": described(self.forces.given),
             "parts": described(list(self.parts)),
+            **({"strain": described(self.structure.strain)} if self.strain else {}),
         }
 
     def _laws(self) -> dict[str, Any]:

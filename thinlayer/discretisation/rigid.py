@@ -14,17 +14,27 @@ from geometry.joint import Joint
 from thinlayer.discretisation.loads import AXES
 from thinlayer.errors import ModelError
 
+Resistance = Callable[[Sequence[fem.Function]], npt.NDArray[np.float64]]
 SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
 
 
 def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]:
-    """Rigid motions of the whole structure by name: translations, then rotations about its centre, scaled to its size."""
+    """Rigid motions of the whole structure by name: translations, then rotations about its centre, scaled to its size.
+
+    In periodic joints a rotation is one only if it does not move one side against the other: about the one period in 3D.
+    """
     d = joint.dim
     centre, size = joint.points.mean(axis=0), np.ptp(joint.points, axis=0).max()
     rows: dict[str, Any] = {}
     for i in range(d):
         rows[f"translation {AXES[i]}"] = lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)])
-    for i in range(d):
+    if joint.periods:
+        vectors = joint.periods.vectors(joint.points)
+        if d == 3 and np.linalg.matrix_rank(vectors) == 1:
+            axis = vectors[0] / np.linalg.norm(vectors[0])
+            name = f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"
+            rows[name] = lambda x: np.cross(axis, (x.T - centre) / size).T
+    for i in () if joint.periods else range(d):
         for j in range(i + 1, d):
             rows[f"rotation {AXES[i]}{AXES[j]}"] = lambda x, i=i, j=j: _rotation(x, i, j, centre, size)
     motions, places = {}, _places(V)
@@ -54,12 +64,46 @@ def _rotation(
     return out
 
 
+def _resisted(
+    comm: MPI.Intracomm,
+    V: fem.FunctionSpace,
+    motions: list[fem.Function],
+    held: npt.NDArray[np.int32],
+    resistances: Sequence[Resistance],
+) -> npt.NDArray[np.float64]:
+    """Gram matrix (m, m) of motions at supports, and the work of parts against them, scaled. Collective."""
+    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    rows = np.array([f.x.array[held[held < owned]] for f in motions])
+    resisted = comm.allreduce(rows @ rows.T)
+    for resistance in resistances:
+        work = resistance(motions)
+        size = np.abs(work).max()
+        if np.isfinite(size) and size > 0:
+            resisted = resisted + (work + work.T) / (2 * size)
+    return np.asarray(resisted, float)
+
+
+def free_translations(
+    comm: MPI.Intracomm,
+    V: fem.FunctionSpace,
+    joint: Joint,
+    held: npt.NDArray[np.int32],
+    resistances: Sequence[Resistance],
+) -> tuple[str, ...]:
+    """The axes along which nothing prevents a translation. Collective. Arguments as in `require_support`."""
+    motions = [*rigid_motions(V, joint).values()][: joint.dim]
+    resisted = np.diag(_resisted(comm, V, motions, held, resistances))
+    return tuple(
+        axis for axis, much in zip(AXES, resisted, strict=False) if much <= SMALLEST * max(resisted.max(), 1.0)
+    )
+
+
 def require_support(
     comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     joint: Joint,
     held: npt.NDArray[np.int32],
-    resistances: Sequence[Callable[[Sequence[fem.Function]], npt.NDArray[np.float64]]],
+    resistances: Sequence[Resistance],
 ) -> None:
     """Raise ModelError if a rigid motion moves no held degree of freedom and nothing else resists it. Collective.
 
@@ -69,14 +113,7 @@ def require_support(
         resistances: functions of the m rigid motions, see `Addition.resistance`.
     """
     motions = rigid_motions(V, joint)
-    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    rows = np.array([f.x.array[held[held < owned]] for f in motions.values()])
-    resisted = comm.allreduce(rows @ rows.T)
-    for resistance in resistances:
-        work = resistance([*motions.values()])
-        size = np.abs(work).max()
-        if np.isfinite(size) and size > 0:
-            resisted = resisted + (work + work.T) / (2 * size)
+    resisted = _resisted(comm, V, [*motions.values()], held, resistances)
     values, vectors = np.linalg.eigh(resisted)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]

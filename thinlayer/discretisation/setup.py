@@ -18,6 +18,7 @@ from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.layer import in_plane
 from thinlayer.discretisation.loads import Given, Load
+from thinlayer.discretisation.mean_strain import Strain
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all, require_same
 
@@ -33,7 +34,7 @@ class Setup:
         plane: "strain" or "stress".
         element: the finite element of displacements.
         body_laws: law of each body.
-        supports, tractions, body_force, parts: as given.
+        supports, tractions, body_force, parts, strain: as given.
         comm: MPI communicator; None stands for the world.
         mark: hash of the data, equal on all ranks.
     """
@@ -49,11 +50,12 @@ class Setup:
         plane: str = "strain",
         element: str | None = None,
         parts: Sequence[Addition] = (),
+        strain: Strain | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
         self.joint, self.plane, self.comm = joint, plane, comm
         self.supports, self.tractions, self.body_force = supports, tractions, body_force
-        self.parts = tuple(parts)
+        self.parts, self.strain = tuple(parts), strain
         with on_all(comm):
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self._check_choices()
@@ -62,7 +64,7 @@ class Setup:
                 require_stable_body(law, C, joint.dim)
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element, parts=self.parts,
+            plane=plane, element=self.element, parts=self.parts, strain=strain,
         )  # fmt: skip
 
     @property

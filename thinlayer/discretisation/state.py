@@ -12,7 +12,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.work import Term, energy
+from forms.kinematics import lift
+from forms.work import Term, energy, stress
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
@@ -77,7 +78,7 @@ class Configuration:
     """Displacements at a time, and what the parts of a balance remember: all that a step starts from.
 
     Attributes:
-        u: displacement.
+        u: displacement; in a periodic cell beside the motion by its mean strain.
         t: time.
         memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
             (of several "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
@@ -140,11 +141,28 @@ class State(Configuration):
         remembered = sum(energy for key, energy in self.stored.items() if key not in added)
         in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
         return {
-            "bodies": self._stored(model.bodies),
+            "bodies": self._stored(model.bodies_at(self.t)),
             "layer": remembered + self._stored(in_forms),
             **added,
             "loads": self.integral(model.external_work(self.u, self.t)),
         }
+
+    def mean_stress(self) -> npt.NDArray[np.float64]:
+        """Mean stress (d, d) of the bodies. Collective.
+
+        In a periodic cell with a layer on S, which has no volume, it is the stress of the cell as a whole.
+        """
+        model, d = self.model, self.model.joint.dim
+        chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
+        terms = model.bodies_at(self.t)
+        part = compiled(sum(ufl.inner(stress(p, self.u), lift(chosen)) * p.weight * p.measure for p in terms))
+        volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.measure for p in terms))
+        out = np.zeros((d, d))
+        for i, j in zip(*np.triu_indices(d), strict=True):
+            chosen.value[:] = 0.0
+            chosen.value[i, j] = 1.0
+            out[i, j] = out[j, i] = model.comm.allreduce(fem.assemble_scalar(part)) / volume
+        return out
 
     def _stored(self, points: Sequence[Term]) -> float:
         if not all(p.law.traits.has_energy for p in points):

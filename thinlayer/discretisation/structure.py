@@ -21,6 +21,9 @@ class Structure(Setup):
         plane: "strain" or "stress" (linear elastic laws only).
         element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
         parts: additions to the balance of forces: `Springs`, `UflPart`, or your own `Addition`.
+        strain: mean strain of a periodic joint, (d, d) symmetric numbers, or a function (x, t) of the time alone that
+            returns them. Displacements u are then those beside the mean motion: bodies have the strain E + strain(u), S
+            has the jump [u]. Translations that nothing prevents are held at one vertex: `supports={}` will do.
         comm: MPI communicator (default: the world).
 
     Raises:

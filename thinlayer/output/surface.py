@@ -42,7 +42,7 @@ def reaction(state: State) -> fem.Function:
     model = state.model
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    forces = work(model.bodies, state.u, v) + model.added_work(state.u, v)
+    forces = work(model.bodies_at(state.t), state.u, v) + model.added_work(state.u, v)
     return nodal_forces(W, forces - model.external_work(v, state.t))
 
 
@@ -249,7 +249,8 @@ class Surface:
         f = self._expression(f, (d,), ())
         at = np.flatnonzero(self._upper_nodes[: V.dofmap.index_map.size_local])
         values = self.nodal(f if f.ufl_shape else ufl.as_vector([f] + [0.0] * (d - 1))).x.array.reshape(-1, d)
-        rows = np.column_stack([self._vertices[at], V.tabulate_dof_coordinates()[at, :d], values[at]])
+        vertices = self.model.domain.joint.masters[self._vertices[at]]
+        rows = np.column_stack([vertices, self.model.domain.joint.points[vertices], values[at]])
         rows = np.concatenate(self.model.comm.allgather(rows))
         x = rows[:, 1 : 1 + d]
         order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x, self.seam)

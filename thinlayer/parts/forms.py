@@ -7,33 +7,36 @@ from dataclasses import replace
 from functools import cached_property
 
 import dolfinx.fem.petsc
+import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 from ufl.algorithms.check_arities import ArityMismatch
 
 from forms.elastic import LinearElastic
-from forms.kinematics import Expr
-from forms.law import LawError
+from forms.kinematics import Expr, lift
+from forms.law import LawError, Step
 from forms.symmetry import require_declared_stress, require_symmetric_tangent
 from forms.trace import named, stress_key
-from forms.work import Term, energy, work
+from forms.work import Term, energy, stress, work
+from thinlayer.discretisation.mean_strain import MeanStrain
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.parallel.communicator import communicator
-from thinlayer.parts.part import Array, Block, Outcome, Part, PartTraits, may_weaken
+from thinlayer.parts.part import Array, Block, Interval, Outcome, Part, PartTraits, may_weaken
 from thinlayer.parts.softening import Softening
 
 
 class FormPart(Part):
-    """Forces K mid + F(mid), a linear and a non-linear part.
+    """Forces K mid + F(mid) + g, a linear part, a non-linear one, and one that does not depend on the displacements.
 
     Args:
         key: key of the part.
         u: the displacements that F and its energy are forms of; the part writes values into them.
         K: matrix of the linear forces, which the part destroys in the end; None: there are none.
         F: virtual work, a UFL form of u, linear in a test function; None: there is no F.
-        energy: the stored energy of F, a UFL form of u; None: F has no energy.
+        energy: the stored energy of F and g, a UFL form of u; None: they have no energy.
         kept: whether states keep the energy, under the key.
+        g: virtual work of the constant forces, a UFL form that is linear in a test function; None: there are none.
     """
 
     def __init__(
@@ -45,6 +48,7 @@ class FormPart(Part):
         energy: Expr | None = None,
         *,
         kept: bool = False,
+        g: Expr | None = None,
     ) -> None:
         self.key, self.K, self._energy, self._kept = key, K, energy, kept
         V, self._u = u.function_space, u
@@ -56,6 +60,8 @@ class FormPart(Part):
         if F is not None:
             self._F = compiled_summands(F)
             self._J = compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
+        if g is not None:
+            self._F += compiled_summands(g)
 
     def _owned(self) -> Array:
         dofmap = self._u.function_space.dofmap
@@ -123,16 +129,22 @@ class FormPart(Part):
         now.copy(change)
         change.axpy(-1.0, old)
         before, after, of_change = (self._quadratic(v) for v in (old, now, change))
+        supplied = 0.0
         remainder = (2 * theta - 1) * of_change
         if self._F:
             b = self._nonlinear()
-            worked = float(b.dot(change))
+            supplied = self._supplied()
+            worked = float(b.dot(change)) + supplied
             b.destroy()
             taken = self._u.x.array.copy()  # `now` may be the vector of these values
-            last, first = self._stored(now), self._stored(old)
+            last, first = self._stored(now, self.interval.t), self._stored(old, self.interval.old.t)
             self._u.x.array[:] = taken
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
-        return Outcome(before, after, 0.0, remainder, kept=self._kept)
+        return Outcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
+
+    def _supplied(self) -> float:
+        """Work of prescribed strains in the step, with the stresses of the last evaluation."""
+        return 0.0
 
     def _quadratic(self, u: PETSc.Vec) -> float:
         """u.K u / 2."""
@@ -145,8 +157,8 @@ class FormPart(Part):
     def _energy_form(self) -> fem.Form | None:
         return None if self._energy is None else compiled(self._energy)
 
-    def _stored(self, u: PETSc.Vec) -> float:
-        """The energy of F at displacements u; NaN if F has none."""
+    def _stored(self, u: PETSc.Vec, t: float) -> float:
+        """The energy of F and g at displacements u and time t; NaN if they have none."""
         if self._energy_form is None:
             return float("nan")
         self._take(u)
@@ -173,9 +185,10 @@ class LawForms(FormPart):
     Args:
         V: space of the displacements.
         terms: all terms; those whose laws are compiled are left out.
+        mean: mean strain of the bodies; the forces that it causes by linear laws do not depend on the displacements.
     """
 
-    def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+    def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term], mean: MeanStrain | None = None) -> None:
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -184,17 +197,77 @@ class LawForms(FormPart):
         proportional = [p.proportional for p in terms]
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
-        u, has_energy = fem.Function(V), bool(others) and all(p.law.traits.has_energy for p in others)
         bodies = [p for p in terms if p.n is None]
+        u, v = fem.Function(V), ufl.TestFunction(V)
+        self._mean, g = mean, None
+        moved = linear_bodies = [p for p in linear if p.n is None and mean]
+        if mean:
+            self._E = mean.constant()
+            others, moved = mean.added(others, self._E), mean.added(linear_bodies, self._E)
+            g = sum(ufl.inner(_stress_of_mean(p), p.strain(v)) * p.weight * p.measure for p in moved) if moved else None
+            self._dE = mean.constant()
+            power = [
+                ufl.inner(stress(p, u), lift(self._dE)) * p.weight * p.measure for p in mean.added(bodies, self._E)
+            ]
+            self._power = compiled(sum(power))
+        stored = None
+        if (others or moved) and all(p.law.traits.has_energy for p in others + moved):
+            stored = energy(others + moved, u)
+            if moved:
+                stored -= energy(linear_bodies, u)  # K has the energy of the displacements alone
         super().__init__(
             "forms",
             u,
             _stiffness(V, linear, bodies),
-            work(others, u, ufl.TestFunction(V)) if others else None,
-            energy(others, u) if has_energy else None,
+            work(others, u, v) if others else None,
+            stored,
+            g=g,
         )
         self._in_layer = len(bodies) < len(terms)
+        self._middle: Array = np.zeros((1, 1))
+        self._judged = bool(mean) and any(p.n is None for p in others)
         self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
+
+    # ---------------------------------------------------------------- the mean strain
+    def at_time(self, t: float) -> None:
+        self._t = t
+
+    def parameters(self) -> list[Array]:
+        return [self._mean.at(self._t).ravel()] if self._mean else []
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        if self._mean:
+            old, new = self._mean.at(interval.old.t), self._mean.at(interval.t)
+            self._E.value[:] = self._middle = interval.theta * new + (1 - interval.theta) * old
+            self._growth = new - old
+
+    def _supplied(self) -> float:
+        return self._work_of(self._growth) if self._mean else 0.0
+
+    def _work_of(self, strain: Array) -> float:
+        """Work of the stresses of the bodies, at the last evaluation, in a strain (d, d) of the whole cell."""
+        self._dE.value[:] = strain
+        return float(self.comm.allreduce(fem.assemble_scalar(self._power)))
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        """As in `Part`. The scale of forces also knows that of the mean stress on a side of the cell.
+
+        Nodal forces of equal stresses cancel, and bodies that are not linear have no stiffness in K to judge them by.
+        """
+        size, strain = super().add_forces(out), float(np.abs(self._middle).max())
+        if not self._judged or not strain:
+            return size
+        force = abs(self._work_of(self._middle)) / (strain * self._mean.size)  # type: ignore[union-attr]
+        return max(size, force) if np.isfinite(force) else size
+
+    def _stored(self, u: PETSc.Vec, t: float) -> float:
+        if not self._mean:
+            return super()._stored(u, t)
+        self._E.value[:] = self._mean.at(t)
+        found = super()._stored(u, t)
+        self._E.value[:] = self._middle
+        return found
 
     @property
     def largest(self) -> float:
@@ -220,6 +293,11 @@ class LawForms(FormPart):
     def undeclared_softening(self) -> tuple[str, str] | None:
         name, share = self._softening.found(self._end, self.interval.old.u)
         return (name, f"on {share:.3g} of the layer") if name else None
+
+
+def _stress_of_mean(p: Term) -> Expr:
+    """The stress of a linear law at the mean strain alone."""
+    return p.law.stress(Step(p.mean, p.n))
 
 
 def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term]) -> PETSc.Mat:

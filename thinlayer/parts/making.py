@@ -24,7 +24,7 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
         model: the model.
         held: displacements of this rank that supports prescribe (local, unrolled).
     """
-    forms = LawForms(model.V, model.terms)
+    forms = LawForms(model.V, model.terms, model.strain)
     parts: list[Part] = [forms]
     parts += [
         CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)

@@ -91,8 +91,10 @@ class Outcome:
     Attributes:
         before, after: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
-        remainder: work less the change of stored energy and less `dissipated`: by the time scheme or varying parameters.
+        remainder: work, `supplied` included, less the change of stored energy and less `dissipated`: by the time scheme or
+            varying parameters.
         memory: (n, values) internal variables at the end of the step; None: the part has no memory.
+        supplied: work done on the part by strains that are prescribed, beside that of loads and supports.
         kept: whether the state keeps `after` under the part's key; it computes the energies of bodies and laws' forms.
     """
 
@@ -102,6 +104,7 @@ class Outcome:
     remainder: float = 0.0
     memory: Array | None = None
     kept: bool = True
+    supplied: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -128,14 +128,21 @@ class Equations(PartSum):
                 b.destroy()
         self.prescribed = self.history.prescribed_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
+        if self.model.strain:  # moves the sides of the cell, as supports would
+            across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
+            largest_displacement = max(largest_displacement, across)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
         self.begin_parts(interval)
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Compute the residual at the displacements before the step, and tell the force scale its norm."""
+        """Compute the residual at the displacements before the step, and tell the force scale its norm.
+
+        Not under a mean strain: these forces would be those of stiff bodies that follow it alone, however soft the layer.
+        """
         self.residual(x, out)
-        self.scale.start(free_norm(self, out))
+        if self.model.strain is None:
+            self.scale.start(free_norm(self, out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads, then the parts' own residuals. All forces are NaN if a part failed."""
@@ -188,7 +195,7 @@ class Equations(PartSum):
         found, end = self.end_parts(self.u, self.interval.t)
         every = found.values()
         audit = Audit(
-            supplied,
+            supplied + sum(one.supplied for one in every),
             sum(one.after - one.before for one in every),
             sum(one.dissipated for one in every),
             sum(one.remainder for one in every),

@@ -102,7 +102,9 @@ class RigidMotions:
         shift, turn = of_pieces[k, :d], of_pieces[k, d:]
         where = f" at {place(self._places[k])}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
-        if np.abs(turn).max() > np.abs(shift).max():
+        if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
+            if self.model.joint.periods:
+                return f"{body} can turn about the period"
             pairs = [AXES[i] + AXES[j] for i in range(d) for j in range(i + 1, d)]
             return f"{body} can turn in the plane {pairs[int(np.abs(turn).argmax())]}"
         shift /= shift[np.abs(shift).argmax()]  # largest component 1, whichever sign the motion has

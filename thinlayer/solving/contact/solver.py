@@ -64,8 +64,12 @@ def default_method(model: Model) -> str:
 
 
 def _is_network(model: Model) -> bool:
-    """Whether several layers meet, or share a body, so that a displacement may belong to several pairs of nodes."""
-    return len(model.joint.seams) > 1 or model.joint.branch is not None
+    """Whether several layers meet, or share a body, so that a displacement may belong to several pairs of nodes.
+
+    The same holds for periodic joints, whose mean strain also is no load of these solvers.
+    """
+    several = len(model.joint.seams) > 1 or model.joint.branch is not None
+    return several or model.joint.periods is not None
 
 
 def _linear_bodies(model: Model) -> bool:
@@ -128,8 +132,8 @@ def check_method(model: Model, method: Any) -> None:
         raise ModelError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
     if method in METHODS and _is_network(model):
         raise ModelError(
-            f"method={method!r} is for one seam without branches, whose jumps are independent of each other; use "
-            "method='newton'"
+            f"method={method!r} is for one seam without branches, not periodic, whose jumps are independent of each other; "
+            "use method='newton'"
         )
     if method in METHODS and not _linear_bodies(model):
         raise ModelError(

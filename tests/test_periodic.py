@@ -1,0 +1,373 @@
+"""Periodic cells: which places are one, mean strains, mean stresses, homogenised stiffness, what is refused."""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import HolonomicCoulomb, LinearElastic
+from forms.law import BulkLaw
+from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
+from studies import homogenised_bond
+from tests.meshes import renumbered
+from tests.network_cases import springs
+from tests.periodic_cases import (
+    BOND,
+    BRICK,
+    FREE,
+    MORTAR,
+    RIGID,
+    bond,
+    held_at_a_point,
+    laminate,
+    slid,
+    stiffness,
+    yielded,
+)
+from tests.ranks import mpirun
+from thinlayer import (
+    ModelError,
+    Springs,
+    Structure,
+    Surface,
+    ThinLayer,
+    homogenised_stiffness,
+    march,
+    piecewise,
+    solve,
+)
+from thinlayer.running.cli import main
+
+SIDES = (("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
+ROCK = LinearElastic.young(10.0, 0.25)
+
+
+# ---------------------------------------------------------------- which places are one
+@pytest.mark.parametrize("cell", ["quadrilateral", "triangle"])
+def test_components_on_the_torus(cell):
+    """A bond has one T at each end of a head, and no free ends: 2 x 2 of three components."""
+    joint = bond_cell(BRICK, 0.25, cell=cell)
+    number, times = np.unique(joint.splitting.valence, return_counts=True)
+    counted = dict(zip(number.tolist(), times.tolist(), strict=True))
+    assert {k: v for k, v in counted.items() if k} == {1: 42, 2: 18, 3: 4}
+    assert joint.splitting.pieces.max() + 1 == 2  # bricks
+
+
+@pytest.mark.parametrize(("element", "nodes"), [("Q1", 64), ("Q2", 256), ("P1", 64), ("P2", 256)])
+def test_unknowns_of_a_bonded_cell_are_those_of_a_torus(element, nodes):
+    cell = "triangle" if element[0] == "P" else "quadrilateral"
+    dofmap = bond(cell=cell, element=element).bonded().V.dofmap
+    assert dofmap.index_map.size_global == nodes
+
+
+# ---------------------------------------------------------------- homogenised stiffness
+@pytest.mark.parametrize("E", BOND)
+def test_stiffness_of_a_running_bond(E):
+    """The numbers of an independent program, to the digits that are known."""
+    A, (A11, A22, A66, A12) = stiffness(bond_cell(BRICK, 0.25), E), BOND[E]
+    assert (A[0, 0], A[1, 1], A[2, 2]) == pytest.approx((A11, A22, A66), rel=4e-8 if E == 1e6 else 1e-9)
+    assert A[0, 1] == pytest.approx(A12, rel=6e-3)
+    assert pytest.approx(A.T, abs=1e-13 * E) == A
+    assert np.abs(A[2, :2]).max() < 1e-13 * E
+
+
+def test_stiff_bricks_are_rigid_up_to_k_a_over_E():
+    A = stiffness(bond_cell(BRICK, 0.25), 1e6)
+    error = [(A[k, k] / rigid - 1) * 1e6 for k, rigid in enumerate(RIGID)]
+    assert error == pytest.approx([-8.432, -4.80, -5.039], rel=1e-3)
+    assert error[1] == pytest.approx(-5.0 * (1 - 0.2**2), rel=1e-3)
+
+
+@pytest.mark.parametrize("cut", [(0.125, 0.25), (0.375, 0.75), (0.875, 0.5)])
+def test_a_cell_cut_elsewhere_is_the_same(cut):
+    A = stiffness(bond_cell(BRICK, 0.25), 1e3)
+    assert stiffness(bond_cell(BRICK, 0.25, cut=cut), 1e3) == pytest.approx(A, rel=1e-9, abs=1e-11)
+
+
+def test_a_cell_with_other_numbers_is_the_same():
+    joint = bond_cell(BRICK, 0.25, cell="triangle")
+    other = periodic(renumbered(replace(joint, periods=None)), *SIDES)
+    A = stiffness(joint, 1e2)
+    assert stiffness(other, 1e2) == pytest.approx(A, rel=1e-11, abs=1e-12)
+    assert stiffness(joint.swapped(), 1e2) == pytest.approx(A, rel=1e-11, abs=1e-12)
+
+
+def layered(body: LinearElastic, K_N: float, K_T: float, d: int) -> np.ndarray:
+    """Stiffness (k, k) of a body with a layer in each unit of its height: springs in series with it."""
+    lmbda, mu = body.lmbda, body.mu
+    M = lmbda + 2 * mu
+    normal, shear, ratio = 1 / (1 / M + 1 / K_N), 1 / (1 / mu + 1 / K_T), lmbda / M
+    along, across = M - lmbda * ratio + ratio**2 * normal, lmbda - lmbda * ratio + ratio**2 * normal
+    side = ratio * normal
+    if d == 2:
+        return np.array([[along, side, 0], [side, normal, 0], [0, 0, shear]])
+    out = np.diag([along, normal, along, shear, mu, shear])
+    out[:3, :3] += [[0, side, across], [side, 0, side], [across, side, 0]]
+    return out
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "triangle", "hexahedron", "tetrahedron"])
+def test_a_laminate_is_in_series(cell):
+    flat = cell in ("quadrilateral", "triangle")
+    joint = laminate(cell, 0.25, **({} if flat else {"depth": 1.0}))
+    structure = Structure(joint, body=ROCK, supports={})
+    A = homogenised_stiffness(structure.interface(springs(4.0, 1.5)))
+    assert pytest.approx(layered(ROCK, 4.0, 1.5, joint.dim), rel=1e-11, abs=1e-11) == A
+    whole = homogenised_stiffness(structure.bonded())
+    assert pytest.approx(layered(ROCK, 1e15, 1e15, joint.dim), rel=1e-11, abs=1e-11) == whole
+
+
+def test_a_wall_of_some_depth_is_free_in_front():
+    """A cell in 3D with free sides has no stress across them, and is softer than in plane strain."""
+    joint = bond_cell(BRICK, 0.5, depth=1.0)
+    A = stiffness(joint, 1e2, "Q1")
+    assert np.abs(A[2:5]).max() < 1e-11 * np.abs(A).max()
+    flat = stiffness(bond_cell(BRICK, 0.5), 1e2, "Q1")
+    assert (np.diag(A)[[0, 1]] < np.diag(flat)[[0, 1]]).all()
+    assert np.diag(A)[[0, 1, 5]] == pytest.approx(np.diag(flat), rel=0.05)
+
+
+# ---------------------------------------------------------------- loads
+def test_energy_is_that_of_the_homogenised_cell():
+    """Half of E : A : E per volume, whether E comes at once or in steps; the work supplied is stored."""
+    E = np.array([[1e-3, 2e-3], [2e-3, -1e-3]])
+    A = stiffness(bond_cell(BRICK, 0.25), 1e3)
+    e = np.array([E[0, 0], E[1, 1], 2 * E[0, 1]])
+    state = solve(bond(strain=E).interface(MORTAR))
+    energies = state.energies()
+    assert energies["bodies"] + energies["layer"] == pytest.approx(4.0 * e @ A @ e / 2, rel=1e-10)
+    assert energies["loads"] == 0.0
+    stress = state.mean_stress()
+    assert [stress[0, 0], stress[1, 1], stress[0, 1]] == pytest.approx(A @ e, rel=1e-10)
+    table = piecewise({0: 0.0, 1: 0.7, 2: 1.0})
+    growing = bond(strain=lambda x, t: [[c * table(x, t) for c in row] for row in E]).interface(MORTAR)
+    assert growing.break_times == {0.0, 1.0, 2.0}
+    found = np.array([s.mean_stress() for s in march(growing, [1.0, 2.0])][1:])
+    assert found == pytest.approx(np.array([0.7 * stress, stress]), rel=1e-9)
+    for theta in (0.5, 1.0):
+        audits = [s.audit for s in march(growing, [1.0, 2.0], theta=theta)]
+        assert max(abs(one.imbalance) for one in audits) < 1e-11
+        assert audits[-1].total == pytest.approx(4.0 * e @ A @ e / 2, rel=1e-10)
+        remainder = (2 * theta - 1) * sum(4.0 * s**2 * e @ A @ e / 2 for s in (0.7, 0.3))
+        assert sum(one.remainder for one in audits) == pytest.approx(remainder, rel=1e-9, abs=1e-15)
+
+
+def test_tractions_on_beds_carry_the_mean_stress():
+    """Each bed runs across the whole cell: its mean traction is the mean stress times its normal."""
+    state = solve(bond(strain=((1e-3, 2e-3), (2e-3, -1e-3))).interface(MORTAR))
+    bed = Surface(state.model, "BED")
+    t, jump, stress = bed.traction(state), bed.jump(state), state.mean_stress()
+    for k in range(2):
+        assert bed.integral(t[k]) / 4.0 == pytest.approx(stress[k, 1], rel=1e-4)  # projected, at junctions too
+        assert bed.integral(jump[k]) * (2.1, 5.0)[k] / 4.0 == pytest.approx(stress[k, 1], rel=1e-9)
+
+
+def test_heads_that_yield_keep_the_balance_of_energy():
+    stored, dissipated, shear, imbalance = yielded()
+    assert imbalance < 1e-10
+    assert dissipated > 1e-3 * stored
+    elastic = homogenised_stiffness(bond(1.0).interface(FREE))
+    assert shear < 0.02 * elastic[2, 2]
+
+
+def test_a_laminate_slides_at_its_strength():
+    """C + tan(Omega) p under a shear that goes on, with the pressure that the mean strain makes."""
+    stresses, tractions = slid([0.25, 0.5, 1.0, 2.0])
+    last = stresses[-1]
+    assert last[0, 1] == pytest.approx(0.02 - np.tan(np.pi / 6) * last[1, 1], rel=1e-9)
+    assert last[1, 1] == pytest.approx(-0.04 * layered(ROCK, 16.0, 4.0, 2)[1, 1], rel=1e-9)
+    assert np.array(tractions) == pytest.approx(np.array(stresses)[:, :, 1], rel=1e-9)
+
+
+@dataclass(frozen=True)
+class Stiffening(BulkLaw):
+    """Stress 2 mu (1 + c e:e) e."""
+
+    mu: float
+    c: float
+    linear = False
+
+    def stress(self, step):
+        return 2 * self.mu * (1 + self.c * ufl.inner(step.e, step.e)) * step.e
+
+    def energy(self, step):
+        square = ufl.inner(step.e, step.e)
+        return self.mu * (square + self.c * square**2 / 2)
+
+
+def test_bodies_that_are_not_linear():
+    """Without a layer the strain is E everywhere; with one, stress and jump are in series."""
+    law, e = Stiffening(3.0, 1e3), 0.02
+    joint = laminate()
+
+    def strain(x, t):
+        return ((0.0, e * t), (e * t, 0.0))
+
+    structure = Structure(joint, body=law, supports={}, strain=strain)
+    whole = solve(structure.bonded(), 1.0)
+    expected = 6.0 * (1 + 1e3 * 2 * e**2) * e
+    assert whole.mean_stress() == pytest.approx(np.array([[0, expected], [expected, 0]]), rel=1e-10, abs=1e-12)
+    assert np.abs(whole.u.x.array).max() < 1e-12
+    assert whole.energies()["bodies"] == pytest.approx(3.0 * (2 * e**2 + 1e3 * (2 * e**2) ** 2 / 2), rel=1e-10)
+    history = march(structure.interface(springs(4.0, 1.5)), [0.5, 1.0])
+    stress = history.last.mean_stress()[0, 1]
+    inside = np.roots([12.0e3, 0.0, 6.0, -stress])
+    inside = float(inside[np.abs(inside.imag) < 1e-12].real[0])
+    assert 2 * inside + stress / 1.5 == pytest.approx(2 * e, rel=1e-9)
+    found = history.last.energies()
+    assert found["layer"] == pytest.approx(stress**2 / 1.5 / 2, rel=1e-9)
+    assert max(abs(state.audit.imbalance) for state in history) < 1e-9
+
+
+def test_contact_in_a_laminate():
+    """Pressed and sheared, S slides: shear stress is friction times pressure."""
+    strain = ((0.0, 0.05), (0.05, -0.04))
+    structure = Structure(laminate(), body=ROCK, supports={}, element="Q1", strain=strain)
+    state = solve(structure.interface(HolonomicCoulomb(K_N=16.0, K_T=4.0, friction=0.3)))
+    stress, M = state.mean_stress(), ROCK.lmbda + 2 * ROCK.mu
+    assert stress[1, 1] == pytest.approx(-0.04 / (1 / M + 1 / 16.0), rel=1e-9)
+    assert stress[0, 1] == pytest.approx(-0.3 * stress[1, 1], rel=1e-9)
+    with pytest.raises(ModelError, match="not periodic"):
+        solve(state.model, method="condensed")
+
+
+def test_a_strip_that_repeats_in_one_direction():
+    """Supports and tractions on the other sides as usual: a column between rollers that may also slide."""
+    joint = periodic(sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral"), ("LEFT", "RIGHT"))
+    structure = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -1.0)})
+    model = structure.interface(springs(4.0, 1.5))
+    state, M = solve(model), ROCK.lmbda + 2 * ROCK.mu
+    assert not model.supports.anchored
+    loads = 0.3**2 * (1 / ROCK.mu + 1 / 1.5) + 1 / M + 1 / 4.0
+    assert state.energies()["loads"] == pytest.approx(loads, rel=1e-11)
+    assert state.mean_stress()[:, 1] == pytest.approx([0.3, -1.0], rel=1e-11)
+
+
+def test_only_free_translations_are_held():
+    assert bond().interface(MORTAR).supports.anchored == ("x", "y")
+    strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral"), ("LEFT", "RIGHT"))
+    rolling = Structure(strip, body=ROCK, supports={"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.0, -1.0)})
+    assert rolling.interface(springs(4.0, 1.5)).supports.anchored == ("x",)
+    on_springs = Structure(strip, body=ROCK, supports={}, parts=[Springs("BOTTOM", normal=1.0, tangential=2.0)])
+    assert on_springs.interface(springs(4.0, 1.5)).supports.anchored == ()
+    pushed = Structure(strip, body=ROCK, supports={"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.1, -1.0)})
+    with pytest.raises(ModelError, match=r"add up to 0\.1 along x at t = 0, and nothing balances them"):
+        solve(pushed.interface(springs(4.0, 1.5)))
+
+
+def test_a_vertex_of_a_periodic_side_may_be_held():
+    """Along the strip it stretches to plane strain's modulus; across it contracts freely, from the vertex up."""
+    found, up = held_at_a_point(), -1e-3 * ROCK.lmbda / (ROCK.lmbda + 2 * ROCK.mu)
+    assert found[:2] == pytest.approx([0.1, 0.2 + up / 2], rel=1e-11)
+    assert found[2] == pytest.approx(
+        1e-3 * 4 * ROCK.mu * (ROCK.lmbda + ROCK.mu) / (ROCK.lmbda + 2 * ROCK.mu), rel=1e-11
+    )
+    assert np.abs(found[3:]).max() < 1e-13
+
+
+def test_a_box_that_repeats_in_one_direction_may_turn_about_it():
+    box = periodic(sandwich(1.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron"), ("LEFT", "RIGHT"))
+    with pytest.raises(ModelError, match=r"rigid motion of the structure \(rotation about \(1, 0, 0\)\)"):
+        Structure(box, body=ROCK, supports={}, element="Q1").interface(springs(4.0, 1.5))
+
+
+def test_profiles_and_runs_of_periodic_cells(tmp_path):
+    model = bond(strain=lambda x, t: ((1e-3 * t, 0.0), (0.0, -1e-3 * t))).interface(MORTAR)
+    march(model, [0.5], out=tmp_path / "run")
+    history = march(model, [0.5, 1.0], out=tmp_path / "run", resume=True)
+    assert history.last.mean_stress() == pytest.approx(2 * history.at(0.5).mean_stress(), rel=1e-9, abs=1e-15)
+    bed = Surface(model, "BED")
+    x, jump = bed.profile(bed.jump(history.last))
+    assert len(x) == len(jump) == 2 * (8 + 1)  # a bed is a circle of 8 edges, with a junction above
+    assert {0.5, 1.5} == set(np.round(x[:, 1], 9))
+    assert x[:, 0].max() < 2.0
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_same_on_several_ranks(ranks):
+    found, alone = (json.loads(mpirun(n, "-m", "tests.periodic_cases").stdout) for n in (ranks, 1))
+    assert found.keys() == alone.keys()
+    for name, values in alone.items():
+        size = np.abs(values).max()
+        assert found[name] == pytest.approx(values, rel=1e-10, abs=1e-12 * size), name
+
+
+def test_the_study_holds_and_can_fail(tmp_path, monkeypatch):
+    assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "right")]) == 0
+    assert (tmp_path / "right" / "rigid_bricks.png").stat().st_size > 10_000
+    monkeypatch.setattr(homogenised_bond, "NU", 0.25)
+    assert main(["run", "homogenised_bond", "--quick", "--out", str(tmp_path / "wrong")]) == 1
+
+
+# ---------------------------------------------------------------- what is refused
+def test_refused_joints():
+    joint = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
+    with pytest.raises(GeometryError, match="unknown side 'LEFTT', did you mean 'LEFT'"):
+        periodic(joint, ("LEFTT", "RIGHT"))
+    with pytest.raises(GeometryError, match="'LEFT' is in two pairs"):
+        periodic(joint, ("LEFT", "RIGHT"), ("LEFT", "TOP"))
+    with pytest.raises(GeometryError, match=r"'LEFT' and 'TOP' do not match: 'LEFT' has a node at \("):
+        periodic(joint, ("LEFT", "TOP"))
+    moved = joint.points.copy()
+    moved[np.isclose(joint.points, (1.0, 0.25)).all(axis=1), 1] += 0.01
+    with pytest.raises(GeometryError, match=r"has a node at \(0, 0.25\), and 'RIGHT' has none at \(1, 0.25\)"):
+        periodic(replace(joint, points=moved), ("LEFT", "RIGHT"))
+    with pytest.raises(GeometryError, match="do not match any more"):
+        replace(periodic(joint, ("LEFT", "RIGHT")), points=moved)
+    for n, wide in ((1, False), (2, False), (3, True)):
+        narrow = sandwich(0.25 * n, 0.5, 0.5, 0.25, cell="quadrilateral")
+        if wide:
+            periodic(narrow, ("LEFT", "RIGHT"))
+            continue
+        with pytest.raises(GeometryError, match=r"needs three cells or more between its sides \('LEFT' and 'RIGHT'\)"):
+            periodic(narrow, ("LEFT", "RIGHT"))
+    with pytest.raises(GeometryError, match=r"the seam 'S' cannot be a periodic side.*cut the periodic cell through"):
+        periodic(joint, ("S", "TOP"))
+    based = replace(wall(2, 2, (1.0, 0.5), 0.125), periods=None)
+    left = based.facets["LEFT"]
+    both = {"BED": based.facets["BED"], "EDGE": left, "LEFT": left, "RIGHT": based.facets["RIGHT"]}
+    seams = {"BED": Seam(direction=(0.0, 1.0)), "EDGE": Seam()}
+    with pytest.raises(GeometryError, match=r"unknown side 'LEFT'|lies on the periodic boundary"):
+        periodic(replace(based, facets=both, seams=seams), ("LEFT", "RIGHT"))
+    cell = periodic(joint, *SIDES)
+    with pytest.raises(GeometryError, match="a periodic joint has no meshed layer"):
+        inflate(cell, 0.01)
+    for cut in ((0.5, 0.5), (0.25, 0.0), (0.25, 0.99)):
+        with pytest.raises(GeometryError, match=r"along a joint|between 0 and 1"):
+            bond_cell(BRICK, 0.25, cut=cut)
+
+
+def test_refused_structures():
+    layer = springs(4.0, 1.5)
+
+    def model(**options):
+        return Structure(laminate(), body=ROCK, **({"supports": {}} | options)).interface(layer)
+
+    with pytest.raises(ModelError, match="support on 'LEFT': this side is identified with another one"):
+        model(supports={"LEFT": 0.0})
+    with pytest.raises(ModelError, match="traction on 'TOP/COURSE 2': this side is identified"):
+        model(tractions={"TOP/COURSE 2": (0.0, 1.0)})
+    with pytest.raises(ModelError, match="needs 2 x 2 components"):
+        model(strain=(1e-3, 0.0, 0.0))
+    with pytest.raises(ModelError, match="is not symmetric at t = 0"):
+        model(strain=((0.0, 1e-3), (0.0, 0.0)))
+    with pytest.raises(ModelError, match="depends on the place"):
+        model(strain=lambda x, t: ((x[0], 0.0), (0.0, 0.0)))
+    table = piecewise({0: 0.0, 1: 1e-3})
+    with pytest.raises(ModelError, match="the mean strain is not finite at t = 3"):
+        solve(model(strain=lambda x, t: ((table(x, t), 0.0), (0.0, 0.0))), 3.0)
+    with pytest.raises(ModelError, match="the loads of the periodic joint add up to"):
+        solve(model(body_force=(0.0, -1.0)))
+    plain = Structure(laminate(), body=ROCK, supports={}, strain=np.eye(2))
+    with pytest.raises(ModelError, match="of order 1, whose strains along S"):
+        plain.interface(ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1))
+    alone = Structure(sandwich(1.0, 0.5, 0.5, 0.25), body=ROCK, supports={"BOTTOM": 0.0}, strain=np.eye(2))
+    with pytest.raises(ModelError, match="a mean strain loads a periodic cell, and this joint is none"):
+        alone.interface(layer)
+    with pytest.raises(ModelError, match="needs a model of a periodic joint"):
+        homogenised_stiffness(Structure(alone.joint, body=ROCK, supports={"BOTTOM": 0.0}).interface(layer))
+    curved = Structure(laminate(), body=Stiffening(3.0, 1e3), supports={})
+    with pytest.raises(ModelError, match="is not linear, or has stresses without strains"):
+        homogenised_stiffness(curved.interface(layer))

@@ -1,0 +1,100 @@
+"""The stiffness of a periodic cell as a whole."""
+
+from __future__ import annotations
+
+from copy import copy
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from thinlayer.discretisation.forces import Forces
+from thinlayer.discretisation.mean_strain import MeanStrain
+from thinlayer.discretisation.model import Model
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.parallel.agreement import on_all
+from thinlayer.solving.solvers import Solver
+
+Array = npt.NDArray[np.float64]
+ASYMMETRY = 1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve
+ROUNDING = 1e-12  # the same over the stiffness of the bodies, whose strains are differences
+
+
+def homogenised_stiffness(model: Model) -> Array:
+    """Mean stresses of a periodic cell over mean strains, by one factor and a solve for each mean strain. Collective.
+
+    Args:
+        model: an interface or bonded model of a periodic joint, with linear laws without eigenstrains and supports that do
+            not move. Its loads and its own mean strain play no part.
+
+    Returns:
+        (k, k) stress, in the order of `Anisotropic`: 11, 22, 12 in 2D (k = 3), 11, 22, 33, 23, 13, 12 in 3D (k = 6). A
+        column is the mean stress of the bodies under a mean strain 1, or under a shear of 1 (e_12 = e_21 = 1/2). Where
+        sides are free, rows and columns of directions without a period vanish.
+
+    Raises:
+        ModelError: the joint is not periodic; a law is not linear or has an eigenstrain; supports that move.
+        SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
+    """
+    with on_all(model.comm):
+        _check(model)
+    strained = copy(model)
+    strained.strain = units = UnitStrains(model)
+    strained.forces = Forces(model.domain, None, None, model.coordinates)
+    with Solver(strained) as solver:
+        columns = [
+            _components(solver.step(solver.rest(t), t).mean_stress()) for t in map(float, range(len(units.basis)))
+        ]
+    found = np.column_stack(columns)
+    apart, size = float(np.abs(found - found.T).max()), float(np.abs(found).max())
+    stiffest = max(np.abs(C).max() for C in model.structure.bodies_at_rest if C is not None)
+    if model.symmetric and apart > ASYMMETRY * size + ROUNDING * stiffest:
+        raise SolveError(f"the homogenised stiffness is not symmetric: entries of {size:.1e} differ by {apart:.1e}")
+    return found
+
+
+def _check(model: Model) -> None:
+    if not isinstance(model, Model) or model.joint.periods is None:
+        raise ModelError(
+            f"homogenised_stiffness needs a model of a periodic joint, not {model!r}; see geometry.periodic"
+        )
+    for law in (p.law for p in model.terms if not p.proportional):
+        raise ModelError(
+            f"{law!r} is not linear, or has stresses without strains: there is no stiffness but at a state; march under "
+            "Structure(..., strain=...) and look at State.mean_stress"
+        )
+    if not model.linear:
+        raise ModelError("the model is not linear; homogenised_stiffness needs linear laws and parts")
+    moving = [place for place, given in model.supports.entries if any(callable(c) or c != 0 for c in given.values())]
+    if moving:
+        raise ModelError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
+
+
+def _pairs(d: int) -> list[tuple[int, int]]:
+    """Pairs of axes in Voigt's order."""
+    return [(i, i) for i in range(d)] + [*combinations(range(d), 2)][::-1]
+
+
+def _components(stress: Array) -> Array:
+    """Components (k,) of a stress (d, d) in Voigt's order."""
+    return np.array([stress[pair] for pair in _pairs(len(stress))])
+
+
+class UnitStrains(MeanStrain):
+    """The mean strain number t of those that are a basis of all, at t = 0, 1, 2, ...
+
+    Attributes:
+        basis: (k, d, d) strains.
+    """
+
+    def __init__(self, model: Model) -> None:
+        d = model.joint.dim
+        pairs = _pairs(d)
+        self.basis = np.zeros((len(pairs), d, d))
+        for strain, (i, j) in zip(self.basis, pairs, strict=True):
+            strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5
+        super().__init__(self.basis[0], model.coordinates, model.joint)
+
+    def at(self, t: float) -> Array:
+        """The strain number t."""
+        return np.asarray(self.basis[round(t)])
