@@ -34,11 +34,13 @@ class KernelLaw(BulkLaw):
     Attributes:
         memory: number of internal values.
         energetic: whether the kernel fills `energies`.
+        isotropic: whether a kernel in C does not read the director n; of one in numba this is found out.
     """
 
     ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
     memory: ClassVar[int] = 0
     energetic: ClassVar[bool] = False
+    isotropic: ClassVar[bool] = False
     kernel: ClassVar[Callable[..., bool]]
     source: ClassVar[Path | None] = None
 

@@ -199,6 +199,7 @@ class MohrCoulombReturn(KernelLaw, MohrCoulomb):
 
     memory: ClassVar = 6
     energetic: ClassVar = True
+    isotropic: ClassVar = True
     source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
     otherwise: ClassVar = None  # type: ignore[assignment]
     stiffness = isotropic_stiffness  # that of the closed form: Python cannot evaluate the C source

@@ -11,10 +11,11 @@ import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.utils.stacks import StackDict
 
+from forms.kernel import KernelLaw
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import BulkLaw, LawError, Step
 from forms.numbers import numbers
-from forms.trace import symbolic
+from forms.trace import symbolic, traces_director
 
 Array = npt.NDArray[np.float64]
 SMALL_STRAIN = 1e-6  # strain of the divided differences: too small for yielding, large enough against rounding
@@ -84,6 +85,24 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         return None
     C = SCALES[:, None] * (np.array(found[:6]) - found[6]).T
     return C if np.isfinite(C).all() else None
+
+
+def needs_director(law: BulkLaw) -> bool:
+    """Whether the stress of a law depends on the director n; a kernel in C says so itself (`KernelLaw.isotropic`)."""
+    if law.traits.in_ufl:
+        return traces_director(law)
+    assert isinstance(law, KernelLaw)
+    if law.source is not None:
+        return not law.isotropic
+    unknown = np.full(3, np.nan)
+    for size in STRAINS:
+        stress, tangent, memory = np.zeros(6), np.zeros((6, 6)), np.zeros(law.memory)
+        given = np.linspace(-size, size, 6), np.zeros(6), memory, 1.0, 1.0, unknown, law.parameter_values()
+        with np.errstate(all="ignore"):
+            type(law).kernel(*given, stress, tangent, memory.copy(), np.zeros(3))
+        if not (np.isfinite(stress).all() and np.isfinite(tangent).all()):
+            return True
+    return False
 
 
 def _of_kernel(law: Any, n: Array, dt: float) -> Array | None:

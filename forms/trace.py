@@ -18,6 +18,7 @@ import numpy as np
 import ufl
 from ufl.classes import Constant, ConstantValue, Index, Label, MultiIndex, ScalarValue, Zero
 from ufl.core.expr import Expr as Node
+from ufl.corealg.traversal import traverse_unique_terminals
 
 from forms.declarations import SIZES
 from forms.kinematics import Expr, from_mandel
@@ -115,6 +116,14 @@ def _stress_key(law: BulkLaw, d: int | None) -> int:
         return key([stress])
     with explained(law, "energy"), undecided(law, "energy"):
         return key([stress, shaped(law, "energy", point.law.energy(step), ())])
+
+
+def traces_director(law: BulkLaw) -> bool:
+    """Whether the director appears in the stress of a law in UFL, or in its internal variables after a step."""
+    point, n = symbolic(law), ufl.Constant(_DOMAIN, shape=(3,))
+    step = point.step._replace(n=n)
+    found = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
+    return any(n is part for one in found for part in traverse_unique_terminals(ufl.as_ufl(one)))
 
 
 def _unpacked(values: Expr, shape: tuple[int, ...]) -> Expr:

@@ -91,7 +91,7 @@ class Domain:
 
     @property
     def layer_regions(self) -> tuple[str, ...]:
-        """Regions of the meshed layer, from the lower to the upper face; () while S is a surface."""
+        """Regions of the meshed layers, of each seam from its lower to its upper face; () while S is a surface."""
         return self.joint.band.regions if self.joint.band else ()
 
     def values(self, name: str, *, layer_sides: bool = False) -> tuple[int, ...]:

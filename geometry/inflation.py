@@ -1,18 +1,19 @@
-"""Inflating S: the surface between two bodies becomes a band of cells of total thickness eps."""
+"""Inflating S: layers become bands of cells between the bodies, with polygons of cells where layers meet."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TypeVar
 
-import basix
 import numpy as np
 
 from forms.base import is_finite
+from geometry.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
 from geometry.joint import (
     BASE,
-    FLAT,
+    JUNCTIONS,
     LAYER,
     LOWER_FACE,
     UPPER_FACE,
@@ -23,104 +24,149 @@ from geometry.joint import (
     place,
     unknown,
 )
-from geometry.motion import extended_motion, face_directions, require_no_branches, require_room, sides_at_nodes
-from geometry.topology import (
-    FACET_TYPES,
-    FacetTable,
-    FloatArray,
-    IntArray,
-    is_tensor,
-    lagrange,
-    node_jacobians,
+from geometry.junctions import Ring, fill, junction_posts, rings_of
+from geometry.motion import (
+    NOT_KEPT,
+    UNIFORM,
+    extended_motion,
+    face_motion,
+    kept_motion,
+    require_apart,
+    require_room,
+    ways_of,
 )
+from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
 
 WAYS = ("kept", "extended")
-NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
-
-
-@dataclass(frozen=True)
-class _Levels:
-    """Nodes of the band: level 0 is its lower face, the last level its upper face, which keeps S's node numbers.
-
-    Cells of degree 2 have nodes at the levels of their faces and half-way between.
-    """
-
-    nodes: IntArray  # of S
-    first_new: int
-    heights: FloatArray  # of the levels, in units of the thickness, from 0 to 1
-
-    @property
-    def top(self) -> int:
-        return len(self.heights) - 1
-
-    def number(self, nodes: IntArray, level: int | IntArray) -> IntArray:
-        """Node numbers at a level above or below the given nodes of S."""
-        new = self.first_new + level * len(self.nodes) + np.searchsorted(self.nodes, nodes)
-        return np.where(level == self.top, nodes, new)
-
-    def footprint(self, rows: IntArray) -> IntArray:
-        """The nodes of S below or above given nodes of the band."""
-        return np.where(rows < self.first_new, rows, self.nodes[(rows - self.first_new) % len(self.nodes)])
+MANY = 3  # number of different motions of bodies whose ways are checked, pair by pair
+Given = TypeVar("Given")
 
 
 def inflate(
     joint: Joint,
-    eps: float,
+    eps: float | Mapping[str, float],
     *,
-    profile: Profile | None = None,
+    profile: Profile | Mapping[str, Profile | None] | None = None,
     cells_through: int = 4,
-    fractions: Sequence[float] = (),
+    fractions: Sequence[float] | Mapping[str, Sequence[float]] = (),
     bodies: str = "kept",
+    junctions: Sequence[str] = (),
 ) -> Joint:
-    """Open S into a meshed layer.
+    """Open S into meshed layers.
+
+    What differs from seam to seam is given as {name of a seam: value}.
 
     Args:
-        joint: the joint; S planar for bodies="kept".
-        eps: thickness of the layer, a length > 0.
+        joint: the joint.
+        eps: thickness of the layers, a length > 0.
         profile: function of coordinates (d, n) that returns n numbers > 0: the thickness at the vertices of S is eps times
             these, and linear in between. None: uniform.
-        cells_through: number of cells through the thickness, at least 1; each sublayer gets at least one.
+        cells_through: number of cells through the thickness, at least 1; each sublayer gets at least one. Even, where
+            layers meet.
         fractions: thickness shares of the sublayers, from the lower to the upper face, with sum 1; () for a single layer.
-        bodies: "kept": the bodies keep their shape and move apart by eps (on a rigid base the layer grows below
-            the body); S planar, thickness uniform. "extended": the outer shape is kept; each body gives up half of the
-            thickness (on a rigid base the body gives up all of it), its nodes move by a harmonic motion that slides
+        bodies: "kept": the bodies keep their shape and move apart, each facet of S by eps (on a rigid base the layer grows
+            below the body), with the least jumps along S; the thickness uniform, S such that this is possible: planar
+            seams of running bonds, crossings and stacks are. "extended": the outer shape is kept; each body gives up half
+            of the thickness (on a rigid base the body gives up all of it), its nodes move by a harmonic motion that slides
             along the outer faces.
+        junctions: names of the seams in the order of their claims to the cells of junctions; others follow in the joint's
+            order. A junction's cells belong to the first seam that ends there.
 
     Returns:
         A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
         sets "LOWER_FACE" ("BASE" on a rigid base) and "UPPER_FACE", and its side faces in "NAME/LAYER" for each outer
-        set NAME that they continue. Body cells keep their numbers and their nodes' order, curved cells stay curved.
+        set NAME that they continue. Of several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces
+        "SEAM/LOWER_FACE", "SEAM/UPPER_FACE". In 2D, polygons where three or more bodies meet are the region
+        "LAYER/JUNCTIONS" ("LAYER/JUNCTIONS/SEAM" where they belong to different seams). Body cells keep their numbers and
+        their nodes' order, curved cells stay curved.
 
     Raises:
-        GeometryError: a size, cells_through or fractions out of range; S ends inside the bodies, branches or is folded; S
-            curved or the thickness varying (kept); outer faces that touch S and are nearly parallel to it (extended); cells
-            turned inside out, a layer that overlaps the bodies.
+        GeometryError: a size, cells_through or fractions out of range; S ends inside the bodies or is folded; the
+            thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that touch S and are nearly
+            parallel to it, layers of different thickness that meet in line (extended); cells turned inside out, layers
+            that overlap the bodies; junctions in 3D, of sublayers, of a varying thickness, of curved cells, on a rigid
+            base, of an odd number of cells.
     """
-    _check(joint, eps, cells_through, fractions, bodies)
-    thickness = float(eps) * joint.relative_thickness(profile)
-    levels = _levels(joint, cells_through, fractions)
-    low, _ = sides_at_nodes(joint)
-    body_cells = joint.cells.copy()
-    below = low[joint.cells] == joint.splitting.of_nodes
-    body_cells[below] = levels.number(joint.cells[below], 0)
-    band_cells, sublayer, director = _band_cells(joint, levels, fractions)
-    cells = np.concatenate([body_cells, band_cells])
+    check_layering(cells_through, bodies)
+    if not isinstance(joint, Joint):
+        raise GeometryError(f"inflate takes a joint, not {joint!r}")
+    if joint.band is not None:
+        raise GeometryError("this joint is inflated already; inflate the joint it came from")
+    for name in junctions:
+        if name not in joint.seams:
+            raise GeometryError(f"junctions: {unknown('seam', name, joint.seams)}")
+    layers = _Layers.of(joint, eps, profile, cells_through, fractions)
+    copies = Copies.of(joint)
+    posts, footing = posts_of(joint, copies, layers.heights)
+    meeting = junction_posts(posts)
+    _check_junctions(joint, copies, posts, footing.seam[meeting], meeting, layers)
+    posts, rings = rings_of(joint, posts, meeting)
 
-    reference = np.concatenate([joint.points, np.tile(joint.points[levels.nodes], (levels.top, 1))])
-    points = reference + _motion(joint, body_cells, levels, thickness, bodies)
-    _check_cells(joint, points, cells)
+    translation = _translation(joint, layers.thickness) if bodies == "kept" else None
+    copied = _motion(joint, copies, layers.thickness, translation)
+    nodes, between, below = posts.between(copied)
+    motion = np.concatenate([copied, np.empty((posts.size, joint.dim))])
+    footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
+    motion[nodes], footprint[nodes] = between, below
 
-    names = (LAYER,) if not fractions else tuple(f"{LAYER}/{k + 1}" for k in range(len(fractions)))
-    return Joint(
+    bands, names = _bands(joint, posts, footing, layers)
+    blocks = [_Cells.empty(joint)]
+    for ring in rings:
+        cells, moved, below = fill(ring, posts, joint.cell_type, motion, len(motion))
+        motion, footprint = np.concatenate([motion, moved]), np.concatenate([footprint, below])
+        blocks.append(_Cells.of_junctions(cells, _owners(joint, ring, footing, junctions)))
+    polygons = _Cells.joined(blocks)
+    owners = np.unique(polygons.region)
+    seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
+    shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
+    first = len(joint.regions) + sum(map(len, names.values()))
+
+    points = joint.points[footprint] + motion
+    in_layers = np.concatenate([bands.cells, polygons.cells])
+    cells = np.concatenate([copies.cells, in_layers])
+    _check_cells(joint, points, cells, len(bands.cells))
+    facets, faces = _move_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], footprint)
+    regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
+    opened = Joint(
         points,
         cells,
         joint.cell_type,
-        np.concatenate([joint.region, len(joint.regions) + sublayer]),
-        joint.regions + names,
-        _move_facets(joint, body_cells, levels, band_cells[:, : joint.corners.shape[1]]),
+        np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, polygons.region)]),
+        joint.regions + regions,
+        facets,
         joint.seams,
-        band=Band(float(eps), bodies, names, joint, reference, director),
+        band=Band(
+            layers.eps,
+            bodies,
+            regions,
+            names,
+            shared,
+            faces,
+            joint,
+            joint.points[footprint],
+            np.concatenate([bands.director, polygons.director]),
+        ),
     )
+    if translation is not None and not _is_swept(joint, translation):
+        require_apart(opened)
+    return opened
+
+
+def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
+    """A value for each seam, from one for all, or from {name of a seam: value}; others get the default, if one is given.
+
+    Raises:
+        GeometryError: a value for an unknown seam, or none for a seam.
+    """
+    if not isinstance(given, Mapping):
+        return dict.fromkeys(joint.seams, given)
+    for name in given:
+        if name not in joint.seams:
+            raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
+    missing = [name for name in joint.seams if name not in given]
+    if missing and not default:
+        raise GeometryError(f"{what}: the seam {missing[0]!r} has none; give {what}={{{missing[0]!r}: ..., ...}}")
+    return {name: given[name] if name in given else default[0] for name in joint.seams}
 
 
 def check_layering(cells_through: int, bodies: str) -> None:
@@ -133,151 +179,195 @@ def check_layering(cells_through: int, bodies: str) -> None:
         )
 
 
-def _check(joint: Joint, eps: float, cells_through: int, fractions: Sequence[float], bodies: str) -> None:
-    check_layering(cells_through, bodies)
-    if not isinstance(joint, Joint):
-        raise GeometryError(f"inflate takes a joint, not {joint!r}")
-    if joint.band is not None:
-        raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    if not is_finite(eps) or eps <= 0:
-        raise GeometryError(f"the layer's thickness eps is {eps!r}; it must be > 0")
-    if len(fractions) and not (
-        all(map(is_finite, fractions)) and min(fractions) > 0 and abs(sum(fractions) - 1) <= 1e-12
-    ):
-        raise GeometryError(f"the sublayers' fractions {tuple(fractions)} must be numbers > 0 and add up to 1")
-    if joint.periods:
-        raise GeometryError(
-            "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
-            "inflate a large piece that is not periodic"
-        )
-    if joint.tip is not None:
-        raise GeometryError(
-            f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be meshed; "
-            "use the interface model"
-        )
-    require_no_branches(joint)
-    if len(joint.seams) > 1:
-        raise GeometryError(f"a joint with several seams, {', '.join(joint.seams)}, cannot be inflated")
+@dataclass(frozen=True)
+class _Layers:
+    """What is given of the layers, by the names of their seams.
 
-
-def _levels(joint: Joint, cells_through: int, fractions: Sequence[float]) -> _Levels:
-    degree = joint.degree
-    shares = np.asarray(fractions if len(fractions) else [1.0])
-    counts = degree * np.maximum(1, np.rint(cells_through * shares).astype(int))
-    edges = np.concatenate([[0.0], np.cumsum(shares)])
-    edges[-1] = 1.0
-    heights = [np.linspace(edges[k], edges[k + 1], n + 1)[1:] for k, n in enumerate(counts)]
-    return _Levels(np.unique(joint.surface), len(joint.points), np.concatenate([[0.0], *heights]))
-
-
-def _band_cells(joint: Joint, levels: _Levels, fractions: Sequence[float]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Cells between the levels, their sublayer, and the normal of S at each of their corners."""
-    surface, degree = joint.surface, joint.degree
-    if is_tensor(joint.cell_type):
-        patterns = _extruded(joint.cell_type, degree, len(surface))
-    else:
-        order = np.argsort(surface[:, : joint.dim], axis=1)
-        patterns = _split_prisms(joint.cell_type, degree, order)
-    edges = np.cumsum(fractions)[:-1] if len(fractions) else np.empty(0)
-    cells, sublayer, director = [], [], []
-    k = joint.corners.shape[1]
-    for base in range(0, levels.top, degree):
-        middle = (levels.heights[base] + levels.heights[base + degree]) / 2
-        for columns, offsets in patterns:
-            cells.append(levels.number(np.take_along_axis(surface, columns, axis=1), base + offsets))
-            director.append(np.take_along_axis(joint.node_normals, columns[:, :k, None], axis=1))
-            sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))
-    return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
-
-
-Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) levels above the first
-
-
-def _extruded(cell_type: str, degree: int, n: int) -> list[Pattern]:
-    """Quadrilaterals and hexahedra: the facet is the cell's face with last coordinate zero."""
-    cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
-    distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
-    return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell[:, -1] * degree).astype(np.int64))]
-
-
-def _split_prisms(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
-    """Simplices: prisms are split along sorted vertex numbers, so that neighbours split their common side alike.
-
-    With the facet's vertices sorted, simplex k has its first k + 1 vertices below and the rest, from k on, above. Nodes
-    half-way along an edge stand on the middle of that edge's footprint.
+    Attributes:
+        eps: thickness.
+        fractions: of the sublayers.
+        heights: of the levels of nodes.
+        thickness: (n_S, k) at the nodes of each facet of S.
+        varying: names of the seams with a profile.
     """
-    n = order.shape[1]
-    middle = np.diag(np.arange(n))
-    facet_edges = basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]
-    for number, (i, j) in enumerate(facet_edges):
-        middle[i, j] = middle[j, i] = n + number
-    patterns = []
-    for k in range(n):
-        corners = [(i, 0) for i in range(k + 1)] + [(i, degree) for i in range(k, n)]
-        columns = [order[:, i] for i, _ in corners]
-        offsets = [level for _, level in corners]
-        if degree == 2:
-            for p, q in basix.topology(basix.CellType[cell_type])[1]:
-                columns.append(middle[columns[p], columns[q]])
-                offsets.append((offsets[p] + offsets[q]) // 2)
-        patterns.append((np.column_stack(columns), np.array(offsets)))
-    return patterns
+
+    eps: dict[str, float]
+    fractions: dict[str, Sequence[float]]
+    heights: list[FloatArray]
+    thickness: FloatArray
+    varying: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        joint: Joint,
+        eps: float | Mapping[str, float],
+        profile: Profile | Mapping[str, Profile | None] | None,
+        cells_through: int,
+        fractions: Sequence[float] | Mapping[str, Sequence[float]],
+    ) -> _Layers:
+        sizes, shares = by_seam(joint, eps, "eps"), by_seam(joint, fractions, "fractions", ())
+        profiles = by_seam(joint, profile, "profile", None)
+        for name in joint.seams:
+            one, some = sizes[name], shares[name]
+            which = "" if len(joint.seams) == 1 else f" of {name!r}"
+            if not is_finite(one) or one <= 0:
+                raise GeometryError(f"the layer's thickness eps{which} is {one!r}; it must be > 0")
+            if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
+                raise GeometryError(
+                    f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
+                )
+        if joint.periods:
+            raise GeometryError(
+                "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
+                "inflate a large piece that is not periodic"
+            )
+        if joint.tip is not None:
+            raise GeometryError(
+                f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
+                "meshed; use the interface model"
+            )
+        thickness = np.empty(joint.surface.shape)
+        for number, name in enumerate(joint.seams):
+            here = joint.seam_numbers == number
+            thickness[here] = float(sizes[name]) * joint.relative_thickness(profiles[name], name)[joint.surface[here]]
+        return cls(
+            {name: float(one) for name, one in sizes.items()},
+            shares,
+            [level_heights(joint.degree, cells_through, shares[name]) for name in joint.seams],
+            thickness,
+            tuple(name for name in joint.seams if profiles[name] is not None),
+        )
 
 
-def _motion(joint: Joint, body_cells: IntArray, levels: _Levels, thickness: FloatArray, bodies: str) -> FloatArray:
-    """(n_nodes, d) motion of each node."""
-    motion: FloatArray = np.zeros((len(joint.points) + levels.top * len(levels.nodes), joint.dim))
-    h = thickness[levels.nodes][:, None]
-    if bodies == "kept":
-        _require_one_way(joint)
-        if np.ptp(h) > 1e-12 * h.max():
-            raise GeometryError(f"the thickness varies along S: {NOT_KEPT}")
-        mean = joint.interface_normals.mean(axis=0)
-        n, eps = mean / np.linalg.norm(mean), float(h[0, 0])
-        require_room(joint, n, eps)
-        start = -1.0 if joint.rigid_base else -0.5
-        low = high = np.tile(n, (len(h), 1))
-        pieces = joint.splitting.pieces
-        for side, end in zip(_pieces_beside(joint), (start, start + 1), strict=True):
-            motion[np.unique(body_cells[np.isin(pieces, side)])] = end * eps * n
-    else:
-        start = 0.0 if joint.rigid_base else -0.5
-        high = face_directions(joint, levels.nodes, 1)
-        low = high if joint.rigid_base else face_directions(joint, levels.nodes, 0)
-        known = np.concatenate([levels.number(levels.nodes, 0), levels.nodes])
-        faces = np.concatenate([start * h * low, (start + 1) * h * high])
-        motion = extended_motion(joint, body_cells, len(motion), known, faces)
-    for level, z in enumerate(levels.heights):
-        motion[levels.number(levels.nodes, level)] = h * ((1 - z) * start * low + z * (start + 1) * high)
+@dataclass(frozen=True)
+class _Cells:
+    """Cells of layers.
+
+    Attributes:
+        cells: (n, k) nodes.
+        region: (n,) number of the region, or of a seam.
+        director: (n, corners, d) normal of S at each corner.
+    """
+
+    cells: IntArray
+    region: IntArray
+    director: FloatArray
+
+    @classmethod
+    def empty(cls, joint: Joint) -> _Cells:
+        """No cells."""
+        return cls(joint.cells[:0], joint.region[:0], np.empty((0, joint.corners.shape[1], joint.dim)))
+
+    @classmethod
+    def of_junctions(cls, cells: IntArray, owners: IntArray) -> _Cells:
+        """Cells (junctions, n, k) of junctions in 2D, which have no normal of S: any unit vector stands for it."""
+        rows = cells.reshape(-1, cells.shape[2])
+        return cls(rows, np.repeat(owners, cells.shape[1]), np.broadcast_to([0.0, 1.0], (*rows.shape, 2)))
+
+    @classmethod
+    def joined(cls, several: Sequence[_Cells]) -> _Cells:
+        """All of several sets of cells."""
+        return cls(*(np.concatenate([getattr(one, of) for one in several]) for of in ("cells", "region", "director")))
+
+
+def _check_junctions(
+    joint: Joint, copies: Copies, posts: Posts, seams: IntArray, meeting: IntArray, layers: _Layers
+) -> None:
+    """Raise GeometryError where layers meet that cannot be meshed there.
+
+    Args:
+        joint: the joint before inflating.
+        copies: of its nodes.
+        posts: all posts at the nodes of S.
+        seams: numbers of the seams of the posts at junctions.
+        meeting: these posts.
+        layers: the layers.
+    """
+    if not len(meeting):
+        return
+    names = np.array(list(joint.seams))[seams]
+    based = np.concatenate([np.zeros(len(joint.points), bool), copies.base])[posts.ends[meeting]].any(axis=1)
+    reasons = {
+        "in 3D junctions are not meshed yet": np.full(len(meeting), joint.dim == 3),
+        "junctions are not meshed on a rigid base": based,
+        "the sublayers of one layer have no place in the others": np.array(
+            [len(layers.fractions[n]) > 0 for n in names]
+        ),
+        "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
+        "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
+    }
+    for reason, holds in reasons.items():
+        if holds.any():
+            x = joint.points[posts.nodes[meeting[holds][0]]]
+            raise GeometryError(
+                f"S branches at {place(x)}, where three or more bodies meet: {reason}; use the interface model"
+            )
+    odd = posts.top[meeting] % 2 > 0
+    if odd.any():
+        first = meeting[odd][0]
+        x = joint.points[posts.nodes[first]]
+        raise GeometryError(
+            f"cells_through is {posts.top[first]}: layers meet at {place(x)} and need an even number of cells there"
+        )
+
+
+def _owners(joint: Joint, ring: Ring, footing: Footing, junctions: Sequence[str]) -> IntArray:
+    """(n,) number of the seam to which the cells of each junction belong."""
+    order = list(dict.fromkeys([*junctions, *joint.seams]))
+    rank = np.array([order.index(name) for name in joint.seams])
+    of_posts = np.append(rank[footing.seam], len(order))  # the sides that close a polygon have no seam
+    first = of_posts[np.minimum(ring.sides, len(footing.seam))].min(axis=1)
+    return np.argsort(rank)[first]
+
+
+def _bands(joint: Joint, posts: Posts, footing: Footing, layers: _Layers) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
+    """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face."""
+    found: list[_Cells] = []
+    names: dict[str, tuple[str, ...]] = {}
+    first = len(joint.regions)
+    for number, seam in enumerate(joint.seams):
+        rows, fractions = np.flatnonzero(joint.seam_numbers == number), layers.fractions[seam]
+        cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
+        whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
+        names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
+        found.append(_Cells(cells, first + sublayer, director))
+        first += len(names[seam])
+    return _Cells.joined(found), names
+
+
+def _motion(joint: Joint, copies: Copies, thickness: FloatArray, translation: FloatArray | None) -> FloatArray:
+    """(n, d) motion of each node of the parted bodies, and of the copies on a rigid base."""
+    n_nodes = len(joint.points) + len(copies.new)
+    if translation is None:
+        on_base = (joint.surface_cells[:, 0] < 0)[:, None]
+        up, down = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
+        known, values = face_motion(joint, copies, (down, up))
+        return extended_motion(joint, copies.cells, n_nodes, known, values)
+    motion = np.zeros((n_nodes, joint.dim))
+    motion[copies.cells] = translation[joint.splitting.pieces][:, None]
+    motion[len(joint.points) :][copies.base] = translation[-1]
     return motion
 
 
-def _pieces_beside(joint: Joint) -> tuple[IntArray, IntArray]:
-    """The pieces of the bodies below S and above it."""
-    cells, pieces = joint.surface_cells, joint.splitting.pieces
-    below, above = (np.unique(pieces[side[side >= 0]]) for side in cells.T)
-    return below, above
+def _translation(joint: Joint, thickness: FloatArray) -> FloatArray:
+    """Translations of the pieces of kept bodies, and of the rigid base if there is one, last."""
+    for number, name in enumerate(joint.seams):
+        own = thickness[joint.seam_numbers == number]
+        if np.ptp(own) > UNIFORM * own.max():
+            raise GeometryError(f"the thickness varies along {name}: {NOT_KEPT}")
+    translation = kept_motion(joint, thickness[:, 0])
+    if _is_swept(joint, translation):
+        require_room(joint, translation)
+    return translation
 
 
-def _require_one_way(joint: Joint) -> None:
-    """Raise GeometryError if the bodies cannot be moved apart along one normal of S."""
-    both = np.intersect1d(*_pieces_beside(joint))
-    if len(both):
-        at = joint.points[joint.corners[joint.splitting.pieces == both[0]][0]].mean(axis=0)
-        raise GeometryError(f"one body, as at {place(at)}, lies below S and above it: {NOT_KEPT}")
-    if joint.planar:
-        return
-    normals = joint.node_normals.reshape(-1, joint.dim)
-    if (normals @ normals[0] < FLAT - 1).any() and (np.abs(normals @ normals[0]) > 1 - FLAT).all():
-        ends = [place(joint.points[joint.surface.ravel()[k]]) for k in (0, int((normals @ normals[0]).argmin()))]
-        raise GeometryError(
-            f"S lies in parallel planes, and the upper body is on opposite sides of them at {ends[0]} and at {ends[1]}: "
-            f"{NOT_KEPT}"
-        )
-    raise GeometryError(f"S is not planar: {NOT_KEPT}")
+def _is_swept(joint: Joint, translation: FloatArray) -> bool:
+    """Whether the bodies' ways are checked; in 2D, of many different ones, it is the result instead."""
+    return joint.dim == 3 or len(ways_of(translation)[0]) <= MANY
 
 
-def _check_cells(joint: Joint, points: FloatArray, cells: IntArray) -> None:
+def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int) -> None:
     before = node_jacobians(joint.points, joint.cells, joint.cell_type)
     after = node_jacobians(points, cells, joint.cell_type)
     n = len(joint.cells)
@@ -290,38 +380,56 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray) -> None:
     bad = np.flatnonzero(~((after[n:] > 0).all(axis=1) | (after[n:] < 0).all(axis=1)))
     if len(bad):
         x = points[cells[n + bad[0]]].mean(axis=0)
+        where = "the layer" if bad[0] < n_bands else "a junction of layers"
         raise GeometryError(
-            f"S turns too sharply for this eps: {len(bad)} cells of the layer are folded, the first at {place(x)}"
+            f"S turns too sharply for this eps: {len(bad)} cells of {where} are folded, the first at {place(x)}"
         )
 
 
-def _move_facets(joint: Joint, body_cells: IntArray, levels: _Levels, band: IntArray) -> dict[str, IntArray]:
-    """Facet sets of the inflated joint; `band`: vertices of the layer's cells."""
-    surface = joint.table.vertices[joint.surface_rows]
-    out = {UPPER_FACE: surface, BASE if joint.rigid_base else LOWER_FACE: levels.number(surface, 0)}
-    sides = _side_faces(band, joint.cell_type, levels)
-    ridges = _ridges(levels.footprint(sides), joint.dim)
+def _move_facets(
+    joint: Joint, copies: Copies, layers: IntArray, footprint: IntArray
+) -> tuple[dict[str, IntArray], tuple[str, ...]]:
+    """Facet sets of the inflated joint, and the names of those between bodies and layers.
+
+    Args:
+        joint: the joint before inflating.
+        copies: of its nodes.
+        layers: vertices of the layers' cells.
+        footprint: node of S below or above each node.
+    """
+    vertices = joint.table.vertices[joint.surface_rows]
+    order = np.argsort(joint.surface[:, : vertices.shape[1]], axis=1)
+    above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
+    on_base = joint.surface_cells[:, 0] < 0
+    out: dict[str, IntArray] = {}
+    for number, seam in enumerate(joint.seams):
+        here, prefix = joint.seam_numbers == number, "" if len(joint.seams) == 1 else f"{seam}/"
+        out[f"{prefix}{UPPER_FACE}"] = above[here]
+        if not on_base[here].any():
+            out[f"{prefix}{LOWER_FACE}"] = below[here]
+    faces = tuple(out)
+    if on_base.any():
+        out[BASE] = below[on_base]
+    sides = _side_faces(layers, joint.cell_type, np.concatenate([above, below]))
+    ridges = _ridges(footprint[sides], joint.dim)
     for name, facets in joint.facets.items():
         if name in joint.seams:
             continue
         rows = joint.table.index(facets)
-        out[name] = joint.table.nodes(rows, body_cells[:, : joint.corners.shape[1]], joint.cell_type)
+        out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
         outer = facets[joint.table.cells[rows, 1] < 0]
         continued = np.isin(ridges, _ridges(outer, joint.dim)).any(axis=1)
         if continued.any():
             out[f"{name}/{LAYER}"] = sides[continued]
-    return out
+    return out, faces
 
 
-def _side_faces(band: IntArray, cell_type: str, levels: _Levels) -> IntArray:
-    """Outer facets of the band other than its lower and upper face."""
-    table = FacetTable.of(band, cell_type)
-    outer = table.vertices[table.cells[:, 1] < 0]
-    upper, lower = (
-        outer < levels.first_new,
-        (outer >= levels.first_new) & (outer < levels.first_new + len(levels.nodes)),
-    )
-    return outer[~upper.all(axis=1) & ~lower.all(axis=1)]
+def _side_faces(layers: IntArray, cell_type: str, faces: IntArray) -> IntArray:
+    """Outer facets of the layers other than their lower and upper faces."""
+    table = FacetTable.of(layers, cell_type)
+    outer = table.cells[:, 1] < 0
+    outer[table.index(faces)] = False
+    return table.vertices[outer]
 
 
 def _ridges(rows: IntArray, dim: int) -> IntArray:

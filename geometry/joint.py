@@ -33,6 +33,7 @@ Profile = Callable[[FloatArray], FloatArray]
 
 S = "S"
 LAYER = "LAYER"
+JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
 LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
 RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
 LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
@@ -100,21 +101,27 @@ class Seam:
 
 @dataclass(frozen=True)
 class Band:
-    """Result of inflating: the layer's thickness, its sublayers, and how the bodies made room for it.
+    """Result of inflating: the layers' thickness, their regions, and how the bodies made room for them.
 
     Attributes:
-        eps: thickness of the layer, a length; where it varies, times the profile.
+        eps: name of a seam -> thickness of its layer, a length; where it varies, times the profile.
         bodies: "kept" or "extended".
-        regions: names of the sublayers' cell regions, from the lower to the upper face.
+        regions: names of all cell regions of the layers, those of junctions last.
+        of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face.
+        junctions: region of junctions -> the seam that its cells belong to.
+        faces: names of the facets between bodies and layers.
         base: the joint before inflating.
         reference: (n_points, d) place of each point before inflating (points of the layer: their place on S).
-        director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layer's cells, from the
-            lower to the upper body.
+        director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layers' cells, from the
+            lower to the upper body; a fixed unit vector in junctions, which have none.
     """
 
-    eps: float
+    eps: Mapping[str, float]
     bodies: str
     regions: tuple[str, ...]
+    of_seam: Mapping[str, tuple[str, ...]]
+    junctions: Mapping[str, str]
+    faces: tuple[str, ...]
     base: Joint = field(repr=False)
     reference: FloatArray = field(repr=False)
     director: FloatArray = field(repr=False)
@@ -234,6 +241,10 @@ class Joint:
     def _check_seams(self) -> None:
         if not self.seams:
             raise GeometryError(f"a joint needs a seam, such as {S!r}")
+        if JUNCTIONS in self.seams:
+            raise GeometryError(
+                f"{JUNCTIONS!r} cannot be the name of a seam: it is the part of a layer where layers meet"
+            )
         if len(self.seams) > 1 and S in self.seams:
             raise GeometryError(f"{S!r} is all seams together and cannot name one of several")
         for name in self.seams:
@@ -484,11 +495,12 @@ class Joint:
         """Whether S lies in planes of one direction."""
         return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= FLAT)
 
-    def relative_thickness(self, profile: Profile | None) -> FloatArray:
-        """(n_points,) a profile at the vertices of S, linear between them; 1 away from S.
+    def relative_thickness(self, profile: Profile | None, name: str = S) -> FloatArray:
+        """(n_points,) a profile at the vertices of a seam, or of S, linear between them; 1 elsewhere.
 
         Args:
             profile: function of coordinates (d, n) that returns n positive numbers; None for a uniform thickness.
+            name: of the seam, or "S".
 
         Raises:
             GeometryError: the profile returns something else, or not a positive number.
@@ -496,7 +508,8 @@ class Joint:
         values = np.ones(len(self.points))
         if profile is None:
             return values
-        vertices = np.unique(self.table.vertices[self.surface_rows])
+        rows = self.rows_of(name)
+        vertices = np.unique(self.table.vertices[rows])
         try:
             found = np.asarray(profile(self.points[vertices].T))
             if found.dtype.kind not in "fiu":
@@ -514,10 +527,11 @@ class Joint:
                 f"the thickness profile is {values[bad[0]]:g} at {place(self.points[bad[0]])}; it must be > 0 on S"
             )
         k = corner_count(FACET_TYPES[self.cell_type])
-        if self.surface.shape[1] > k:
+        surface = self.surface[np.searchsorted(self.surface_rows, rows)]
+        if surface.shape[1] > k:
             element = lagrange(FACET_TYPES[self.cell_type], 1)
             between = element.tabulate(0, lagrange(FACET_TYPES[self.cell_type], 2).points[k:])[0, :, :, 0]
-            values[self.surface[:, k:]] = values[self.surface[:, :k]] @ between.T
+            values[surface[:, k:]] = values[surface[:, :k]] @ between.T
         return values
 
     def rotated(self, angle: float) -> Joint:

@@ -1,116 +1,247 @@
-"""Motion of nodes when a layer opens: directions at the faces, harmonic motion of the bodies, room for the layer."""
+"""Motion of nodes when layers open: of the copies of the nodes of S, harmonic motion of the bodies, room for the layers."""
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import scipy.sparse
+import scipy.sparse.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from geometry.joint import GeometryError, Joint, place
+from geometry.bands import Copies
+from geometry.joint import FLAT, GeometryError, Joint, place
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
 EXACT = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
 LEAST_COSINE = 0.1  # smallest cosine of the angle between S's normal and the direction in which its vertices can move
+LEAST_ANGLE = 1e-3  # the same, in radians, between facets of S whose layers have different thicknesses
+NO_CORNER = 0.02  # error of a thickness, relative to it, from which on a body has no corner between two layers
+UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
+SAME_GAP = 1e-9  # relative error of the thickness between bodies that are kept
+STIFF = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
 TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
 ASKEW = np.array(
     [1.0, 1.3, 1.7, 2.3]
 )  # weights of a facet's vertices: their mean lies above no edge of an aligned grid
+NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
 
 
-def face_directions(joint: Joint, nodes: IntArray, side: int) -> FloatArray:
-    """Directions d (n, d) in which the nodes of S leave it, scaled to d . n = 1, from the lower to the upper body.
+def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatArray]) -> tuple[IntArray, FloatArray]:
+    """The copies of the nodes of S on bodies, and how each of them moves into its body, (n, d).
 
-    At edges and corners of S this holds for each facet around a node (least squares where there are many); at the end of S
-    d is along the outer faces of the body on that side.
+    The motion d is the least one with n . d = g for each facet of S around the copy, where n points into the body (least
+    squares where there are many); at the end of S it is along the outer faces of the body.
 
     Args:
         joint: the joint before inflating.
-        nodes: of S.
-        side: 0 the lower one, 1 the upper one.
+        copies: of its nodes.
+        given_up: g, (n_S, k) at the nodes of each facet: what the body below gives up, and the body above.
 
     Raises:
-        GeometryError: S is folded; an outer face touches S nearly parallel to it.
+        GeometryError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet nearly
+            in line.
     """
-    surface, normals = joint.surface, joint.node_normals
-    index, d = np.searchsorted(nodes, surface), joint.dim
-    total, count, moment = np.zeros((len(nodes), d)), np.zeros(len(nodes)), np.zeros((len(nodes), d, d))
-    np.add.at(total, index, normals)
+    upper, there = joint.node_normals, joint.surface_cells[:, 0] >= 0
+    at = np.concatenate([copies.above, copies.below[there]])
+    normals = np.concatenate([upper, -upper[there]])
+    g = np.concatenate([given_up[1], given_up[0][there]])
+    original = np.concatenate([joint.surface, joint.surface[there]])
+    known, first, index = np.unique(at, return_index=True, return_inverse=True)
+    index = index.reshape(at.shape)
+    x, d = joint.points[original.ravel()[first]], joint.dim
+    total, along_n, count = np.zeros((len(known), d)), np.zeros((len(known), d)), np.zeros(len(known))
+    moment = np.zeros((len(known), d, d))
+    np.add.at(total, index, g[..., None] * normals)
+    np.add.at(along_n, index, normals)
     np.add.at(count, index, 1.0)
     np.add.at(moment, index, normals[..., :, None] * normals[..., None, :])
-    folded = np.flatnonzero(np.linalg.norm(total, axis=1) < 0.3 * count)
+    folded = np.flatnonzero(np.linalg.norm(along_n, axis=1) < LEAST_COSINE * count)
     if len(folded):
-        raise GeometryError(
-            f"S is folded at {place(joint.points[nodes[folded[0]]])}: a layer there would overlap itself"
-        )
+        raise GeometryError(f"S is folded at {place(x[folded[0]])}: a layer there would overlap itself")
 
-    outer, faces = _outer_moments(joint, sides_at_nodes(joint)[side])
-    values, vectors = np.linalg.eigh(outer[nodes] / np.maximum(faces[nodes], 1)[:, None, None])
+    thick, thin = np.zeros(len(known)), np.full(len(known), np.inf)
+    np.maximum.at(thick, index, g)
+    np.minimum.at(thin, index, g)
+    uniform = thick - thin <= UNIFORM * thick
+    least = np.where(uniform, LEAST_COSINE, LEAST_ANGLE)[:, None] ** 2
+    outer, faces = _outer_moments(joint, copies.cells)
+    values, vectors = np.linalg.eigh(outer[known] / np.maximum(faces[known], 1)[:, None, None])
     slip = (vectors * (values < SMOOTH)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
-    inverse = np.where(values > LEAST_COSINE**2, 1 / np.maximum(values, LEAST_COSINE**2), 0.0)
-    along = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", slip, total))
-    along /= count[:, None]
-    lowest = np.full(len(nodes), np.inf)
-    np.minimum.at(lowest, index, np.einsum("fkd,fkd->fk", along[index], normals))
-    steep = np.flatnonzero(lowest < LEAST_COSINE)
+    inverse = np.where(values > least, 1 / np.maximum(values, least), 0.0)
+    motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", slip, total))
+    motion /= count[:, None]
+    gap = np.einsum("fkd,fkd->fk", motion[index], normals) / g
+    lowest = np.full(len(known), np.inf)
+    np.minimum.at(lowest, index, gap)
+    steep = np.flatnonzero((lowest < LEAST_COSINE) & uniform)
     if len(steep):
         raise GeometryError(
-            f"bodies='extended' cannot keep the shape: an outer face touches S at {place(joint.points[nodes[steep[0]]])} "
+            f"bodies='extended' cannot keep the shape: an outer face touches S at {place(x[steep[0]])} "
             "and is nearly parallel to it, so the body cannot give way there; use bodies='kept' if S is planar"
         )
-    return along
-
-
-def require_no_branches(joint: Joint) -> None:
-    """Raise GeometryError where more than two facets of S meet at a ridge."""
-    if joint.branch is not None:
+    wrong = np.flatnonzero((np.abs(gap - 1).max(axis=1) > NO_CORNER) & ~uniform[index].all(axis=1))
+    if len(wrong):
+        k = np.abs(gap[wrong[0]] - 1).argmax()
+        here = index[wrong[0], k]
         raise GeometryError(
-            f"S branches at {place(joint.branch)}, where three or more parts of the bodies meet: a layer is meshed between "
-            "two sides; use the interface model"
+            f"layers of different thickness, {thin[here]:g} and {thick[here]:g} on one side, meet nearly in line at "
+            f"{place(x[here])}: the body between them has no corner there; give them one thickness"
         )
+    return known, motion
 
 
-def sides_at_nodes(joint: Joint) -> tuple[IntArray, IntArray]:
-    """(n_points,) the component of the cells below and above S around each node of S; -1 where there is none.
-
-    Raises:
-        GeometryError: the upper side of S changes from facet to facet.
-    """
-    split, found = joint.splitting.of_nodes, []
-    for cells in joint.surface_cells.T:
-        there = cells >= 0
-        nodes, own = joint.surface[there], joint.cells[cells[there]]
-        component = np.take_along_axis(split[cells[there]], (own[:, None] == nodes[:, :, None]).argmax(axis=2), axis=1)
-        out = np.full(len(joint.points), -1, np.int64)
-        out[nodes] = component
-        changes = (out[nodes] != component).any(axis=1)
-        if changes.any():
-            x = joint.points[nodes[changes][0]].mean(axis=0)
-            raise GeometryError(
-                f"the upper side of S changes at {place(x)}: a layer needs one upper side and one lower side there"
-            )
-        found.append(out)
-    return found[0], found[1]
-
-
-def _outer_moments(joint: Joint, component: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, FloatArray]:
     """For every node the sum of m m^T over the unit normals m of outer faces there, except S, and their number.
 
-    If `component` is given, (n_points,), only faces of cells in this component around the node count.
+    Args:
+        joint: the joint before inflating.
+        cells: (n_cells, k) nodes of its cells; where bodies have parted, each copy counts the faces of its own body.
     """
     table = joint.table
     outer = np.setdiff1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
-    nodes = table.nodes(outer, joint.cells, joint.cell_type)
-    normals = facet_normals(joint.points, nodes, joint.cell_type)
-    counted = np.ones(nodes.shape, bool)
-    if component is not None:
-        counted = table.nodes(outer, joint.splitting.of_nodes, joint.cell_type) == component[nodes]
-    moments, count = np.zeros((len(joint.points), joint.dim, joint.dim)), np.zeros(len(joint.points))
-    np.add.at(moments, nodes, (counted[..., None] * normals)[..., :, None] * normals[..., None, :])
-    np.add.at(count, nodes, counted.astype(float))
+    normals = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
+    nodes, size = table.nodes(outer, cells, joint.cell_type), int(cells.max()) + 1
+    moments, count = np.zeros((size, joint.dim, joint.dim)), np.zeros(size)
+    np.add.at(moments, nodes, normals[..., :, None] * normals[..., None, :])
+    np.add.at(count, nodes, 1.0)
     return moments, count
+
+
+def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
+    """Translations (n_pieces, d) of the bodies' pieces that open each facet of S by its thickness.
+
+    Of all such motions it is the one with the least jumps along S. The middle of S stays where it is, and so do bodies on
+    a rigid base. The base is the last piece, if there is one.
+
+    Args:
+        joint: the joint before inflating.
+        eps: (n_S,) thickness at each facet of S.
+
+    Raises:
+        GeometryError: there is no such motion.
+    """
+    pieces, cells, n, d = joint.splitting.pieces, joint.surface_cells, joint.interface_normals, joint.dim
+    count = int(pieces.max()) + 1
+    ends = np.where(cells >= 0, pieces[cells], count)
+    count += bool((cells < 0).any())
+    same = np.flatnonzero(ends[:, 0] == ends[:, 1])
+    if len(same):
+        at = joint.points[joint.corners[cells[same[0], 1]]].mean(axis=0)
+        raise GeometryError(f"one body, as at {place(at)}, lies below S and above it: {NOT_KEPT}")
+    area = _areas(joint)
+    pairs, at = np.unique(ends, axis=0, return_inverse=True)
+    at = at.ravel()
+    weight: FloatArray = np.bincount(at, area).astype(float)
+    moment, opened = np.zeros((len(pairs), d, d)), np.zeros((len(pairs), d))
+    np.add.at(moment, at, area[:, None, None] * n[:, :, None] * n[:, None, :])
+    np.add.at(opened, at, (area * eps)[:, None] * n)
+    values, vectors = np.linalg.eigh(moment / weight[:, None, None])
+    across = values > 10 * FLAT**2
+    inverse = np.where(across, 1 / np.where(across, values, 1.0), 0.0)
+    wanted = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse, vectors, opened / weight[:, None])
+    T = _translations(pairs, count, wanted, (vectors * across[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
+
+    for jump, reason in (
+        (wanted[at], "S is not planar, as at {}"),
+        (
+            T[ends[:, 1]] - T[ends[:, 0]],
+            "the layers around the bodies at {} ask for motions that contradict one another",
+        ),
+    ):
+        gap = (jump * n).sum(axis=1)
+        lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
+        wrong = np.abs(gap - eps) > SAME_GAP * eps + FLAT * lean
+        if wrong.any():
+            x = joint.points[joint.surface[wrong][0]].mean(axis=0)
+            raise GeometryError(f"{reason.format(place(x))}: {NOT_KEPT}")
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs), np.int8), tuple(pairs.T)), shape=(count, count))
+    part = connected_components(graph, directed=False)[1]
+    based = np.zeros(part.max() + 1, bool)
+    based[part[ends[cells[:, 0] < 0, 1]]] = True
+    on_base, mine = cells[:, 0] < 0, part[ends[:, 1]]
+    middle = np.where(on_base[:, None], T[ends[:, 1]], (T[ends[:, 0]] + T[ends[:, 1]]) / 2)
+    share = np.where(based[mine] & ~on_base, 0.0, area)
+    total = np.maximum(np.bincount(mine, share, len(based)), np.finfo(float).tiny)
+    shift = np.stack([np.bincount(mine, share * middle[:, k], len(based)) / total for k in range(d)], axis=1)
+    return np.asarray(T - shift[part])
+
+
+def _areas(joint: Joint) -> FloatArray:
+    """(n_S,) areas of the straight facets between the vertices of S, lengths in 2D."""
+    x = joint.points[joint.surface]
+    if joint.dim == 2:
+        return np.asarray(np.linalg.norm(x[:, 1] - x[:, 0], axis=1))
+    first, second = (
+        (x[:, 3] - x[:, 0], x[:, 2] - x[:, 1]) if is_tensor(joint.cell_type) else (x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    )
+    return np.asarray(np.linalg.norm(np.cross(first, second), axis=1) / 2)
+
+
+def _translations(
+    pairs: IntArray, count: int, wanted: FloatArray, across: FloatArray, weight: FloatArray
+) -> FloatArray:
+    """Least squares of the jumps along S, under the constraint of those across: (count, d), up to a common translation.
+
+    By an augmented Lagrangian, whose multiplier exists for redundant constraints, too.
+
+    Args:
+        pairs: (n, 2) pieces below and above.
+        count: number of pieces.
+        wanted: (n, d) jump across the layers between two pieces.
+        across: (n, d, d) projector to the directions across these layers.
+        weight: (n,) area of S between them.
+    """
+    n, d = wanted.shape
+    low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pairs.T)
+    jump = scipy.sparse.kron(up - low, np.eye(d), format="csr")
+    stiffness = STIFF * across + (weight / weight.mean())[:, None, None] * (np.eye(d) - across)
+    blocks = scipy.sparse.bsr_matrix((stiffness, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
+    part = connected_components((up - low).T @ (up - low), directed=False)[1]
+    ground = np.zeros(count)
+    ground[np.unique(part, return_index=True)[1]] = STIFF
+    matrix = jump.T @ blocks @ jump + scipy.sparse.kron(scipy.sparse.diags(ground), np.eye(d))
+    factors = scipy.sparse.linalg.splu(matrix.tocsc())
+    multiplier, best, last = np.zeros((n, d)), np.zeros((count, d)), np.inf
+    for _ in range(200):
+        T = factors.solve(jump.T @ (STIFF * (wanted + multiplier)).ravel()).reshape(count, d)
+        missing = wanted - np.einsum("nij,nj->ni", across, T[pairs[:, 1]] - T[pairs[:, 0]])
+        error = float(np.abs(missing).max())
+        if error >= 0.9 * last:
+            break
+        best, last, multiplier = T, error, multiplier + missing
+    return best
+
+
+def require_apart(opened: Joint) -> None:
+    """Raise GeometryError if parts of the outer boundary of a joint in 2D cross each other: bodies overlap."""
+    outer = opened.table.vertices[opened.table.cells[:, 1] < 0]
+    x = opened.points[outer]
+    length = float(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).max())
+    pairs = cKDTree(x.mean(axis=1)).query_pairs(length, output_type="ndarray")
+    one, other = outer[pairs].swapaxes(0, 1) if len(pairs) else (outer[:0], outer[:0])
+    apart = ~(one[:, :, None] == other[:, None, :]).any(axis=(1, 2))
+    a, b = opened.points[one[apart]], opened.points[other[apart]]
+
+    def beside(of: FloatArray, points: FloatArray) -> FloatArray:
+        """Twice the areas of the triangles over a segment, with signs."""
+        edge, to = (of[:, 1] - of[:, 0])[:, None], points - of[:, :1]
+        return np.asarray(edge[..., 0] * to[..., 1] - edge[..., 1] * to[..., 0])
+
+    tolerance = 1e-12 * length**2
+    crossed = np.ones(len(a), bool)
+    for of, points in ((a, b), (b, a)):
+        sides = beside(of, points)
+        crossed &= (sides.min(axis=1) < -tolerance) & (sides.max(axis=1) > tolerance)
+    if crossed.any():
+        raise GeometryError(
+            f"no room for the layers at {place(a[crossed][0].mean(axis=0))}: moved apart, the bodies would overlap"
+        )
 
 
 def extended_motion(
@@ -131,7 +262,7 @@ def extended_motion(
     motion[known] = values
     free = np.setdiff1d(np.unique(corners), known)
 
-    moments, count = _outer_moments(joint)
+    moments, count = _outer_moments(joint, body_cells)
     eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
     node, way = np.nonzero(eigenvalues < EXACT)
     unknown = np.arange(len(node))
@@ -193,23 +324,39 @@ def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     return solution
 
 
-def require_room(joint: Joint, n: FloatArray, eps: float) -> None:
-    """Raise GeometryError if the body below S, or the layer on a rigid base, moved by -eps n, hits the upper body."""
-    table = joint.table
+def require_room(joint: Joint, translation: FloatArray) -> None:
+    """Raise GeometryError if bodies that are kept, or a layer on a rigid base, hit one another on their way.
+
+    Args:
+        joint: the joint before inflating.
+        translation: of its pieces, and of the rigid base if there is one, see `kept_motion`.
+    """
+    table, cells = joint.table, joint.surface_cells
+    first, alike = ways_of(translation)
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
-    on_s = np.isin(outer, joint.surface_rows)
-    pieces, under = joint.splitting.pieces, joint.surface_cells[:, 0]
-    below = on_s | np.isin(pieces[table.cells[outer, 0]], pieces[under[under >= 0]])
-    moving, fixed = outer[below], outer[~below]
-    for rows, others, way in ((moving, fixed, -1.0), (fixed, moving, 1.0)):
-        corners = table.vertices[rows]
-        weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
-        probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
-        x = _first_hit(joint, probes, others, way * n, eps)
-        if x is not None:
-            raise GeometryError(
-                f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
-            )
+    piece = joint.splitting.pieces[table.cells[outer, 0]]
+    below = np.where(cells[:, 0] >= 0, joint.splitting.pieces[cells[:, 0]], len(translation) - 1)
+    piece[np.searchsorted(outer, joint.surface_rows)] = below
+    group = alike[piece]
+    for one, other in combinations(range(len(first)), 2):
+        way = translation[first[one]] - translation[first[other]]
+        eps = float(np.linalg.norm(way))
+        for moving, fixed, sign in ((one, other, 1.0), (other, one, -1.0)):
+            corners = table.vertices[outer[group == moving]]
+            weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
+            probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
+            x = _first_hit(joint, probes, outer[group == fixed], sign * way / eps, eps)
+            if x is not None:
+                raise GeometryError(
+                    f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
+                )
+
+
+def ways_of(translation: FloatArray) -> tuple[IntArray, IntArray]:
+    """The first pieces with each translation, but for rounding errors; and (n_pieces,) which of these each piece has."""
+    scale = SAME_GAP * max(float(np.abs(translation).max()), np.finfo(float).tiny)
+    _, first, alike = np.unique(np.round(translation / scale), axis=0, return_index=True, return_inverse=True)
+    return first, alike.ravel()
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:

@@ -13,6 +13,7 @@ from forms.base import InputError
 
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 BITS = 31  # bits for a vertex number in a key
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")

@@ -122,8 +122,9 @@ def _noted(record: Record, case: str, full: Solution, limit: Solution) -> dict[s
     """Solver, Newton steps and zones; writes the tractions along S."""
     meshed = last(full).model
     assert isinstance(meshed, FullModel)
+    (eps,) = (one.thin.eps for one in meshed.layers.values() if one.thin)
     profile = profile_of(last(full), last(limit), FRICTION)
-    record.write(profile_name(case, meshed.layer.eps), profile)
+    record.write(profile_name(case, eps), profile)
     row: dict[str, Any] = {"method": last(limit).report.method}
     row |= {"steps_band": newton_steps(full), "steps_contact": newton_steps(limit)}
     x = profile["x"]

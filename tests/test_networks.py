@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from forms import IncrementalCoulomb, LinearElastic
-from geometry import GeometryError, Joint, Seam, inflate, sandwich, wall
+from geometry import GeometryError, Joint, Seam, sandwich, wall
 from geometry.splitting import Splitting
 from geometry.topology import FacetTable, facet_normals
 from tests.meshes import renumbered
@@ -235,10 +235,6 @@ def test_refused_layers():
         bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1), "HEAD": layer})
     with pytest.raises(ModelError, match="unknown seam 'BEDS'"):
         Surface(bricks.interface(layer), "BEDS")
-    with pytest.raises(ModelError, match=r"several seams.*use structure.interface"):
-        bricks.full(layer)
-    with pytest.raises(GeometryError, match=r"S branches at \("):
-        inflate(joint, 0.01)
     with pytest.raises(ModelError, match="method='condensed' is for one seam without branches"):
         solve(
             Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, element="Q1").interface({"BED": BED, "HEAD": HEAD}),

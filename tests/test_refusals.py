@@ -173,7 +173,7 @@ def test_numbers_of_numpy_and_texts():
 
 
 def test_crossing_pieces_of_s():
-    """Four pieces, none hinged to another at the crossing: a pull opens one line by t/K; no layer is meshed."""
+    """Four pieces, none hinged to another at the crossing: a pull opens one line by t/K."""
     axis = np.linspace(0.0, 1.0, 5)
     joint = grid([axis, axis], lambda x: (x[:, 0] < 0.5) == (x[:, 1] > 0.5), "quadrilateral")
     assert joint.splitting.valence.max() == joint.splitting.pieces.max() + 1 == 4
@@ -184,8 +184,8 @@ def test_crossing_pieces_of_s():
     state = solve(structure.interface(layer))
     assert state.energies()["layer"] == pytest.approx(t**2 / (30 + 2 * 20) / 2, rel=1e-9)
     assert state.energies()["bodies"] == pytest.approx(t**2 * (1 - 0.2**2) / 100.0 / 2, rel=1e-9)
-    with pytest.raises(GeometryError, match=r"S branches at \(0.5, 0.5\)"):
-        structure.full(layer, bodies="extended")
+    meshed = solve(structure.full(layer))  # the triangles of beds and heads at a crossing add strips to the sides
+    assert meshed.energies()["layer"] == pytest.approx(state.energies()["layer"], rel=0.05)
 
 
 def test_free_sliding_is_no_solution_of_multigrid(monkeypatch):

@@ -116,7 +116,5 @@ def test_what_is_refused(path):
         structure.interface({"ONE": layer})
     with pytest.raises(ModelError, match="unknown seam 'TWOO', did you mean 'TWO'"):
         structure.interface({"ONE": layer, "TWO": layer, "TWOO": layer})
-    with pytest.raises(ModelError, match=r"several seams \(ONE, TWO\) has no meshed layers"):
-        structure.full(layer)
     with pytest.raises(ModelError, match="unknown seam 'THREE'"):
         Surface(structure.interface(layer), "THREE")

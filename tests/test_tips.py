@@ -11,6 +11,7 @@ import ufl
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import GeometryError, Joint, block, inflate, ring, sandwich
 from geometry.joint import Seam
+from tests.meshes import volumes
 from thinlayer import Model, ModelError, Structure, Surface, ThinLayer, solve
 
 BODY = LinearElastic.young(100.0, 0.3)
@@ -141,7 +142,7 @@ def test_directions_are_checked():
 
 
 def test_upper_side_that_changes():
-    """A direction out of the circle above and into it below: the same interface model, and a layer that is not meshed."""
+    """A direction out of the circle above and into it below: the same interface model, and the same meshed layer."""
     two, found, values = ring(0.5, 1.0, 2.0, 0.2), [], []
     one = in_one_body(two, (0.0, 1.0))
     assert set(np.rint((one.interface_normals * two.interface_normals).sum(axis=1))) == {-1, 1}
@@ -158,8 +159,10 @@ def test_upper_side_that_changes():
     assert len(x) == 32 + 2  # where the upper side changes, two of the bodies' nodes lie on it
     size = max(map(abs, values[0].values()))
     assert values[1] == pytest.approx(values[0], abs=0.03 * size)
-    with pytest.raises(GeometryError, match="the upper side of S changes at"):
-        inflate(one, 0.01, bodies="extended")
+    opened = [inflate(joint, 0.01, bodies="extended") for joint in (two, one)]
+    assert [np.sort(volumes(joint)) for joint in opened][1] == pytest.approx(np.sort(volumes(opened[0])), rel=1e-9)
+    with pytest.raises(GeometryError, match=r"at \(.*the upper side changes, and their sublayers do not meet"):
+        inflate(one, 0.01, bodies="extended", fractions=(0.3, 0.7))
     law = HolonomicCoulomb(30.0, 10.0, 0.3)  # the pair of nodes there is two, each with the normal of its own facets
     pressed = {"body": BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.5, -0.3)}, "element": "P1"}
     first, second = (solve(Structure(j, **pressed).interface(law), method="newton").energies() for j in (two, one))

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
-from geometry.joint import Profile
+from geometry.joint import Profile, S
 
 
 def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.float64]) -> fem.Function:
@@ -22,14 +22,14 @@ def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.fl
     return f
 
 
-def relative_thickness(domain: Domain, profile: Profile) -> fem.Function:
-    """The thickness profile on S, of degree 1 between vertices; its values elsewhere have no meaning."""
+def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
+    """The thickness profile on a seam, or on S, of degree 1 between vertices; its values elsewhere have no meaning."""
     joint = domain.joint
-    return cellwise(domain, ("Lagrange", 1), joint.relative_thickness(profile)[joint.corners][..., None])
+    return cellwise(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
 
 
 def director(domain: Domain) -> Expr:
-    """Unit normal of S in the cells of the meshed layer, (d,), from the lower to the upper body; zero elsewhere."""
+    """Unit normal of S in the cells of the meshed layer, (d,), from the lower to the upper body; zero in bodies."""
     joint, band = domain.joint, domain.joint.band
     assert band is not None
     values = np.zeros((*joint.corners.shape, joint.dim))

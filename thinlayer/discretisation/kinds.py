@@ -10,10 +10,12 @@ from dolfinx import fem
 
 from forms import work as forms
 from forms.kinematics import Expr
+from forms.law import BulkLaw
+from forms.tangent import needs_director
 from geometry.inflation import check_layering, inflate
 from geometry.joint import BASE, Joint, S
 from thinlayer.discretisation.joint_fields import director, relative_thickness
-from thinlayer.discretisation.layer import LawOnS, Layers, ThinLayer, constants, real_law
+from thinlayer.discretisation.layer import LawOnS, Layers, constants, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
@@ -24,17 +26,20 @@ LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordina
 
 
 class FullModel(Model):
-    """The model whose layer is meshed.
+    """The model whose layers are meshed.
 
     Attributes:
-        layer: the layer.
+        layer: as given: a thin layer for all seams, or {name of a seam: its layer}.
     """
 
     name = "full"
 
-    def __init__(self, structure: Setup, layer: ThinLayer, *, bodies: str, cells_through: int) -> None:
-        self.layer, self._bodies, self._cells_through = layer, bodies, cells_through
-        super().__init__(structure, layer, bodies=bodies, cells_through=cells_through)
+    def __init__(
+        self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None = None
+    ) -> None:
+        self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, junctions
+        chosen = {} if junctions is None else {"junctions": junctions}
+        super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)
 
     @property
     def _clamped(self) -> tuple[str, ...]:
@@ -42,15 +47,36 @@ class FullModel(Model):
 
     def _checked(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
-        if len(self.layers) > 1:
-            raise ModelError(
-                f"a joint with several seams ({', '.join(self.layers)}) has no meshed layers; use structure.interface"
-            )
-        (one,) = self.layers.values()
-        if isinstance(one.layer, LawOnS):
-            raise ModelError(f"{type(one.layer).__name__} is a law of jump and traction: it has no meshed layer")
+        for name in self.joint.seams:
+            if name not in self.layers:
+                raise ModelError(
+                    f"the seam {name!r} is open: an open joint has no thickness, so layers that end at it cannot be "
+                    "meshed; give it a weak layer, or use structure.interface"
+                )
+        for one in self.layers.values():
+            self._check(one)
+        first = () if self._junctions is None else (self._junctions,)
+        thin = {name: one.thin for name, one in self.layers.items() if one.thin}
+        inflated = inflate(
+            self.joint,
+            {name: layer.eps for name, layer in thin.items()},
+            profile={name: layer.profile for name, layer in thin.items()},
+            cells_through=self._cells_through,
+            fractions={name: layer.fractions for name, layer in thin.items()},
+            bodies=self._bodies,
+            junctions=(*first, *thin),
+        )
+        assert inflated.band is not None
+        for name in inflated.band.junctions.values():
+            self._check_junctions(name, real_law(thin[name], self.plane))
+        return inflated
+
+    def _check(self, one: SeamLayer) -> None:
+        """Raise an error if a layer cannot be meshed."""
+        layer = one.layer
+        if isinstance(layer, LawOnS):
+            raise ModelError(f"{type(layer).__name__} is a law of jump and traction: it has no meshed layer")
         one.check()
-        layer, size = self.layer, self.structure.size
         if layer.order == 1 and self._bodies != "kept":
             raise ModelError("order=1 needs bodies='kept': on extended bodies its energy has no lower bound")
         if layer.law.traits.softens:
@@ -58,26 +84,37 @@ class FullModel(Model):
                 f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
                 "of cells; take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
             )
-        if layer.eps > LARGEST_EPS * size:
+        if layer.eps > LARGEST_EPS * self.structure.size:
             raise ModelError(
-                f"the layer's thickness eps is {layer.eps:g}, the bodies measure {size:g}: next to such a layer their "
-                "shape is lost in rounding; is eps in the unit of the mesh?"
+                f"the layer's thickness eps is {layer.eps:g}, the bodies measure {self.structure.size:g}: next to such a "
+                "layer their shape is lost in rounding; is eps in the unit of the mesh?"
             )
-        return inflate(
-            self.joint,
-            layer.eps,
-            profile=layer.profile,
-            cells_through=self._cells_through,
-            fractions=layer.fractions,
-            bodies=self._bodies,
-        )
+
+    def _check_junctions(self, name: str, law: BulkLaw) -> None:
+        """Raise ModelError if a seam's law cannot be that of cells where layers meet, which are in no column of a layer."""
+        hint = "give junctions=... the name of a seam with another law, such as forms.LinearElastic"
+        if law.traits.switches:
+            raise ModelError(
+                f"{type(law).__name__} of the seam {name!r} has one phase for each column of a layer, and cells where "
+                f"layers meet are in none; {hint}"
+            )
+        if needs_director(law):
+            raise ModelError(
+                f"{type(law).__name__} of the seam {name!r} depends on the normal of S, which is not defined where layers "
+                f"meet; {hint}"
+            )
 
     def _layer_terms(self) -> list[forms.Term]:
-        mesh, law = self.domain.mesh, real_law(self.layer, self.plane)
-        n = director(self.domain)
-        values = [self.domain.cell_values(name) for name in self.domain.layer_regions]
-        laws = [one if one.traits.compiled else constants(one, mesh) for _, one in law.sublayers]
-        return [forms.band(one, self.dx(tags, **self._rule), n) for one, tags in zip(laws, values, strict=True)]
+        mesh, band, n = self.domain.mesh, self.domain.joint.band, director(self.domain)
+        assert band is not None
+        terms = []
+        for name, one in self.layers.items():
+            shared = [region for region, seam in band.junctions.items() if seam == name]
+            sublayers = real_law(one.layer, self.plane).sublayers
+            for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
+                law = law if law.traits.compiled else constants(law, mesh)
+                terms.append(forms.band(law, self.dx(self.domain.cell_values(region, *shared), **self._rule), n))
+        return terms
 
 
 class InterfaceModel(Model):
@@ -150,7 +187,7 @@ class InterfaceModel(Model):
             return [forms.of_jumps(law, sides)]
         eps: Expr = fem.Constant(mesh, float(layer.eps))
         if layer.profile is not None:
-            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile))
+            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
         return forms.surface(law, sides, eps, layer.order)
 
 

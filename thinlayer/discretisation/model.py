@@ -16,7 +16,7 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.joint import LOWER_FACE, UPPER_FACE, Joint
+from geometry.joint import Joint
 from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
@@ -99,6 +99,11 @@ class Model(ABC):
             for names in of_law.values()
         ]
         self.layer_terms = self._layer_terms()
+        constrained = [term for term in self.layer_terms if term.law.traits.constrained]
+        if len({term.strain for term in constrained}) > 1:
+            raise ModelError(
+                "several seams have incompressible layers; on S only one may have a pressure; mesh the layers"
+            )
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
@@ -165,7 +170,7 @@ class Model(ABC):
         joint = self.domain.joint
         if joint.band is None:
             return joint.splitting
-        facets = [joint.facets[name] for name in (LOWER_FACE, UPPER_FACE) if name in joint.facets]
+        facets = [joint.facets[name] for name in joint.band.faces]
         return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act

@@ -80,7 +80,7 @@ class SeamLayer:
                 raise ModelError(
                     f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"
                 )
-            joint.relative_thickness(self.thin.profile)  # a user's function, may fail on one rank alone
+            joint.relative_thickness(self.thin.profile, self.name)  # a user's function, may fail on one rank alone
         if self.thin and self.thin.order == 1:
             self.at_rest.require_no_locking()
         self.at_rest.require_stable()
@@ -124,7 +124,7 @@ class SeamLayer:
     def identity(self) -> dict[str, Any]:
         """Description of the layer without its law, as JSON."""
         thin, profile = self.thin, self.thin.profile if self.thin else None
-        shape = self.structure.joint.relative_thickness(profile) if profile else None
+        shape = self.structure.joint.relative_thickness(profile, self.name) if profile else None
         return {
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,

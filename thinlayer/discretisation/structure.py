@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from thinlayer.discretisation.kinds import BondedModel, FullModel, InterfaceModel
-from thinlayer.discretisation.layer import Layers, ThinLayer
+from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.setup import Setup
 
 
@@ -31,18 +31,25 @@ class Structure(Setup):
             loads are checked when a model is made.
     """
 
-    def full(self, layer: ThinLayer, *, bodies: str = "kept", cells_through: int = 4) -> FullModel:
+    def full(
+        self, layer: Layers, *, bodies: str = "kept", cells_through: int = 4, junctions: str | None = None
+    ) -> FullModel:
         """The model whose layer is meshed. Collective.
 
         Args:
-            layer: law and thickness of the layer; S is inflated by the thickness.
+            layer: law and thickness of the layer; S is inflated by the thickness. Of a joint with several seams {name of a
+                seam: its layer}, or one layer for all.
             bodies: "kept" or "extended", see `geometry.inflate`.
-            cells_through: number of cells through the layer's thickness.
+            cells_through: number of cells through the layer's thickness; even, where layers meet.
+            junctions: name of the seam whose law holds in the cells where it meets others; elsewhere, and by default
+                everywhere, it is the first seam of `layer` that ends there. These cells need the law of a layer: with
+                moduli that do not fall with the thickness they would tie the corners of the bodies together, and the
+                model would not converge to the interface model.
 
         Raises:
             ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
         """
-        return FullModel(self, layer, bodies=bodies, cells_through=cells_through)
+        return FullModel(self, layer, bodies=bodies, cells_through=cells_through, junctions=junctions)
 
     def interface(self, layer: Layers) -> InterfaceModel:
         """The model whose layer is replaced by its interface law on S. Collective.

@@ -97,7 +97,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
             raise ModelError(f"compare needs the same {name}, not {there[name]} and {here[name]}")
     for name, layer in interface.layers.items():
         both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
-        shapes = [full.joint.relative_thickness(profile) for profile in both]  # a law on S has no thickness
+        shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
         if not np.allclose(shapes[0], shapes[-1], rtol=SAME_PROFILE, atol=0.0):
             raise ModelError("compare needs the same profile of the thickness in both models")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -29,7 +31,11 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
         for key, term in compiled_terms(model.terms).items()
     ]
     constrained = [p for p in model.terms if p.law.traits.constrained]
-    parts += [PressurePart(model.V, p, forms.largest, model.origin) for p in constrained[:1]]
+    if constrained:  # meshed layers of several seams have one pressure: their strains are of one kind
+        tags = tuple(tag for p in constrained for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
+        whole = replace(constrained[0], measure=constrained[0].measure.reconstruct(subdomain_id=tags))
+        one = whole if len(constrained) > 1 else constrained[0]
+        parts.append(PressurePart(model.V, one, forms.largest, model.origin))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, contact_key(model, name)))
     return parts + [addition.part(model) for addition in model.parts]

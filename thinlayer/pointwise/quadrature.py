@@ -206,6 +206,10 @@ class Quadrature:
         if self.origin:
             numbers, centres = self.origin.columns()
             of_cells = numbers[self.original]
+            used = np.zeros(len(centres), np.int8)
+            used[of_cells] = 1
+            self.comm.Allreduce(MPI.IN_PLACE, used, MPI.MAX)  # other seams' columns have no points of this law
+            of_cells, centres = (np.cumsum(used, dtype=np.int64) - 1)[of_cells], centres[used > 0]
         else:
             of_cells, centres = self._facets()
         of = np.empty(self.count, np.int64)

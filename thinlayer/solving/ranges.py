@@ -345,7 +345,8 @@ class _Faces:
             return np.asarray(at_corners[place[cell][:, None], corner])
 
         assert one.thin
-        u, thickness = at_vertices(above), one.thin.eps * joint.relative_thickness(one.thin.profile)[sheet.vertices]
+        relative = joint.relative_thickness(one.thin.profile, one.name)
+        u, thickness = at_vertices(above), one.thin.eps * relative[sheet.vertices]
         return cls(state, sheet, thickness, 0 * u if (below < 0).any() else at_vertices(below), u)
 
     @cached_property

@@ -1,0 +1,286 @@
+"""Bands: copies of the nodes of S, one for each body there, posts of nodes between two copies, cells between posts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import basix
+import numpy as np
+
+from geometry.joint import GeometryError, Joint, place
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
+
+SAME_HEIGHT = 1e-12  # difference of heights, relative to the thickness, that counts as none
+
+
+@dataclass(frozen=True)
+class Copies:
+    """The nodes of the bodies when they have parted on S: each body has its own copy of a node of S.
+
+    One copy keeps the node's number, that of the upper side of the node's first facet. The others follow after the
+    joint's points, in the order of their nodes. The nodes of a rigid base follow there, too.
+
+    Attributes:
+        cells: (n_cells, k) nodes of the bodies' cells.
+        below, above: (n_S, k) copies of the nodes of each facet of S, on its lower and on its upper side.
+        new: (n,) nodes of S whose copies follow after the joint's points.
+        base: (n,) whether these are on a rigid base.
+    """
+
+    cells: IntArray
+    below: IntArray
+    above: IntArray
+    new: IntArray
+    base: BoolArray
+
+    @classmethod
+    def of(cls, joint: Joint) -> Copies:
+        """The copies of a joint's nodes."""
+        surface, split, n = joint.surface, joint.splitting.of_nodes, len(joint.points)
+        on_base = int(split.max(initial=0)) + 1
+        sides = []
+        for cells in joint.surface_cells.T:
+            there, component = cells >= 0, np.full(surface.shape, on_base)
+            own = joint.cells[cells[there]]
+            local = (own[:, None] == surface[there][:, :, None]).argmax(axis=2)
+            component[there] = np.take_along_axis(split[cells[there]], local, axis=1)
+            sides.append(surface * (on_base + 1) + component)
+        nodes, first = np.unique(surface, return_index=True)
+        on_s = np.zeros(n, bool)
+        on_s[nodes] = True
+        where = np.nonzero(on_s[joint.cells])
+        keys = joint.cells[where] * (on_base + 1) + split[where]
+        found = np.unique(np.concatenate([keys, sides[0].ravel()]))
+        new = np.setdiff1d(found, sides[1].ravel()[first], assume_unique=True)
+
+        def number(keys: IntArray) -> IntArray:
+            at = np.minimum(np.searchsorted(new, keys), len(new) - 1)
+            return np.where(new[at] == keys, n + at, keys // (on_base + 1))
+
+        body_cells = joint.cells.copy()
+        body_cells[where] = number(keys)
+        nodes, component = np.divmod(new, on_base + 1)
+        return cls(body_cells, number(sides[0]), number(sides[1]), nodes, component == on_base)
+
+
+@dataclass(frozen=True)
+class Posts:
+    """Posts of nodes from one copy of a node of S to another one. Level 0 is the first copy, the last level the second.
+
+    Cells of degree 2 have nodes at the levels of their faces and half-way between.
+
+    Attributes:
+        first_new: number of the first node between copies.
+        ends: (n, 2) the two copies of each post.
+        nodes: (n,) the node of S that they are copies of.
+        kind: (n,) position of the post's heights in `heights`.
+        heights: heights of the levels, in units of the thickness, from 0 to 1.
+    """
+
+    first_new: int
+    ends: IntArray
+    nodes: IntArray
+    kind: IntArray
+    heights: tuple[FloatArray, ...]
+
+    @cached_property
+    def top(self) -> IntArray:
+        """(n,) the last level of each post."""
+        return np.array([len(one) - 1 for one in self.heights])[self.kind]
+
+    @cached_property
+    def _places(self) -> tuple[IntArray, IntArray]:
+        """(n,) number of the node at level 1 of each post, and the step of numbers from level to level."""
+        count = np.bincount(self.kind, minlength=len(self.heights))
+        sizes = count * (np.array([len(one) for one in self.heights]) - 2)
+        start = self.first_new + np.cumsum(sizes) - sizes
+        rank = np.empty(len(self.kind), np.int64)
+        for kind, n in enumerate(count):
+            rank[self.kind == kind] = np.arange(n)
+        return start[self.kind] + rank, count[self.kind]
+
+    @property
+    def size(self) -> int:
+        """Number of nodes between copies."""
+        return int((self.top - 1).sum())
+
+    def number(self, posts: IntArray, level: IntArray | int) -> IntArray:
+        """Nodes of posts at levels."""
+        start, step = self._places
+        between = start[posts] + (np.asarray(level) - 1) * step[posts]
+        second = np.where(level == self.top[posts], self.ends[posts, 1], between)
+        return np.where(np.asarray(level) == 0, self.ends[posts, 0], second)
+
+    def between(self, values: FloatArray) -> tuple[IntArray, FloatArray, IntArray]:
+        """Nodes between copies, values there, linear between those (n_nodes, d) at the copies, and their nodes of S."""
+        nodes, found, below = [], [], []
+        for kind, heights in enumerate(self.heights):
+            here = np.flatnonzero(self.kind == kind)
+            low, high = values[self.ends[here, 0]], values[self.ends[here, 1]]
+            for level, z in enumerate(heights[1:-1], 1):
+                nodes.append(self.number(here, level))
+                found.append((1 - z) * low + z * high)
+                below.append(self.nodes[here])
+        if not nodes:
+            return np.empty(0, np.int64), np.empty((0, values.shape[1])), np.empty(0, np.int64)
+        return np.concatenate(nodes), np.concatenate(found), np.concatenate(below)
+
+    def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> Posts:
+        """These posts and more of them."""
+        more = np.full(len(nodes), kind)
+        return Posts(
+            self.first_new, np.concatenate([self.ends, ends]), np.concatenate([self.nodes, nodes]),
+            np.concatenate([self.kind, more]), self.heights,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Footing:
+    """Where the facets of S have their posts.
+
+    Attributes:
+        posts: (n_S, k) the post at each node of each facet.
+        turned: (n_S, k) whether the post leads from the upper side of this facet to the lower one.
+        seam: (n posts,) number of the seam of a facet at the post.
+    """
+
+    posts: IntArray
+    turned: BoolArray
+    seam: IntArray
+
+
+def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tuple[Posts, Footing]:
+    """The posts at the nodes of S, one for each two copies with a facet between them.
+
+    Args:
+        joint: the joint before inflating.
+        copies: of its nodes.
+        heights: of the levels, for each seam.
+
+    Raises:
+        GeometryError: the levels of two seams differ where they continue one another, or those of one seam where its upper
+            side changes.
+    """
+    below, above = copies.below.ravel(), copies.above.ravel()
+    rows = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])
+    _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    at = at.ravel()
+    ends = np.column_stack([below, above])[first]
+    turned = below != ends[at, 0]
+    seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
+    kinds: list[FloatArray] = []
+    kind_of_seam = np.array([_kind(one, kinds) for one in heights])
+    cases, example = np.unique(np.column_stack([seam[first][at], seam, turned]), axis=0, return_index=True)
+    for (one, other, way), where in zip(cases, example, strict=True):
+        wanted = 1 - heights[other][::-1] if way else heights[other]
+        if not _same(heights[one], wanted):
+            names = list(joint.seams)
+            what = (
+                f"{names[one]!r} and {names[other]!r} continue one another"
+                if one != other
+                else "the upper side changes"
+            )
+            raise GeometryError(
+                f"at {place(joint.points[joint.surface.ravel()[where]])} {what}, and their sublayers do not meet: give "
+                "them the same ones, and an upper side on the same body"
+            )
+        if way and joint.dim == 3:
+            raise GeometryError(
+                f"the upper side of S changes at {place(joint.points[joint.surface.ravel()[where]])}: in 3D a layer needs "
+                "one upper side and one lower side there"
+            )
+    posts = Posts(
+        len(joint.points) + len(copies.new), ends, joint.surface.ravel()[first], kind_of_seam[seam[first]], tuple(kinds)
+    )
+    shape = joint.surface.shape
+    return posts, Footing(at.reshape(shape), turned.reshape(shape), seam[first])
+
+
+def _same(one: FloatArray, other: FloatArray) -> bool:
+    return len(one) == len(other) and bool(np.abs(one - other).max() <= SAME_HEIGHT)
+
+
+def _kind(heights: FloatArray, known: list[FloatArray]) -> int:
+    """Position of heights among the known ones, added there if they are new."""
+    for number, one in enumerate(known):
+        if _same(one, heights):
+            return number
+    known.append(heights)
+    return len(known) - 1
+
+
+def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
+    """Heights of the levels of a layer, in units of its thickness, from 0 to 1.
+
+    Args:
+        degree: of the cells' geometry.
+        cells_through: number of cells through the thickness.
+        fractions: of the sublayers; () for a single layer.
+    """
+    shares = np.asarray(fractions if len(fractions) else [1.0])
+    counts = degree * np.maximum(1, np.rint(cells_through * shares).astype(int))
+    edges = np.concatenate([[0.0], np.cumsum(shares)])
+    edges[-1] = 1.0
+    heights = [np.linspace(edges[k], edges[k + 1], n + 1)[1:] for k, n in enumerate(counts)]
+    return np.concatenate([[0.0], *heights])
+
+
+def band_cells(
+    joint: Joint, posts: Posts, footing: Footing, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Cells of the band over some facets of S, their sublayer, and the normal of S at each of their corners."""
+    surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
+    if is_tensor(joint.cell_type):
+        patterns = _extruded(joint.cell_type, degree, len(surface))
+    else:
+        order = np.argsort(surface[:, : joint.dim], axis=1)
+        patterns = _split_prisms(joint.cell_type, degree, order)
+    edges = np.cumsum(fractions)[:-1] if len(fractions) else np.empty(0)
+    cells, sublayer, director = [], [], []
+    k, top = joint.corners.shape[1], len(heights) - 1
+    for base in range(0, top, degree):
+        middle = (heights[base] + heights[base + degree]) / 2
+        for picked, offsets in patterns:
+            at = np.take_along_axis(footing.posts[rows], picked, axis=1)
+            turned = np.take_along_axis(footing.turned[rows], picked, axis=1)
+            level = np.where(turned, top - base - offsets, base + offsets)
+            cells.append(posts.number(at, level))
+            director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
+            sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))
+    return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
+
+
+Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) levels above the first
+
+
+def _extruded(cell_type: str, degree: int, n: int) -> list[Pattern]:
+    """Quadrilaterals and hexahedra: the facet is the cell's face with last coordinate zero."""
+    cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
+    distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
+    return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell[:, -1] * degree).astype(np.int64))]
+
+
+def _split_prisms(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
+    """Simplices: prisms are split along sorted vertex numbers, so that neighbours split their common side alike.
+
+    With the facet's vertices sorted, simplex k has its first k + 1 vertices below and the rest, from k on, above. Nodes
+    half-way along an edge stand on the middle of that edge's footprint.
+    """
+    n = order.shape[1]
+    middle = np.diag(np.arange(n))
+    facet_edges = basix.topology(basix.CellType[FACET_TYPES[cell_type]])[1]
+    for number, (i, j) in enumerate(facet_edges):
+        middle[i, j] = middle[j, i] = n + number
+    patterns = []
+    for k in range(n):
+        corners = [(i, 0) for i in range(k + 1)] + [(i, degree) for i in range(k, n)]
+        picked = [order[:, i] for i, _ in corners]
+        offsets = [level for _, level in corners]
+        if degree == 2:
+            for p, q in basix.topology(basix.CellType[cell_type])[1]:
+                picked.append(middle[picked[p], picked[q]])
+                offsets.append((offsets[p] + offsets[q]) // 2)
+        patterns.append((np.column_stack(picked), np.array(offsets)))
+    return patterns

@@ -1,0 +1,426 @@
+"""Meshed networks of layers in 2D: areas and names, junctions, convergence to the interface model, what is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, Incompressible, LinearElastic, Stack
+from geometry import GeometryError, Joint, Seam, inflate, wall
+from geometry.topology import node_jacobians
+from tests.meshed_cases import jump_errors, mortar, panel, star, yielded, yielding
+from tests.meshes import grid, volumes
+from tests.network_cases import springs
+from tests.ranks import mpirun
+from tests.test_networks import SQUARE, cut_at, on
+from thinlayer import ModelError, Structure, Surface, ThinLayer, UflPart, compare, solve
+
+RATIOS = (1e-1, 1e-2, 1e-3, 1e-4)
+BRICK = (1.0, 0.5)
+CELLS = ("triangle", "quadrilateral")
+WAYS = ("kept", "extended")
+
+
+def lengths(joint: Joint) -> dict[str, float]:
+    """Length of each seam."""
+    return {
+        name: float(np.linalg.norm(np.ptp(joint.points[joint.facets[name]], axis=1), axis=1).sum())
+        for name in joint.seams
+    }
+
+
+def areas(opened: Joint) -> dict[str, float]:
+    """Area of each region of the layers."""
+    found, numbers = volumes(opened), opened.region
+    return {name: float(found[numbers == opened.regions.index(name)].sum()) for name in opened.band.regions}
+
+
+def check(base: Joint, opened: Joint) -> None:
+    """No cell is folded, all outer facets have a name, each once, and body cells keep their numbers and their order."""
+    jacobians = node_jacobians(opened.points, opened.cells, opened.cell_type)
+    assert (np.sign(jacobians) == np.sign(jacobians[:, :1])).all()
+    n, size = len(base.cells), np.abs(jacobians)
+    assert (size[n:].min(axis=1) / size[n:].max(axis=1)).min() > 0.1
+    assert (np.sign(jacobians[:n, 0]) == np.sign(node_jacobians(base.points, base.cells, base.cell_type)[:, 0])).all()
+    assert opened.reference[opened.cells[:n]] == pytest.approx(base.points[base.cells], abs=0)
+    named = [rows for name, rows in opened.facets.items() if name not in opened.band.faces]
+    outer = np.flatnonzero(opened.table.cells[:, 1] < 0)
+    assert np.array_equal(np.unique(opened.table.index(np.concatenate(named))), outer)  # no free facets inside
+    assert sum(map(len, named)) == len(outer)
+    for name in opened.band.faces:
+        assert (opened.table.cells[opened.table.index(opened.facets[name]), 1] >= 0).all()
+
+
+# ---------------------------------------------------------------- geometry
+@pytest.mark.parametrize("bodies", WAYS)
+@pytest.mark.parametrize("cell", CELLS)
+def test_running_bond(cell, bodies):
+    """The areas of the layers, less or more a triangle at each T, are exact; extended bodies keep the whole."""
+    base = wall(2, 3, BRICK, 0.125, cell=cell)
+    length, counts = lengths(base), set()
+    n_T = int((base.splitting.valence == 3).sum())
+    for ratio in RATIOS:
+        bed, head = ratio * 0.5, 0.7 * ratio * 0.5
+        opened = inflate(base, {"BED": bed, "HEAD": head}, bodies=bodies)
+        check(base, opened)
+        found = areas(opened)
+        triangles = n_T * bed * head / 2
+        sign = 1 if bodies == "kept" else -1
+        assert found["LAYER/JUNCTIONS"] == pytest.approx(triangles, rel=1e-9)
+        mortar = bed * length["BED"] + head * length["HEAD"] + sign * triangles
+        assert sum(found.values()) == pytest.approx(mortar, rel=1e-10)
+        whole = volumes(opened).sum()
+        if bodies == "kept":
+            assert whole == pytest.approx(3.0 + mortar, rel=1e-12)
+            assert volumes(opened)[: len(base.cells)] == pytest.approx(volumes(base), rel=1e-9)
+        else:
+            assert whole == pytest.approx(3.0, abs=1e-10)
+        counts.add((len(opened.points), len(opened.cells)))
+    assert len(counts) == 1
+    assert opened.band.regions == ("LAYER/BED", "LAYER/HEAD", "LAYER/JUNCTIONS")
+    assert opened.band.faces == ("BED/UPPER_FACE", "BED/LOWER_FACE", "HEAD/UPPER_FACE", "HEAD/LOWER_FACE")
+    assert len(opened.facets["LEFT/LAYER"]) == 4 * 2  # two beds end there
+    assert {name for name in opened.facets if name.endswith("/LAYER")} == {
+        f"{n}/LAYER" for n in ("LEFT", "RIGHT", "BOTTOM", "TOP")
+    }
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_bricks_lean_where_they_are_kept(cell):
+    """The bricks of a course move one head apart, and the beds lean by half of it."""
+    base = wall(2, 2, BRICK, 0.25, cell=cell)
+    opened = inflate(base, {"BED": 0.02, "HEAD": 0.01})
+    moved = (opened.points - opened.reference)[opened.cells[: len(base.cells)]].mean(axis=1)
+    by_brick = np.array([moved[base.splitting.pieces == k].mean(axis=0) for k in range(5)])
+    x = np.array([base.points[base.corners[base.splitting.pieces == k]].mean(axis=(0, 1)) for k in range(5)])
+    low, up = np.argsort(x[:, 0] + 10 * x[:, 1])[:2], np.argsort(x[:, 0] + 10 * x[:, 1])[2:]
+    assert np.diff(by_brick[low, 0]) == pytest.approx([0.01])
+    assert np.diff(by_brick[up, 0]) == pytest.approx([0.01, 0.01])
+    assert by_brick[up, 1] - by_brick[low, 1][0] == pytest.approx(0.02)
+    assert by_brick[up, 0].mean() == pytest.approx(by_brick[low, 0].mean())
+
+
+@pytest.mark.parametrize("bodies", WAYS)
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_crossing_is_a_quadrilateral(cell, bodies):
+    square = grid([np.arange(9.0), np.arange(-4.0, 5.0)], lambda x: x[:, 1] > 0, cell)
+    base = cut_at(square, {"FLAT": (on(1, 0.0), (0, 1)), "STEEP": (on(0, 4.0), (1, 0))})
+    opened = inflate(base, {"FLAT": 0.1, "STEEP": 0.2}, bodies=bodies)
+    found = areas(opened)
+    assert found["LAYER/JUNCTIONS"] == pytest.approx(0.1 * 0.2, rel=1e-10)
+    sign = 1 if bodies == "kept" else -1
+    assert sum(found.values()) == pytest.approx(8 * 0.1 + 8 * 0.2 + sign * 0.1 * 0.2, rel=1e-10)
+
+
+STARS = {
+    (0, 90, 180, 270): 1.0,
+    (0, 90, 180): 0.5,
+    (0, 60, 180, 240): 2 / np.sqrt(3),
+    (0, 72, 144, 216, 288): 5 / 8 / np.sin(np.pi / 5) ** 2 * np.sin(2 * np.pi / 5),
+}
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("angles", [*STARS, (0, 30, 60), (10, 95, 150, 200, 310), (0, 100, 185)])
+def test_stars(angles, cell):
+    """Polygons of any number of corners, for layers of one thickness and of several."""
+    base = star(angles, cell)
+    for ratio in RATIOS:
+        opened = inflate(base, ratio * 0.5, bodies="extended")
+        check(base, opened)
+        if angles in STARS:
+            assert areas(opened)["LAYER/JUNCTIONS"] == pytest.approx(STARS[angles] * (ratio * 0.5) ** 2, rel=1e-7)
+        if min(np.diff(angles)) < 45 and ratio == RATIOS[0]:
+            continue  # the bodies between are too thin
+        thick = {name: 0.5 * ratio * (1 + 0.5 * k / len(angles)) for k, name in enumerate(base.seams)}
+        for a, one in zip(angles, base.seams, strict=True):  # layers in line have one thickness
+            for b, other in zip(angles, base.seams, strict=True):
+                if (a - b) % 360 == 180:
+                    thick[one] = thick[other]
+        check(base, inflate(base, thick, bodies="extended"))
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_layers_that_meet_on_the_boundary(cell):
+    """Two seams end in one point of a straight side, 90 degrees apart: the boundary closes the triangle between them."""
+    joint = star((-90, -45, 45, 90), cell)  # the half-disc on the left is taken away
+    left = np.flatnonzero(joint.region == 3)
+    keep = np.setdiff1d(np.arange(len(joint.cells)), left)
+    nodes, cells = np.unique(joint.cells[keep], return_inverse=True)
+    number = np.full(len(joint.points), -1)
+    number[nodes] = np.arange(len(nodes))
+    seams = {name: joint.seams[name] for name in ("L1", "L2")}
+    facets = {name: number[joint.facets[name]] for name in seams}
+    facets["SIDE"] = number[np.concatenate([joint.facets["L0"], joint.facets["L3"]])]
+    facets["RIM"] = number[joint.facets["RIM"]][(number[joint.facets["RIM"]] >= 0).all(axis=1)]
+    facets["RIM"] = facets["RIM"][(np.abs(joint.points[nodes][facets["RIM"]][..., 0]) > 1e-9).any(axis=1)]
+    base = Joint(
+        joint.points[nodes],
+        cells.reshape(-1, joint.cells.shape[1]),
+        cell,
+        joint.region[keep],
+        joint.regions[:3],
+        facets,
+        seams,
+    )
+    eps = 0.01
+    opened = inflate(base, eps, bodies="extended")
+    check(base, opened)
+    assert areas(opened)["LAYER/JUNCTIONS"] == pytest.approx(eps**2 / 2, rel=1e-9)
+    x = opened.points[opened.facets["SIDE/LAYER"]]
+    assert x[..., 0] == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(x[..., 1]) == pytest.approx(np.sqrt(2) * eps)
+    check(base, inflate(base, eps))
+
+
+def test_numbers_and_orientation_make_no_difference():
+    base = wall(2, 2, BRICK, 0.25)
+    wanted = areas(inflate(base, {"BED": 0.02, "HEAD": 0.01}))
+    for joint in (
+        base.swapped(),
+        replace(base, seams={"BED": Seam(direction=(0.3, -1.0)), "HEAD": Seam(direction=(1.0, 0.2))}),
+    ):
+        assert areas(inflate(joint, {"BED": 0.02, "HEAD": 0.01})) == pytest.approx(wanted, rel=1e-10)
+
+
+def test_sublayers_and_profiles_away_from_junctions():
+    """Three plates with two glue lines: each seam has its own sublayers and thickness."""
+    cut = {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))}
+    base = cut_at(SQUARE, cut)
+    opened = inflate(
+        base, {"LOW": 0.1, "HIGH": 0.2}, fractions={"HIGH": (0.25, 0.75)}, profile={"LOW": lambda x: 1 + x[0] / 8},
+        bodies="extended",
+    )  # fmt: skip
+    assert areas(opened) == pytest.approx({"LAYER/LOW": 0.1 * 12, "LAYER/HIGH/1": 0.05 * 8, "LAYER/HIGH/2": 0.15 * 8})
+    assert volumes(opened).sum() == pytest.approx(64.0)
+    assert volumes(inflate(base, {"LOW": 0.1, "HIGH": 0.2})).sum() == pytest.approx(64.0 + 8 * 0.3)
+
+
+def test_cells_of_junctions_go_to_the_first_seam():
+    base = star((0, 120, 240), "triangle")
+    assert inflate(base, 0.01, bodies="extended").band.junctions == {"LAYER/JUNCTIONS": "L0"}
+    assert inflate(base, 0.01, bodies="extended", junctions=["L2"]).band.junctions == {"LAYER/JUNCTIONS": "L2"}
+    square = grid([np.arange(9.0), np.arange(-4.0, 5.0)], lambda x: x[:, 1] > 0, "quadrilateral")
+    cut = {"FLAT": (on(1, 0.0), (0, 1)), "WEST": (on(0, 2.0), (1, 0)), "EAST": (on(0, 6.0), (1, 0))}
+    cross = cut_at(square, cut)
+    named = inflate(cross, 0.01, junctions=["WEST", "EAST"])
+    assert named.band.junctions == {"LAYER/JUNCTIONS/WEST": "WEST", "LAYER/JUNCTIONS/EAST": "EAST"}
+    assert areas(named)["LAYER/JUNCTIONS/WEST"] == pytest.approx(1e-4)
+
+
+# ---------------------------------------------------------------- models
+SIZES = (0.02, 0.01, 0.005)
+
+
+@pytest.mark.parametrize("bodies", WAYS)
+@pytest.mark.parametrize("element", ["P2", "Q2"])
+def test_jumps_converge(element, bodies):
+    """At rate 1 away from junctions and free ends, on all of S up to a logarithm."""
+    errors = jump_errors(element, SIZES, bodies=bodies)
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert ((orders[:, 1] > 0.9) & (orders[:, 1] < 1.1)).all()
+    assert (orders[:, 0] > 0.8).all()
+    assert errors[-1, 1] < 0.006
+
+
+def test_the_fill_makes_no_difference_if_it_scales_as_a_layer():
+    errors = jump_errors("P2", SIZES[1:], junctions="HEAD")
+    assert 0.9 < np.log2(errors[0, 1] / errors[1, 1]) < 1.1
+    assert errors[:, 1] == pytest.approx(jump_errors("P2", SIZES[1:])[:, 1], rel=0.05)
+
+
+def test_a_stiff_fill_does_not_converge():
+    """Junctions as stiff as bricks tie the corners of the bricks together, however small they are."""
+    brick = LinearElastic.young(1.0, 0.2)
+
+    def stiff(u, model):
+        e = ufl.sym(ufl.grad(u))
+        return (brick.lmbda / 2 * ufl.tr(e) ** 2 + brick.mu * ufl.inner(e, e)) * model.dx(
+            model.domain.cell_values("LAYER/JUNCTIONS")
+        )
+
+    errors = jump_errors("P2", SIZES, parts=(UflPart(energy=stiff),))
+    assert (errors[:, 1] > 0.025).all()
+    assert (np.abs(np.log2(errors[:-1, 1] / errors[1:, 1])) < 0.3).all()
+
+
+def test_energies_and_comparison():
+    structure = panel("Q2", 0.25)
+    layers = mortar(0.005)
+    full, limit = (solve(model, 1.0) for model in (structure.full(layers), structure.interface(layers)))
+    for name in ("bodies", "layer"):
+        assert full.energies()[name] == pytest.approx(limit.energies()[name], rel=5e-3)
+    row = compare(full, limit)
+    assert row["eps"] == 0.005
+    assert row["error_jump"] < 0.01
+    assert row["error_traction"] < 0.01
+    for seam in ("BED", "HEAD"):
+        surface = Surface(limit.model, seam)
+        assert surface.norm(surface.jump(full) - surface.jump(limit)) < 0.02 * surface.norm(surface.jump(limit))
+    with pytest.raises(ModelError, match="compare needs one thickness"):
+        compare(solve(structure.full(mortar(0.01)), 1.0), limit)
+
+
+def test_heads_that_yield():
+    """A compiled law with memory in one of two seams, in time: both energies converge to those of the interface model."""
+    structure = panel("P2", 0.25)
+    stored, dissipated, _ = yielded(structure.interface(yielding(0.01)))
+    errors = []
+    for eps in (0.01, 0.005):
+        model = structure.full(yielding(eps))
+        found = yielded(model)
+        assert found[2] < 1e-10
+        errors.append([found[0] / stored - 1, found[1] / dissipated - 1])
+    errors = np.abs(errors)
+    assert (errors[1] < (2e-3, 0.05)).all()
+    assert errors[1, 1] < 0.7 * errors[0, 1]
+
+
+def test_incompressible_layers_have_one_pressure():
+    """Beds, heads and junctions keep their area together, and open as layers that are nearly incompressible."""
+    structure, eps = panel("P2"), 0.05
+    surface, found = Surface(structure.interface(mortar(eps))), []
+    for law in (Incompressible(0.5), LinearElastic(500.0, 0.5)):
+        state = solve(structure.full({"BED": ThinLayer(law, eps), "HEAD": ThinLayer(law, eps)}), 1.0)
+        w, model = surface.jump(state), state.model
+        layers = model.dx(model.domain.cell_values(*model.domain.layer_regions))
+        found.append([state.integral(ufl.div(state.u) * layers), state.energies()["bodies"], surface.norm(w)])
+    assert abs(found[0][0]) < 1e-12 * found[0][2]
+    assert found[0][1:] == pytest.approx(found[1][1:], rel=0.02)
+
+
+def test_loads_add_up():
+    """Extended bodies give the layers' sides their share of tractions."""
+    joint = wall(3, 4, BRICK, 0.25)
+    structure = Structure(
+        joint,
+        body=LinearElastic.young(1.0, 0.2),
+        supports={"BOTTOM": 0.0},
+        tractions={"TOP": (0.3, -2.0), "LEFT": (0.5, 0.1)},
+    )
+    whole = np.array([0.3 * 3 + 0.5 * 2, -2.0 * 3 + 0.1 * 2])
+    for bodies in WAYS:
+        state = solve(structure.full(mortar(0.02), bodies=bodies))
+        force = [state.integral(state.model.external_work(ufl.as_vector(way), 0.0)) for way in ([1.0, 0.0], [0.0, 1.0])]
+        assert force == pytest.approx(whole, rel=1e-12)
+
+
+def test_two_layers_in_series():
+    """Three plates: for a load along their normal the meshed layers stretch as springs in series."""
+    column = cut_at(SQUARE, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
+    held = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(column, body=LinearElastic(0.0, 5.0), supports=held, tractions={"TOP": (0.0, 2.0)})
+    high = Stack((0.5, LinearElastic(0.0, 4.0)), (0.5, LinearElastic(0.0, 2.0)))
+    layers = {"LOW": springs(4.0, 2.0, 0.1), "HIGH": ThinLayer(high, 0.2)}
+    state, surface = solve(structure.full(layers)), Surface(structure.interface(layers), "LOW")
+    assert surface.integral(surface.jump(state)[1]) == pytest.approx(8 * 2.0 / 4.0, rel=1e-10)
+    surface = Surface(surface.model, "HIGH")
+    assert surface.integral(surface.jump(state)[1]) == pytest.approx(8 * 2.0 * (0.5 / 8 + 0.5 / 4), rel=1e-10)
+    assert state.energies()["layer"] == pytest.approx(8 * 2.0**2 / 2 * (1 / 4 + 0.5 / 8 + 0.5 / 4), rel=1e-10)
+
+
+def test_same_on_two_ranks():
+    found, alone = (json.loads(mpirun(ranks, "-m", "tests.meshed_cases").stdout) for ranks in (2, 1))
+    assert found.keys() == alone.keys()
+    for name, values in alone.items():
+        assert found[name] == pytest.approx(values, rel=1e-10), name
+
+
+# ---------------------------------------------------------------- what is refused
+def test_refused_meshes():
+    joint = wall(2, 2, BRICK, 0.25)
+    both = {"BED": 0.01, "HEAD": 0.02}
+    for given, message in (
+        (dict(eps={"BED": 0.01}), "eps: the seam 'HEAD' has none"),
+        (dict(eps=both | {"BEDS": 0.01}), "eps: unknown seam 'BEDS', did you mean 'BED'"),
+        (dict(eps=both | {"HEAD": -1.0}), "eps of 'HEAD' is -1.0; it must be > 0"),
+        (dict(eps=both, junctions=["HAED"]), "junctions: unknown seam 'HAED', did you mean 'HEAD'"),
+        (dict(eps=both, cells_through=3), r"cells_through is 3: layers meet at \(.*, 0.5\) and need an even number"),
+        (
+            dict(eps=both, fractions={"HEAD": (0.5, 0.5)}),
+            r"S branches at \(.*, 0.5\), .*sublayers .*no place.*interface",
+        ),
+        (
+            dict(eps=both, profile={"BED": lambda x: 1 + x[0]}, bodies="extended"),
+            r"S branches at \(.*uniform thickness",
+        ),
+        (dict(eps={"BED": 0.3, "HEAD": 1.2}, bodies="extended"), r"turn inside out, the first at \("),
+    ):
+        with pytest.raises(GeometryError, match=message):
+            inflate(joint, **given)
+    with pytest.raises(GeometryError, match="'JUNCTIONS' cannot be the name of a seam"):
+        replace(
+            joint, facets=joint.facets | {"JUNCTIONS": joint.facets["BED"]}, seams={"JUNCTIONS": Seam(direction=(0, 1))}
+        )
+
+
+def test_refused_bodies():
+    """Layers in line of two thicknesses; bodies that cannot part; an outer face along S; curved cells and 3D."""
+    thick = {"L0": 0.01, "L1": 0.01, "L2": 0.02}
+    with pytest.raises(GeometryError, match=r"different thickness, 0.005 and 0.01 .* nearly in line at \(0, 0\)"):
+        inflate(star((0, 90, 180), "triangle"), thick, bodies="extended")
+    check(star((0, 90, 175), "triangle"), inflate(star((0, 90, 175), "triangle"), thick, bodies="extended"))
+    axis = np.linspace(0.0, 1.0, 4)
+    inner = grid([axis, axis], lambda x: (np.abs(x - 0.5) < 0.2).all(axis=1), "quadrilateral")
+    with pytest.raises(GeometryError, match=r"S is not planar, as at .*use bodies='extended'"):
+        inflate(inner, 0.01)
+    with pytest.raises(GeometryError, match=r"ask for motions that contradict one another: .*use bodies='extended'"):
+        inflate(blocks(lambda x: np.where(x[:, 1] < 2, 0, np.where((x[:, 0] < 3) & (x[:, 1] < 4), 1, 2))), 0.01)
+    space = wall(1, 2, (4.0, 2.0), 1.0, depth=3.0)
+    with pytest.raises(GeometryError, match=r"S branches at \(.*in 3D junctions are not meshed yet; use the interface"):
+        inflate(space, 0.01, bodies="extended")
+    base = wall(2, 2, BRICK, 0.25)
+    standing = replace(base, seams=base.seams | {"BOTTOM": Seam()})
+    with pytest.raises(GeometryError, match=r"S branches at \(1, 0\), .*not meshed on a rigid base; use the interface"):
+        inflate(standing, 0.01)
+
+
+def blocks(at) -> Joint:
+    """A square of 6 x 6 cells with a region for each value of a function of places, and S between them."""
+    square = grid([np.arange(7.0), np.arange(7.0)], lambda x: x[:, 0] > 3, "quadrilateral")
+    region, table = at(square.points[square.corners].mean(axis=1)), square.table
+    cut = (table.cells[:, 1] >= 0) & (region[table.cells[:, 0]] != region[table.cells[:, 1]])
+    facets, names = {"S": table.vertices[cut]}, tuple("ABCDE"[: region.max() + 1])
+    return Joint(square.points, square.cells, "quadrilateral", region, names, facets, {"S": Seam()})
+
+
+def test_a_block_with_four_around_it():
+    """Kept, each of them moves straight away from the block in the middle."""
+
+    def pinwheel(x):
+        u, v = x.T
+        return np.select([(u < 4) & (v < 2), (u > 4) & (v < 4), (u > 2) & (v > 4), (u < 2) & (v > 2)], [0, 1, 2, 3], 4)
+
+    base = blocks(pinwheel)
+    opened = inflate(base, 0.1)
+    moved = (opened.points - opened.reference)[opened.cells[: len(base.cells)]].mean(axis=1)
+    of_body = np.array([moved[base.region == k].mean(axis=0) for k in range(5)])
+    assert of_body - of_body[4] == pytest.approx(0.1 * np.array([[0, -1], [1, 0], [0, 1], [-1, 0], [0, 0]]), abs=1e-12)
+    assert areas(opened)["LAYER"] == pytest.approx(0.1 * (4 * 2 + 4 * 2))
+
+
+def test_refused_models():
+    bricks, eps = panel("Q2", 0.25), 0.01
+    elastic = springs(2.0, 0.7, eps)
+    tilted = ThinLayer(Anisotropic(np.eye(6), "layer"), eps)
+    with pytest.raises(
+        ModelError, match=r"the seam 'HEAD' is open: an open joint has no thickness.*use structure\.interface"
+    ):
+        bricks.full({"BED": elastic, "HEAD": None})
+    with pytest.raises(ModelError, match="the seam 'HEAD' has no layer"):
+        bricks.full({"BED": elastic})
+    with pytest.raises(
+        ModelError, match=r"Anisotropic.* of the seam 'BED' depends on the normal of S.*give junctions="
+    ):
+        bricks.full({"BED": tilted, "HEAD": elastic})
+    assert bricks.full({"BED": tilted, "HEAD": elastic}, junctions="HEAD").domain.joint.band.junctions == {
+        "LAYER/JUNCTIONS": "HEAD"
+    }
+    with pytest.raises(ModelError, match="several seams have incompressible layers"):
+        bricks.interface(ThinLayer(Incompressible(1.0), eps))
+    with pytest.raises(GeometryError, match=r"S branches at \(.*sublayers"):
+        bricks.full({"BED": ThinLayer(Stack((0.5, elastic.law), (0.5, elastic.law)), eps), "HEAD": elastic})
+    with pytest.raises(ModelError, match=r"order=1 needs an S without junctions"):
+        bricks.full(replace(elastic, order=1))
