@@ -42,7 +42,7 @@ def reaction(state: State) -> fem.Function:
     model = state.model
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
-    forces = work(model.bodies_at(state.t), state.u, v) + model.added_work(state.u, v)
+    forces = work(state.bodies, state.u, v) + model.added_work(state.u, v)
     return nodal_forces(W, forces - model.external_work(v, state.t))
 
 
