@@ -29,6 +29,7 @@ from tests.network_cases import (
 )
 from tests.ranks import mpirun
 from thinlayer import ContactReport, ModelError, Structure, Surface, ThinLayer, march, solve
+from thinlayer.running.cli import main
 
 ROCK = LinearElastic.young(10.0, 0.25)
 
@@ -114,7 +115,8 @@ def test_a_law_for_each_seam(element):
     energy, traction, jump = panel_energy(element)
     assert energy == pytest.approx(PANEL[element], rel=1e-12)
     if element == "P2":
-        assert (traction, jump) == pytest.approx((0.01974486643, 0.0109003443), rel=1e-9)
+        assert jump == pytest.approx(0.0109003443, rel=1e-9)
+        assert traction == pytest.approx(0.01999684277, rel=2e-5)  # of the law at the jump; reactions are projections
 
 
 @pytest.mark.parametrize("element", YIELDED)
@@ -243,3 +245,9 @@ def test_refused_layers():
             method="condensed",
         )
     assert cell_of("Q1") == "quadrilateral"
+
+
+def test_study(tmp_path):
+    """The wall carries what a bed does that slides along all of its length, and is softer with open heads."""
+    assert main(["run", "wall", "--quick", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "open_heads.png").stat().st_size > 10_000
