@@ -120,7 +120,7 @@ class Sheet:
 
     @cached_property
     def rim(self) -> Rim:
-        """Where S ends at the outer boundary; tips inside the bodies are left out."""
+        """Where S ends at the outer boundary; tips inside the bodies are left out, and periodic sides, where it goes on."""
         joint, count = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
         _, first, times = np.unique(_keys(ridges), return_index=True, return_counts=True)
@@ -132,6 +132,9 @@ class Sheet:
         length = np.linalg.norm(x[:, -1] - x[:, 0], axis=1) if joint.dim == 3 else np.ones(len(first))
         rim = Rim(ridges[first], simplex, outward / steepness[:, None], 1 / steepness, length)
         outer = np.setdiff1d(np.flatnonzero(joint.table.cells[:, 1] < 0), joint.surface_rows)
+        if joint.periods:
+            sides = np.concatenate([joint.facets[name] for name in joint.periods.names])
+            outer = np.setdiff1d(outer, joint.table.index(sides))
         return rim[rim.on(joint.table.vertices[outer])]
 
     @cached_property

@@ -72,6 +72,22 @@ def slid(times) -> tuple[list[np.ndarray], list[np.ndarray]]:
     ]
 
 
+STRESS = np.array([[0.3, 0.2], [0.2, -1.0]])
+
+
+def under_stress() -> list[float]:
+    """Mean strain, mean stress and energy of a bond whose heads yield, under a mean stress."""
+    heads = {"HEAD": ThinLayer(MohrCoulomb(0.2, 0.2, cohesion=2e-4, friction_angle=30.0), 0.01)}
+    model = bond(1.0, stress=lambda x, t: [[1e-3 * c * t for c in row] for row in STRESS]).interface(FREE | heads)
+    last = march(model, [0.5, 1.0]).last
+    return [
+        *last.mean_strain().ravel().tolist(),
+        *last.mean_stress().ravel().tolist(),
+        last.audit.total,
+        last.audit.imbalance,
+    ]
+
+
 def held_at_a_point() -> list[float]:
     """Mean displacement of a strip that is moved by one vertex of its periodic sides, and the mean stress."""
     strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral"), ("LEFT", "RIGHT"))
@@ -89,6 +105,7 @@ def main() -> None:
     found["space"] = stiffness(bond_cell(BRICK, 0.5, depth=1.0), 1e2, "Q1").ravel().tolist()
     found["yielded"] = yielded()[:3]
     found["held at a point"] = held_at_a_point()
+    found["under stress"] = under_stress()[:-1]
     found["slid"] = slid([0.5, 1.0])[0][-1].ravel().tolist()
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found))

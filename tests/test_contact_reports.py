@@ -58,7 +58,7 @@ def test_frames_in_three_dimensions():
 def test_nodes_of_two_bodies_see_the_jump():
     joint, setup = stacked()
     model = Structure(joint, **setup).interface(coulomb("soft"))
-    nodes = ContactNodes(ContactSurface.of(model), model.supports.held(model.V))
+    nodes = ContactNodes(ContactSurface.of(model, "S"), model.supports.held(model.V))
     u = fem.Function(model.V)
     for body, sign in (("LOWER", -1.0), ("UPPER", 2.0)):
         cells = model.domain.cell_tags.find(model.domain.cell_values(body)[0])

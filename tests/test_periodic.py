@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, LinearElastic
+from forms import HolonomicCoulomb, Incompressible, LinearElastic
 from forms.law import BulkLaw
 from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
 from studies import homogenised_bond
@@ -19,11 +19,13 @@ from tests.periodic_cases import (
     FREE,
     MORTAR,
     RIGID,
+    STRESS,
     bond,
     held_at_a_point,
     laminate,
     slid,
     stiffness,
+    under_stress,
     yielded,
 )
 from tests.ranks import mpirun
@@ -154,6 +156,48 @@ def test_energy_is_that_of_the_homogenised_cell():
         assert sum(one.remainder for one in audits) == pytest.approx(remainder, rel=1e-9, abs=1e-15)
 
 
+def test_mean_stress_as_a_load():
+    """The mean strain is the compliance times the stress; forces of the mean stress do the work."""
+    A, S = stiffness(bond_cell(BRICK, 0.25), 1e3), STRESS
+    e = np.linalg.solve(A, [S[0, 0], S[1, 1], S[0, 1]])
+    state = solve(bond(stress=S).interface(MORTAR))
+    E = np.array([[e[0], e[2] / 2], [e[2] / 2, e[1]]])
+    assert state.mean_strain() == pytest.approx(E, rel=1e-10)
+    assert state.mean_stress() == pytest.approx(S, rel=1e-10)
+    energies, stored = state.energies(), 4.0 * (S * E).sum() / 2
+    assert energies["bodies"] + energies["layer"] == pytest.approx(stored, rel=1e-10)
+    for theta in (0.5, 1.0):
+        growing = bond(stress=lambda x, t: [[c * t for c in row] for row in S]).interface(MORTAR)
+        audits = [s.audit for s in march(growing, [0.7, 1.0], theta=theta)]
+        assert max(abs(one.imbalance) for one in audits) < 1e-11
+        assert audits[-1].total == pytest.approx(stored, rel=1e-10)
+        assert sum(one.supplied for one in audits) == pytest.approx(
+            stored * (1 + (2 * theta - 1) * (0.7**2 + 0.3**2)), rel=1e-9
+        )
+
+
+def test_mean_stress_in_space():
+    structure = Structure(
+        laminate("hexahedron", depth=1.0), body=ROCK, supports={}, stress=np.diag([0.1, 1.0, 0.2]) + 0.3
+    )
+    state = solve(structure.interface(springs(4.0, 1.5)))
+    e = np.linalg.solve(layered(ROCK, 4.0, 1.5, 3), [0.4, 1.3, 0.5, 0.3, 0.3, 0.3])
+    assert np.diag(state.mean_strain()) == pytest.approx(e[:3], rel=1e-10)
+    assert 2 * state.mean_strain()[[1, 0, 0], [2, 2, 1]] == pytest.approx(e[3:], rel=1e-10)
+
+
+def test_mean_stress_beside_laws_that_remember(tmp_path):
+    found = under_stress()
+    assert np.array(found[4:8]).reshape(2, 2) == pytest.approx(1e-3 * STRESS, rel=1e-7)
+    elastic = homogenised_stiffness(bond(1.0).interface(FREE | {"HEAD": springs(0.6, 0.2)}))
+    assert abs(found[-1]) < 1e-9
+    assert found[0] > 1.02e-3 * np.linalg.solve(elastic, [0.3, -1.0, 0.2])[0]  # heads yield
+    model = bond(stress=lambda x, t: [[c * t for c in row] for row in STRESS]).interface(MORTAR)
+    march(model, [0.5], out=tmp_path)
+    again = march(model, [0.5, 1.0], out=tmp_path, resume=True)
+    assert again.at(0.5).mean_strain() == pytest.approx(again.last.mean_strain() / 2, rel=1e-10)
+
+
 def test_tractions_on_beds_carry_the_mean_stress():
     """Each bed runs across the whole cell: its mean traction is the mean stress times its normal."""
     state = solve(bond(strain=((1e-3, 2e-3), (2e-3, -1e-3))).interface(MORTAR))
@@ -229,8 +273,23 @@ def test_contact_in_a_laminate():
     stress, M = state.mean_stress(), ROCK.lmbda + 2 * ROCK.mu
     assert stress[1, 1] == pytest.approx(-0.04 / (1 / M + 1 / 16.0), rel=1e-9)
     assert stress[0, 1] == pytest.approx(-0.3 * stress[1, 1], rel=1e-9)
+    stuck = Structure(laminate(), body=ROCK, supports={}, element="Q1", stress=((0.0, 0.2), (0.2, -1.0)))
+    found = solve(stuck.interface(HolonomicCoulomb(K_N=16.0, K_T=4.0, friction=0.3))).mean_strain()
+    assert 2 * found[0, 1] == pytest.approx(0.2 * (1 / ROCK.mu + 1 / 4.0), rel=1e-9)
+    assert found[1, 1] == pytest.approx(-M / (M**2 - ROCK.lmbda**2) - 1 / 16.0, rel=1e-9)
     with pytest.raises(ModelError, match="not periodic"):
         solve(state.model, method="condensed")
+
+
+@pytest.mark.filterwarnings("error")  # S has no free ends: it goes on at the other side
+@pytest.mark.parametrize("load", ["strain", "stress"])
+def test_an_incompressible_layer_does_not_open(load):
+    value = np.array([[0.0, 0.05], [0.05, -0.04]])
+    structure = Structure(laminate(), body=ROCK, supports={}, **{load: value})
+    state = solve(structure.interface(ThinLayer(Incompressible(mu=1.5), 0.01)))
+    A, (e, s) = layered(ROCK, 1e15, 1.5, 2), (state.mean_strain(), state.mean_stress())
+    assert [s[0, 0], s[1, 1], s[0, 1]] == pytest.approx(A @ [e[0, 0], e[1, 1], 2 * e[0, 1]], rel=1e-9, abs=1e-12)
+    assert {"strain": e, "stress": s}[load] == pytest.approx(value, rel=1e-9, abs=1e-12)
 
 
 def test_a_strip_that_repeats_in_one_direction():
@@ -343,7 +402,7 @@ def test_refused_structures():
     layer = springs(4.0, 1.5)
 
     def model(**options):
-        return Structure(laminate(), body=ROCK, **({"supports": {}} | options)).interface(layer)
+        return Structure(laminate(), **({"body": ROCK, "supports": {}} | options)).interface(layer)
 
     with pytest.raises(ModelError, match="support on 'LEFT': this side is identified with another one"):
         model(supports={"LEFT": 0.0})
@@ -351,6 +410,15 @@ def test_refused_structures():
         model(tractions={"TOP/COURSE 2": (0.0, 1.0)})
     with pytest.raises(ModelError, match="needs 2 x 2 components"):
         model(strain=(1e-3, 0.0, 0.0))
+    with pytest.raises(ModelError, match="a mean strain or a mean stress, not both"):
+        model(strain=np.eye(2), stress=np.eye(2))
+    with pytest.raises(ModelError, match="mean stress needs bodies with linear laws"):
+        model(stress=np.eye(2), body=Stiffening(3.0, 1e3))
+    strip = Structure(
+        periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT")), body=ROCK, supports={}, stress=np.eye(2)
+    )
+    with pytest.raises(ModelError, match="needs a joint that is periodic in 2 directions"):
+        strip.interface(layer)
     with pytest.raises(ModelError, match="is not symmetric at t = 0"):
         model(strain=((0.0, 1e-3), (0.0, 0.0)))
     with pytest.raises(ModelError, match="depends on the place"):
@@ -364,7 +432,7 @@ def test_refused_structures():
     with pytest.raises(ModelError, match="of order 1, whose strains along S"):
         plain.interface(ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1))
     alone = Structure(sandwich(1.0, 0.5, 0.5, 0.25), body=ROCK, supports={"BOTTOM": 0.0}, strain=np.eye(2))
-    with pytest.raises(ModelError, match="a mean strain loads a periodic cell, and this joint is none"):
+    with pytest.raises(ModelError, match="the mean strain is for a periodic cell, and this joint is none"):
         alone.interface(layer)
     with pytest.raises(ModelError, match="needs a model of a periodic joint"):
         homogenised_stiffness(Structure(alone.joint, body=ROCK, supports={"BOTTOM": 0.0}).interface(layer))

@@ -1,10 +1,10 @@
-"""The mean strain of a periodic cell, which loads it: bodies see it beside the strain of the displacements."""
+"""Mean strain or mean stress of a periodic cell, which loads it; bodies see the strain beside that of the displacements."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from geometry.joint import Joint
 from thinlayer.discretisation.loads import Coordinates, called
 from thinlayer.errors import ModelError
 
+MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Array = npt.NDArray[np.float64]
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequence[Any]]]
 SYMMETRY = 1e-12  # difference of a strain from its transpose, at most, over its size
@@ -38,31 +39,31 @@ class MeanStrain:
         ModelError: the joint is not periodic; not (d, d) finite numbers, not symmetric, or depending on the place.
     """
 
+    what: ClassVar[str] = "the mean strain"
+
     def __init__(self, given: Strain, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
-            raise ModelError("a mean strain loads a periodic cell, and this joint is none; see geometry.periodic")
+            raise ModelError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
         self.given, self._coordinates, self._dim = given, at, joint.dim
         self.size = float(np.ptp(joint.points, axis=0).max())
         if callable(given):
             found = self._components(at.t)
             for node in (node for row in found for c in row for node in unique_pre_traversal(ufl.as_ufl(c))):
                 if isinstance(node, ufl.SpatialCoordinate):
-                    raise ModelError("the mean strain depends on the place x; it is one strain for the whole cell")
+                    raise ModelError(f"{self.what} depends on the place x; it is one for the whole cell")
         else:
             self.at(0.0)
 
     def _components(self, t: Any) -> Any:
         """Rows of the strain at a time, a number or the symbol."""
-        found = called(self.given, self._coordinates, "the mean strain", t) if callable(self.given) else self.given
+        found = called(self.given, self._coordinates, self.what, t) if callable(self.given) else self.given
         d = self._dim
         try:
             whole = len(found) == d and all(len(row) == d for row in found)
         except TypeError:
             whole = False
         if not whole:
-            raise ModelError(
-                f"the mean strain is {found!r}; it needs {d} x {d} components, ((e_xx, e_xy), (e_xy, e_yy))"
-            )
+            raise ModelError(f"{self.what} is {found!r}; it needs {d} x {d} components, ((xx, xy), (xy, yy))")
         return found
 
     def at(self, t: float) -> Array:
@@ -70,11 +71,11 @@ class MeanStrain:
         try:
             strain = np.array([[float(c) for c in row] for row in self._components(t)])
         except (TypeError, ValueError, ArithmeticError) as error:
-            raise ModelError(f"the mean strain at t = {t:g} is no table of numbers: {error}") from error
+            raise ModelError(f"{self.what} at t = {t:g} is no table of numbers: {error}") from error
         if not np.isfinite(strain).all():
-            raise ModelError(f"the mean strain is not finite at t = {t:g}: {strain.tolist()}")
+            raise ModelError(f"{self.what} is not finite at t = {t:g}: {strain.tolist()}")
         if np.abs(strain - strain.T).max() > SYMMETRY * np.abs(strain).max():
-            raise ModelError(f"the mean strain is not symmetric at t = {t:g}: {strain.tolist()}")
+            raise ModelError(f"{self.what} is not symmetric at t = {t:g}: {strain.tolist()}")
         return strain
 
     def constant(self, value: Array | None = None) -> fem.Constant:
@@ -85,3 +86,47 @@ class MeanStrain:
     def added(terms: Sequence[Term], E: fem.Constant) -> list[Term]:
         """The terms, those of bodies with a mean strain."""
         return [replace(p, mean=lift(E)) if p.n is None else p for p in terms]
+
+
+class MeanStress(MeanStrain):
+    """A mean stress as a function of time; the mean strain is then unknown. Arguments and errors as in `MeanStrain`.
+
+    Raises:
+        ModelError: sides of the cell are free, or bodies are not linear.
+    """
+
+    what = "the mean stress"
+
+    def __init__(self, given: Strain, at: Coordinates, joint: Joint, bodies: Sequence[Term]) -> None:
+        super().__init__(given, at, joint)
+        d = joint.dim
+        assert joint.periods is not None
+        if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
+            raise ModelError(
+                f"a mean stress needs a joint that is periodic in {d} directions; load free sides by tractions"
+            )
+        for p in bodies:
+            if not p.proportional:
+                raise ModelError(
+                    f"a mean stress needs bodies with linear laws without eigenstrains, not {p.law!r}; prescribe the mean "
+                    "strain"
+                )
+
+    @property
+    def count(self) -> int:
+        """Number of components."""
+        return self._dim * (self._dim + 1) // 2
+
+    def components(self, t: float) -> Array:
+        """The stress at a time, (k,) in the order of `of_components`."""
+        return self.at(t)[tuple(np.array(PAIRS[self._dim]).T)]
+
+
+PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
+
+
+def of_components(e: Expr) -> Expr:
+    """The strain (d, d) of a UFL vector in Voigt's order, shears twice."""
+    d = {3: 2, 6: 3}[e.ufl_shape[0]]
+    place = {pair: k for k, pair in enumerate(PAIRS[d])}
+    return ufl.as_tensor([[e[place[min(i, j), max(i, j)]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])

@@ -24,7 +24,7 @@ from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.layer import constants, in_plane, layers_of
 from thinlayer.discretisation.loads import Coordinates, Supports
-from thinlayer.discretisation.mean_strain import MeanStrain
+from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.rigid import free_translations, require_support
@@ -49,13 +49,15 @@ class Model(ABC):
         V: displacement space; broken across S in the interface model.
         dx, ds: measures of the mesh with its tags, for your own terms beside the model's: the residual at u is
             `work(model.terms, u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal laws.
+            Compile stresses and loads as forms of their own and add the vectors: in one form, DOLFINx 0.9 loses integrals
+            over overlapping tags whose quadratures differ, as of a body and of its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
         bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
-            periodic cell, see `bodies_at`.
+            periodic cell, see `State.bodies`.
         supports: prescribed displacements.
         forces: tractions and body forces.
-        strain: mean strain of a periodic cell; None: there is none.
+        strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
         coordinates: place and time as arguments of loads.
@@ -84,7 +86,6 @@ class Model(ABC):
         with on_all(self.comm):
             self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
             self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
-            self.strain = self._mean_strain()
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -104,6 +105,8 @@ class Model(ABC):
             raise ModelError(
                 "several seams have incompressible layers; on S only one may have a pressure; mesh the layers"
             )
+        with on_all(self.comm):
+            self.strain, self.stress = self._mean_loads()
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
@@ -122,17 +125,20 @@ class Model(ABC):
         """Names of the facets that a rigid base holds."""
         return ()
 
-    def _mean_strain(self) -> MeanStrain | None:
-        given = self.structure.strain
-        if given is None:
-            return None
+    def _mean_loads(self) -> tuple[MeanStrain | None, MeanStress | None]:
+        strain, stress = self.structure.strain, self.structure.stress
+        if strain is not None and stress is not None:
+            raise ModelError("give a mean strain or a mean stress, not both")
         ordered = [name for name, one in self.layers.items() if one.thin and one.thin.order]
-        if ordered:
+        if ordered and not (strain is None and stress is None):
             raise ModelError(
                 f"the layer {ordered[0]!r} is of order 1, whose strains along S have a part of the mean strain; under a "
                 "mean strain layers are of order 0"
             )
-        return MeanStrain(given, self.coordinates, self.joint)
+        return (
+            None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
+            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
+        )
 
     @abstractmethod
     def _checked(self) -> Joint:
@@ -185,10 +191,6 @@ class Model(ABC):
     def terms(self) -> list[forms.Term]:
         """All terms of the model."""
         return self.bodies + self.layer_terms
-
-    def bodies_at(self, t: float) -> list[forms.Term]:
-        """The terms of the bodies' laws with the mean strain at a time."""
-        return self.strain.added(self.bodies, self.strain.constant(self.strain.at(t))) if self.strain else self.bodies
 
     @property
     def contacts(self) -> dict[str, ContactLaw]:
@@ -253,6 +255,7 @@ class Model(ABC):
             "loads": described(self.forces.given),
             "parts": described(list(self.parts)),
             **({"strain": described(self.structure.strain)} if self.strain else {}),
+            **({"stress": described(self.structure.stress)} if self.stress else {}),
         }
 
     def _laws(self) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class Setup:
         plane: "strain" or "stress".
         element: the finite element of displacements.
         body_laws: law of each body.
-        supports, tractions, body_force, parts, strain: as given.
+        supports, tractions, body_force, parts, strain, stress: as given.
         comm: MPI communicator; None stands for the world.
         mark: hash of the data, equal on all ranks.
     """
@@ -51,11 +51,12 @@ class Setup:
         element: str | None = None,
         parts: Sequence[Addition] = (),
         strain: Strain | None = None,
+        stress: Strain | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
         self.joint, self.plane, self.comm = joint, plane, comm
         self.supports, self.tractions, self.body_force = supports, tractions, body_force
-        self.parts, self.strain = tuple(parts), strain
+        self.parts, self.strain, self.stress = tuple(parts), strain, stress
         with on_all(comm):
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self._check_choices()
@@ -64,7 +65,7 @@ class Setup:
                 require_stable_body(law, C, joint.dim)
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element, parts=self.parts, strain=strain,
+            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
         )  # fmt: skip
 
     @property

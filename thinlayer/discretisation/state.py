@@ -15,6 +15,7 @@ from dolfinx import fem
 from forms.kinematics import lift
 from forms.work import Term, energy, stress
 from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS, MeanStrain
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
@@ -141,11 +142,32 @@ class State(Configuration):
         remembered = sum(energy for key, energy in self.stored.items() if key not in added)
         in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
         return {
-            "bodies": self._stored(model.bodies_at(self.t)),
+            "bodies": self._stored(self.bodies),
             "layer": remembered + self._stored(in_forms),
             **added,
             "loads": self.integral(model.external_work(self.u, self.t)),
         }
+
+    def mean_strain(self) -> npt.NDArray[np.float64]:
+        """Mean strain (d, d) of a periodic cell, prescribed or found under a mean stress; else zero. Collective."""
+        model, d = self.model, self.model.joint.dim
+        if model.strain:
+            return model.strain.at(self.t)
+        out, E = np.zeros((d, d)), self.fields.get(MEAN_STRAIN)
+        if E is not None:
+            dofmap = E.function_space.dofmap
+            owned = E.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
+            for (i, j), value in zip(PAIRS[d], np.concatenate(model.comm.allgather(owned)), strict=True):
+                out[i, j] = out[j, i] = value if i == j else value / 2
+        return out
+
+    @property
+    def bodies(self) -> list[Term]:
+        """The terms of the bodies' laws, with the mean strain of a periodic cell. Collective."""
+        model = self.model
+        if not (model.strain or model.stress):
+            return model.bodies
+        return MeanStrain.added(model.bodies, fem.Constant(model.domain.mesh, self.mean_strain()))
 
     def mean_stress(self) -> npt.NDArray[np.float64]:
         """Mean stress (d, d) of the bodies. Collective.
@@ -154,7 +176,7 @@ class State(Configuration):
         """
         model, d = self.model, self.model.joint.dim
         chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
-        terms = model.bodies_at(self.t)
+        terms = self.bodies
         part = compiled(sum(ufl.inner(stress(p, self.u), lift(chosen)) * p.weight * p.measure for p in terms))
         volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.measure for p in terms))
         out = np.zeros((d, d))

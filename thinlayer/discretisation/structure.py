@@ -24,6 +24,8 @@ class Structure(Setup):
         strain: mean strain of a periodic joint, (d, d) symmetric numbers, or a function (x, t) of the time alone that
             returns them. Displacements u are then those beside the mean motion: bodies have the strain E + strain(u), S
             has the jump [u]. Translations that nothing prevents are held at one vertex: `supports={}` will do.
+        stress: mean stress instead, likewise: the mean strain is then unknown, see `State.mean_strain`. The joint is
+            periodic in all directions, and bodies are linear.
         comm: MPI communicator (default: the world).
 
     Raises:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from copy import copy
-from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 
 from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.mean_strain import MeanStrain
+from thinlayer.discretisation.mean_strain import PAIRS, MeanStrain
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parallel.agreement import on_all
@@ -40,6 +39,7 @@ def homogenised_stiffness(model: Model) -> Array:
         _check(model)
     strained = copy(model)
     strained.strain = units = UnitStrains(model)
+    strained.stress = None
     strained.forces = Forces(model.domain, None, None, model.coordinates)
     with Solver(strained) as solver:
         columns = [
@@ -70,14 +70,9 @@ def _check(model: Model) -> None:
         raise ModelError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
 
 
-def _pairs(d: int) -> list[tuple[int, int]]:
-    """Pairs of axes in Voigt's order."""
-    return [(i, i) for i in range(d)] + [*combinations(range(d), 2)][::-1]
-
-
 def _components(stress: Array) -> Array:
     """Components (k,) of a stress (d, d) in Voigt's order."""
-    return np.array([stress[pair] for pair in _pairs(len(stress))])
+    return np.array([stress[pair] for pair in PAIRS[len(stress)]])
 
 
 class UnitStrains(MeanStrain):
@@ -89,7 +84,7 @@ class UnitStrains(MeanStrain):
 
     def __init__(self, model: Model) -> None:
         d = model.joint.dim
-        pairs = _pairs(d)
+        pairs = PAIRS[d]
         self.basis = np.zeros((len(pairs), d, d))
         for strain, (i, j) in zip(self.basis, pairs, strict=True):
             strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5

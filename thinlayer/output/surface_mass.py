@@ -31,7 +31,7 @@ def reaction(state: State) -> fem.Function:
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
     # Each form by itself: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with unlike quadrature.
-    r = nodal_forces(W, work(model.bodies_at(state.t), state.u, v))
+    r = nodal_forces(W, work(state.bodies, state.u, v))
     if model.parts:
         r.x.array[:] += nodal_forces(W, model.added_work(state.u, v)).x.array
     r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array

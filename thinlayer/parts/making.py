@@ -12,6 +12,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.forms import LawForms
+from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.places import compiled_terms
 from thinlayer.parts.pressure import PressurePart
@@ -36,6 +37,8 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
         whole = replace(constrained[0], measure=constrained[0].measure.reconstruct(subdomain_id=tags))
         one = whole if len(constrained) > 1 else constrained[0]
         parts.append(PressurePart(model.V, one, forms.largest, model.origin))
+    if model.stress:
+        parts.append(MeanStressPart(model.V, model.bodies, model.stress, model.comm))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, contact_key(model, name)))
     return parts + [addition.part(model) for addition in model.parts]

@@ -1,0 +1,162 @@
+"""The mean strain of a periodic cell whose mean stress is prescribed: unknowns of the whole cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import basix.ufl
+import dolfinx.fem.petsc
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from forms.kinematics import lift
+from forms.work import Term, stress
+from thinlayer.discretisation.broken import Keys, broken_space
+from thinlayer.discretisation.mean_strain import MEAN_STRAIN, MeanStress, of_components
+from thinlayer.discretisation.state import Configuration
+from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part
+
+
+class MeanStressPart(Part):
+    """The forces of the mean strain E on linear bodies, and the condition that the mean stress is the prescribed one.
+
+    The unknowns are E times the size of the cell, with shears e_12 twice, so that they are displacements; the rows of the
+    condition are forces: stress less the prescribed one, times the volume over the size.
+
+    Args:
+        V: space of the displacements.
+        bodies: terms of the bodies, of linear laws without eigenstrains.
+        given: the mean stress.
+        comm: the domain's communicator.
+    """
+
+    key = MEAN_STRAIN
+
+    def __init__(self, V: fem.FunctionSpace, bodies: Sequence[Term], given: MeanStress, comm: MPI.Intracomm) -> None:
+        self._given, mesh = given, V.mesh
+        element = basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,))
+        whole = fem.functionspace(mesh, element)
+        one = np.zeros(np.shape(whole.dofmap.list), np.int64)
+        W = broken_space(comm, Keys(whole, one, one))
+        self.field = fem.Function(W)
+        self._load: Array = np.zeros(0)
+        v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
+        strained = [(p, stress(_alone(p, E, given.size), fem.Function(V))) for p in bodies]
+        couple = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
+        tensor = lift(of_components(F)) / given.size
+        self.B, self.D = (
+            dolfinx.fem.petsc.assemble_matrix(fem.form(form))
+            for form in (couple, sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained))
+        )
+        self.B.assemble()
+        self.D.assemble()
+        self._turned = PETSc.Mat()
+        self.B.transpose(self._turned)
+        size = sum(fem.Constant(mesh, 1.0) * p.measure for p in bodies)
+        self._volume = float(comm.allreduce(fem.assemble_scalar(fem.form(size))))
+        self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
+        self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
+
+    # ---------------------------------------------------------------- a step
+    def at_time(self, t: float) -> None:
+        self._t = t
+
+    def parameters(self) -> list[Array]:
+        return [self._given.at(self._t).ravel()]
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        new, old = (self._given.components(t) for t in (interval.t, interval.old.t))
+        load = (interval.theta * new + (1 - interval.theta) * old) * self._volume / self._given.size
+        self._load = np.asarray(load[: self.own_size], float)
+        self._old.array[:] = self.own_start(interval.old)
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        assert self.field is not None
+        theta, self._u = self.interval.theta, u
+        self._mid.array[:] = theta * self.field.x.array[: self.own_size] + (1 - theta) * self._old.array_r
+        self.B.mult(self._mid, self._forces)
+        self.B.multTranspose(mid.x.petsc_vec, self._own)
+        self.D.mult(self._mid, self._more)
+        self._own.axpy(1.0, self._more)
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        out.axpy(1.0, self._forces)
+        return float(self._forces.norm())
+
+    def own_residual(self) -> Array:
+        return np.asarray(self._own.array_r - self._load)
+
+    def tangents(self, relative_residual: float) -> list[Block]:
+        theta = self.interval.theta
+        return [
+            Block(self.B, theta, row=DISPLACEMENTS, column=self.key, kept=True),
+            Block(self._turned, theta, row=self.key, column=DISPLACEMENTS, kept=True),
+            Block(self.D, theta, row=self.key, column=self.key, kept=True),
+        ]
+
+    def commit(self) -> Outcome:
+        """As in `Part`; the energy is that of the bodies beyond the energy of the displacements alone."""
+        assert self.field is not None
+        now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
+        difference = now.copy()
+        difference.axpy(-1.0, old)
+        self._change.array[:] = self.field.x.array[: self.own_size] - self._old.array_r
+        self._mid.array[:] = self.field.x.array[: self.own_size]
+        before, after, of_change = (
+            self._energy(u, E) for u, E in ((old, self._old), (now, self._mid), (difference, self._change))
+        )
+        self._more.array[:] = self._load
+        supplied = float(self._more.dot(self._change))
+        difference.destroy()
+        return Outcome(before, after, 0.0, (2 * self.interval.theta - 1) * of_change, kept=False, supplied=supplied)
+
+    def _energy(self, u: PETSc.Vec, E: PETSc.Vec) -> float:
+        self.B.mult(E, self._forces)
+        self.D.mult(E, self._more)
+        return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2
+
+    @property
+    def resists_rigid(self) -> bool:
+        """False: the mean strain is none of the motions of one body."""
+        return False
+
+    # ---------------------------------------------------------------- own unknowns
+    def own_start(self, old: Configuration) -> Array:
+        E = old.fields.get(self.key)
+        return super().own_start(old) if E is None else np.asarray(E.x.array[: self.own_size] * self._given.size)
+
+    def own_result(self) -> fem.Function:
+        assert self.field is not None
+        E = self.field.copy()
+        E.x.array[:] /= self._given.size
+        return E
+
+    @property
+    def own_file_order(self) -> FileOrder:
+        """One row for the whole cell."""
+        return FileOrder(np.zeros(1, np.int64), np.arange(self._given.count)[None, :])
+
+    def destroy(self) -> None:
+        """Free matrices and vectors."""
+        for thing in (
+            self.B,
+            self.D,
+            self._turned,
+            self._forces,
+            self._own,
+            self._more,
+            self._mid,
+            self._old,
+            self._change,
+        ):
+            thing.destroy()
+
+
+def _alone(p: Term, E: ufl.core.expr.Expr, size: float) -> Term:
+    """The term of a body under a mean strain alone, given by its components times the size."""
+    return replace(p, strain=lambda u: lift(of_components(E)) / size)
