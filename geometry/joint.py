@@ -458,6 +458,14 @@ class Joint:
         return self.points[found[counts > 2][0]].mean(axis=0) if (counts > 2).any() else None
 
     @cached_property
+    def seams_meet(self) -> bool:
+        """Whether S branches, or two seams have a vertex in common."""
+        _, counts = ridges(self.masters[self.surface], self.cell_type)
+        vertices = self.masters[self.table.vertices[self.surface_rows]]
+        keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
+        return bool((counts > 2).any()) or len(np.unique(keys // len(self.seams))) < len(keys)
+
+    @cached_property
     def tip(self) -> FloatArray | None:
         """A place where S ends inside the bodies; None if there is none."""
         found, counts = ridges(self.surface, self.cell_type)

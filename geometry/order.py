@@ -40,7 +40,11 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
 
 def edges_of_s(joint: Joint, numbers: IntArray, seam: str = S) -> tuple[IntArray, IntArray]:
     """Pairs of positions in `numbers`, vertices of a joint, of those that share a facet of S, or of one seam."""
-    facets = joint.table.vertices[joint.rows_of(seam)]
+    return edges_of(joint.table.vertices[joint.rows_of(seam)], numbers)
+
+
+def edges_of(facets: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs of positions in `numbers` of those that share one of the facets (m, k), given by such numbers."""
     k = facets.shape[1]
     pairs = np.concatenate([facets[:, [i, j]] for i in range(k) for j in range(i + 1, k)])
     order = np.argsort(numbers)
@@ -49,12 +53,23 @@ def edges_of_s(joint: Joint, numbers: IntArray, seam: str = S) -> tuple[IntArray
     return order[at[there, 0]], order[at[there, 1]]
 
 
-def order_on_s(joint: Joint, numbers: IntArray, x: FloatArray, seam: str = S) -> IntArray:
-    """Order of vertices of a joint on S, or on a seam, at x (n, d), each once or more: along S in 2D, else by place."""
+def order_on_s(
+    joint: Joint, numbers: IntArray, x: FloatArray, seam: str = S, facets: IntArray | None = None
+) -> IntArray:
+    """Order of vertices of a joint on S, or on a seam, at x (n, d), each once or more: along S in 2D, else by place.
+
+    Args:
+        joint: the joint.
+        numbers: (n,) numbers of the vertices.
+        x: (n, d) their places.
+        seam: name of the seam, or "S".
+        facets: (m, k) vertices of its facets, if they have other numbers than the joint's.
+    """
     size = float(np.ptp(joint.points, axis=0).max())
     vertices, first, number = np.unique(numbers, return_index=True, return_inverse=True)
     if joint.dim == 2:
-        order = along(x[first], np.column_stack(edges_of_s(joint, vertices, seam)), size)
+        edges = edges_of_s(joint, vertices, seam) if facets is None else edges_of(facets, vertices)
+        order = along(x[first], np.column_stack(edges), size)
     else:
         order = by_place(x[first], size)
     return np.argsort(np.argsort(order)[number], kind="stable")

@@ -13,7 +13,7 @@ from geometry import GeometryError, Joint, disc, inflate, ring, sandwich
 from geometry.joint import Seam
 from geometry.topology import lagrange
 from thinlayer import Structure, ThinLayer
-from thinlayer.output.surface import nodal_forces
+from thinlayer.output.surface_mass import nodal_forces
 
 QUADS = np.array([[0, 1, 2, 3], [2, 3, 4, 5]])
 

@@ -19,7 +19,7 @@ from geometry.joint import Seam
 from tests.limit_load_run import dragged
 from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
 from thinlayer.errors import RangeWarning
-from thinlayer.output.surface import nodal_forces
+from thinlayer.output.surface_mass import nodal_forces
 from thinlayer.solving.solvers import Solver
 
 JOINT = sandwich(1.0, 0.5, 0.7, 0.25)

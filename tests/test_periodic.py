@@ -280,7 +280,7 @@ def test_profiles_and_runs_of_periodic_cells(tmp_path):
     assert history.last.mean_stress() == pytest.approx(2 * history.at(0.5).mean_stress(), rel=1e-9, abs=1e-15)
     bed = Surface(model, "BED")
     x, jump = bed.profile(bed.jump(history.last))
-    assert len(x) == len(jump) == 2 * (8 + 1)  # a bed is a circle of 8 edges, with a junction above
+    assert len(x) == len(jump) == 2 * (8 + 2)  # a bed is a circle of 8 edges, with a junction above and one below
     assert {0.5, 1.5} == set(np.round(x[:, 1], 9))
     assert x[:, 0].max() < 2.0
 

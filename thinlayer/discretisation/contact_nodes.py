@@ -132,6 +132,11 @@ class ContactNodes:
         self.frames = (-1.0 if turned else 1.0) * _frames(vectors / size[:, None])
         self._note_held(held)
 
+    @property
+    def pairs(self) -> npt.NDArray[np.int64]:
+        """(n, 2) global numbers of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
+        return np.column_stack([self._first + self.upper.astype(np.int64), self._lower])
+
     def _global(self, local: npt.NDArray[Any]) -> Array:
         """Global numbers of local nodes, as floats, because they are sent together with areas."""
         return self.surface.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)

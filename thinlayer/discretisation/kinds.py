@@ -17,6 +17,7 @@ from geometry.joint import BASE, Joint, S
 from thinlayer.discretisation.joint_fields import director, relative_thickness
 from thinlayer.discretisation.layer import LawOnS, Layers, constants, real_law
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
@@ -168,10 +169,16 @@ class InterfaceModel(Model):
         """The two sides of S."""
         return self.sides_of(S)
 
-    def _layer_terms(self) -> list[forms.Term]:
-        return [term for one in self.layers.values() if not one.contact for term in self._terms_of(one)]
+    @cached_property
+    def pairs(self) -> Pairs | None:
+        """Functions with a value for each pair of bodies around a vertex of S; None where seams do not meet. Collective."""
+        return Pairs(self.domain) if self.joint.seams_meet else None
 
-    def _terms_of(self, one: SeamLayer) -> list[forms.Term]:
+    def _layer_terms(self) -> list[forms.Term]:
+        return [term for one in self.layers.values() if not one.contact for term in self.terms_of(one)]
+
+    def terms_of(self, one: SeamLayer) -> list[forms.Term]:
+        """The terms of a layer without contact on its seam."""
         mesh, law, layer = self.domain.mesh, real_law(one.layer, self.plane), one.thin
         law = law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)

@@ -20,7 +20,7 @@ from thinlayer.discretisation.contact_nodes import Array, ContactNodes, ContactS
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
-from thinlayer.output.surface import contact_forces, nodal_forces
+from thinlayer.output.surface_mass import contact_forces, nodal_forces
 
 PINNED = "pinned"
 NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}

@@ -7,68 +7,27 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
-import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from petsc4py import PETSc
 from ufl.classes import Condition, Restricted
 from ufl.domain import extract_domains
 
 from forms.kinematics import Expr, layer_frame, lift
-from forms.work import Interface, work
+from forms.work import Interface
 from geometry.joint import S, unknown
 from geometry.order import order_on_s
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
+from thinlayer.output.junction_tractions import JunctionTractions
+from thinlayer.output.surface_mass import SurfaceMass, contact_forces, nodal_forces, reaction
 
-MASS_TOLERANCE = 1e-14  # relative tolerance of the solver for the mass matrix of S
 NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
-SPREAD = 0.1  # least extent of the places of known tractions, relative to their distance, for a slope
-
-
-def reaction(state: State) -> fem.Function:
-    """Nodal forces that the layer (or the other body) exerts on the bodies, on the nodes of the faces of S. Collective.
-
-    r_i = int_body stress(u) : e(phi_i) - L(phi_i), with the work of additions to the model (springs at the end of S, say)
-    on the left. The functions phi_i have degree 1 and jump at the faces of S.
-    """
-    model = state.model
-    W = model.space(1, broken_at_faces=True)
-    v = ufl.TestFunction(W)
-    forces = work(model.bodies_at(state.t), state.u, v) + model.added_work(state.u, v)
-    return nodal_forces(W, forces - model.external_work(v, state.t))
-
-
-def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
-    """Values of a linear form on the basis functions of a space, ghosts included. Collective."""
-    vector = fem.assemble_vector(fem.form(form))
-    vector.scatter_reverse(dolfinx.la.InsertMode.add)
-    vector.scatter_forward()
-    values = fem.Function(V)
-    values.x.array[:] = vector.array
-    return values
-
-
-def contact_forces(state: State) -> fem.Function:
-    """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
-    model, forces = state.model, fem.Function(state.model.V)
-    for name, law in model.contacts.items():
-        nodes = ContactNodes(ContactSurface.of(model, name))
-        out = nodes.zero()
-        slip = state.memory[contact_key(model, name)]
-        nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), slip), out)
-        forces.x.array[: out.getLocalSize()] += out.array_r
-        nodes.destroy()
-        out.destroy()
-    forces.x.scatter_forward()
-    return forces
 
 
 @dataclass(frozen=True, init=False)
@@ -114,13 +73,15 @@ class Surface:
         if isinstance(found, Condition):
             found = ufl.conditional(found, 1.0, 0.0)
         if shapes and found.ufl_shape not in shapes:
-            known = " or ".join("of a scalar, ()" if shape == () else f"of a vector, {shape}" for shape in shapes)
-            raise ModelError(f"an expression on S has the shape {found.ufl_shape}; allowed: that {known}")
-        if any(domain is not self.model.domain.mesh.ufl_domain() for domain in extract_domains(found)):
+            allowed = " or ".join("of a scalar, ()" if shape == () else f"of a vector, {shape}" for shape in shapes)
+            raise ModelError(f"an expression on S has the shape {found.ufl_shape}; allowed: that {allowed}")
+        meshes = [self.model.domain.mesh, *([self.model.pairs.mesh] if self.model.pairs else [])]
+        known = [mesh.ufl_domain() for mesh in meshes]
+        if not all(any(domain is one for one in known) for domain in extract_domains(found)):
             raise ModelError(
                 "an expression on S is of another model's mesh; bring states here by surface.displacement(state)"
             )
-        if not self._on_base and _lacks_side(found, (self.model.V, self.trace_space)):
+        if not self._on_base and _lacks_side(found, (self.model.V, self.trace_space, self._nodal_space)):
             raise ModelError(
                 "an expression on S has a field that jumps there; say on which side, as surface.sides.upper(u) or "
                 "surface.sides.lower(u), or take surface.jump(state)"
@@ -147,6 +108,20 @@ class Surface:
     @property
     def _seams(self) -> tuple[str, ...]:
         return tuple(self.model.joint.seams) if self.seam == S else (self.seam,)
+
+    @property
+    def entity_maps(self) -> Any:
+        """How the mesh of the facets of S lies in the model's, for `fem.form`; None where seams do not meet."""
+        return self.model.pairs.maps if self.model.pairs else None
+
+    @cached_property
+    def _junctions(self) -> JunctionTractions | None:
+        return JunctionTractions(self.model, self.model.pairs) if self.model.pairs else None
+
+    @property
+    def _nodal_space(self) -> fem.FunctionSpace:
+        """Space of the projections of `nodal`."""
+        return self.model.pairs.space if self.model.pairs else self.trace_space
 
     @cached_property
     def _zero(self) -> tuple[npt.NDArray[np.bool_], bool]:
@@ -194,13 +169,16 @@ class Surface:
         - elsewhere it is extrapolated linearly from the nodes around, two nodes deep (zero where supports hold all of
           these, too). This is exact for uniform and linear tractions.
 
-        At nodes of one seam that lie on other seams too, the reactions contain the tractions of these; the traction is
-        extrapolated there. A surface of all seams, or an S with corners, has one function around each node of a body: its
-        tractions are smeared over the cells next to corners and junctions.
+        Where seams meet, a body's corner feels the tractions of several: see `JunctionTractions`. The traction has one
+        value there for each pair of bodies that a seam joins, and jumps where a seam changes from one pair to another.
+        It is then a function on a mesh of the facets of S; DOLFINx needs to be told how that lies in the model's mesh:
+        `fem.form(t[0] * surface.sides.measure, entity_maps=surface.entity_maps)`.
 
         At nodes where S ends inside the bodies the traction is zero, because nothing jumps there.
         """
         self._require_same_joint(state)
+        if self._junctions:
+            return self.sides.upper(self._junctions.recovered(state))
         r = reaction(state)
         held, u = fem.Function(r.function_space), fem.Function(r.function_space)
         held.x.array[state.model.supports.held(r.function_space, state.model.supports.given)] = 1.0
@@ -212,20 +190,22 @@ class Surface:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[unknown] = by_law.x.array[unknown]
         zero = self._zero_tractions(unknown & ~self._jumps(u))
-        unknown |= self._shared
         if not state.model.contact and self.model.comm.allreduce(int((unknown & ~zero).any())):
-            self._extrapolate(r, unknown, unknown & ~zero)
-        t = self._divide_by_areas(r) if self.model.contact else self._divide_by_mass(r, zero)
+            self._mass.extrapolate(r, unknown, unknown & ~zero)
+        t = self._mass.divide_by_areas(r) if self.model.contact else self._mass.divide(r, zero)
         if self._on_base:
             return -self.sides.upper(t)
         return (self.sides.lower(t) - self.sides.upper(t)) / 2
 
     def nodal(self, f: Expr) -> fem.Function:
-        """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective."""
-        f = self._expression(f, (self.model.joint.dim,))
-        v = ufl.TestFunction(self.trace_space)
-        r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, self.trace_space))
-        return self._divide_by_mass(r, np.zeros(len(r.x.array), bool), self._upper_mass)
+        """L2 projection of a vector expression on S to degree 1, a function on the upper side's nodes. Collective.
+
+        Where seams meet it has the nodes of tractions (`traction`), one for each pair of bodies around a vertex.
+        """
+        f, V = self._expression(f, (self.model.joint.dim,)), self._nodal_space
+        v = ufl.TestFunction(V)
+        r = self._compiled(ufl.inner(f, self.sides.upper(v)), partial(nodal_forces, V, maps=self.entity_maps))
+        return self._projection.divide(r, np.zeros(len(r.x.array), bool))
 
     def frame(self, f: Expr) -> Expr:
         """A vector expression on S in the frame of S: tangential components, then the normal one, (d,).
@@ -240,20 +220,23 @@ class Surface:
     def profile(self, f: Expr) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Places (n, d) and values of an expression, projected to degree 1, at the vertices of S. Collective.
 
-        In order along S in 2D, piece after piece, else by the coordinates; the same on every rank.
+        In order along S in 2D, piece after piece, else by the coordinates; the same on every rank. Where seams meet, there
+        is a value for each pair of bodies around a vertex, and each piece of S has one pair at each vertex.
 
         Args:
             f: vector expression on S, values (n, d), or a scalar one, values (n,).
         """
-        V, d = self.trace_space, self.model.joint.dim
+        V, d, pairs = self._nodal_space, self.model.joint.dim, self.model.pairs
         f = self._expression(f, (d,), ())
         at = np.flatnonzero(self._upper_nodes[: V.dofmap.index_map.size_local])
         values = self.nodal(f if f.ufl_shape else ufl.as_vector([f] + [0.0] * (d - 1))).x.array.reshape(-1, d)
-        vertices = self.model.domain.joint.masters[self._vertices[at]]
-        rows = np.column_stack([vertices, self.model.domain.joint.points[vertices], values[at]])
+        vertices = pairs.at_vertices[at] if pairs else self.model.domain.joint.masters[self._vertices[at]]
+        numbers = pairs.numbers[at] if pairs else vertices
+        rows = np.column_stack([numbers, self.model.domain.joint.points[vertices], values[at]])
         rows = np.concatenate(self.model.comm.allgather(rows))
         x = rows[:, 1 : 1 + d]
-        order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x, self.seam)
+        of_facets = pairs.of_facets if pairs else None
+        order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x, self.seam, of_facets)
         return x[order], rows[order, 1 + d :] if f.ufl_shape else rows[order, 1 + d]
 
     @cached_property
@@ -266,31 +249,23 @@ class Surface:
 
     @cached_property
     def _upper_nodes(self) -> npt.NDArray[np.bool_]:
-        """Which local nodes of the trace space lie on the upper side of S."""
-        return self._areas(self.sides.upper).reshape(-1, self.model.joint.dim)[:, 0] > 0
-
-    @cached_property
-    def _shared(self) -> npt.NDArray[np.bool_]:
-        """Where the local degrees of freedom of the trace space lie on seams beside this one."""
-        others = [Surface(self.model, name) for name in self.model.joint.seams if name not in self._seams]
-        areas = [one._areas(*one._all_sides) for one in others]
-        return np.asarray(np.sum(areas, axis=0) > 0) if areas else np.zeros(len(self._areas(self.sides.upper)), bool)
+        """Which local nodes of `nodal` lie on the upper side of S."""
+        v = ufl.TestFunction(self._nodal_space)
+        ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
+        areas = nodal_forces(
+            self._nodal_space, ufl.inner(ones, self.sides.upper(v)) * self.sides.measure, self.entity_maps
+        )
+        return np.asarray(areas.x.array.reshape(-1, self.model.joint.dim)[:, 0] > 0)
 
     @property
     def _all_sides(self) -> tuple[Callable[[Expr], Expr], ...]:
         """The sides of S that are bodies: on a rigid base the upper one, else both."""
         return (self.sides.upper,) if self._on_base else (self.sides.upper, self.sides.lower)
 
-    def _areas(self, *sides: Callable[[Expr], Expr]) -> npt.NDArray[np.float64]:
-        """Area of S around the nodes of sides, for every trace degree of freedom; zero elsewhere."""
-        v = ufl.TestFunction(self.trace_space)
-        ones = fem.Constant(self.model.domain.mesh, np.ones(self.model.joint.dim))
-        form = sum(ufl.inner(ones, side(v)) for side in sides) * self.sides.measure
-        return np.asarray(nodal_forces(self.trace_space, form).x.array)
-
     def integral(self, f: Expr) -> float:
         """Integral over S of a scalar expression. Collective."""
-        return float(self.model.comm.allreduce(fem.assemble_scalar(self._compiled(self._expression(f, ()), fem.form))))
+        form = self._compiled(self._expression(f, ()), partial(fem.form, entity_maps=self.entity_maps))
+        return float(self.model.comm.allreduce(fem.assemble_scalar(form)))
 
     def norm(self, f: Expr, where: Expr = 1) -> float:
         """L2 norm over S of a vector expression, or of one of another shape, weighted with `where`. Collective."""
@@ -325,55 +300,6 @@ class Surface:
         other = 0.0 if self._on_base else self._of_other_side(u)
         return np.asarray(np.abs(u.x.array - other) > NO_JUMP * largest)
 
-    def _extrapolate(self, r: fem.Function, unknown: npt.NDArray[np.bool_], wanted: npt.NDArray[np.bool_]) -> None:
-        """Extrapolate nodal forces to the `wanted` ones among the `unknown` ones, which do not follow from reactions.
-
-        The known forces over the areas of their nodes are the values of a linear traction at the centroids of the nodes'
-        functions. A linear function of these places is fitted by least squares to the known values up to two nodes away,
-        weighted with the square of the mass matrix. It is constant along directions in which the places hardly spread:
-        across S, and along S if there is one place only.
-        """
-        _, on_s = self._mass
-        owned, d = len(on_s), self.model.joint.dim
-        at, fitted = np.flatnonzero(on_s & wanted[:owned]), on_s & ~unknown[:owned]
-        area = np.where(on_s, self._around, 1.0)
-        x = self.trace_space.tabulate_dof_coordinates()[: owned // d, :d] - self.model.joint.points.mean(axis=0)
-        x = np.array([self._times_mass(row) / area for row in x.repeat(d, axis=0).T])
-        known = [np.ones(owned), *x, r.x.array[:owned] / area]
-        moments = np.zeros((len(at), d + 1, d + 2))
-        for i in range(d + 1):
-            for j in range(i, d + 2):
-                sums = self._times_mass(self._times_mass(np.where(fitted, known[i] * known[j], 0.0)))[at]
-                moments[:, i, j] = sums
-                if j <= d:
-                    moments[:, j, i] = sums
-        weight = moments[:, :1, :1]
-        moments /= np.where(weight > 0, weight, 1.0)
-        centre, mean = moments[:, 0, 1 : d + 1], moments[:, 0, d + 1]
-        spread, axes = np.linalg.eigh(moments[:, 1:, 1 : d + 1] - centre[:, :, None] * centre[:, None, :])
-        common = np.einsum("nki,nk->ni", axes, moments[:, 1:, d + 1] - centre * mean[:, None])
-        away = x[:, at].T - centre
-        wide = spread > SPREAD**2 * (away**2).sum(axis=1)[:, None]
-        change = np.einsum("nki,nk->ni", axes, away) * common / np.where(wide, spread, np.inf)
-        r.x.array[at] = (mean + change.sum(axis=1)) * area[at]
-        r.x.scatter_forward()
-
-    @cached_property
-    def _around(self) -> npt.NDArray[np.float64]:
-        """Area of S around the nodes of both sides, for this rank's degrees of freedom; zero off S."""
-        return self._times_mass(np.ones(len(self._mass[1])))
-
-    def _times_mass(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """Mass matrix of S times the values at local degrees of freedom, those of this rank."""
-        mass, on_s = self._mass
-        x, y = mass.createVecs()
-        x.array[:] = values[: len(on_s)]
-        mass.mult(x, y)
-        found = y.array.copy()
-        x.destroy()
-        y.destroy()
-        return np.asarray(found)
-
     def _of_other_side(self, f: fem.Function) -> npt.NDArray[np.float64]:
         """Values of a function of the trace space at the same places on the other side of S; zero elsewhere."""
         area = self._areas_at_corners
@@ -403,59 +329,19 @@ class Surface:
         return f, fem.form((ufl.inner(f("+"), v("-")) + ufl.inner(f("-"), v("+"))) * measure)
 
     @cached_property
-    def _mass(self) -> tuple[PETSc.Mat, np.ndarray]:
-        """Mass matrix of both sides of S, and the local degrees of freedom on S."""
-        return self._mass_of(*self._all_sides)
+    def _mass(self) -> SurfaceMass:
+        """Mass matrix of both sides of S."""
+        return self._mass_of(self.trace_space, *self._all_sides)
 
     @cached_property
-    def _upper_mass(self) -> tuple[PETSc.Mat, np.ndarray]:
-        """Mass matrix of the upper side of S, and the local degrees of freedom there."""
-        return self._mass_of(self.sides.upper)
+    def _projection(self) -> SurfaceMass:
+        """Mass matrix of the nodes of `nodal`."""
+        return self._mass_of(self._nodal_space, self.sides.upper)
 
-    def _mass_of(self, *sides: Callable[[Expr], Expr]) -> tuple[PETSc.Mat, np.ndarray]:
-        V = self.trace_space
+    def _mass_of(self, V: fem.FunctionSpace, *sides: Callable[[Expr], Expr]) -> SurfaceMass:
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         form = sum(ufl.inner(side(u), side(v)) for side in sides) * self.sides.measure
-        A = dolfinx.fem.petsc.assemble_matrix(fem.form(form))
-        A.assemble()
-        diagonal = A.getDiagonal()
-        return A, diagonal.array > 0
-
-    def _divide_by_areas(self, r: fem.Function) -> fem.Function:
-        """Nodal forces over the areas of the nodes: the traction as contact laws define it."""
-        _, on_s = self._mass
-        t = fem.Function(self.trace_space)
-        t.x.array[: len(on_s)][on_s] = r.x.array[: len(on_s)][on_s] / self._around[on_s]
-        t.x.scatter_forward()
-        return t
-
-    def _divide_by_mass(
-        self, r: fem.Function, zero: npt.NDArray[np.bool_], of: tuple[PETSc.Mat, np.ndarray] | None = None
-    ) -> fem.Function:
-        """Solve M t = r on the nodes of S, with a mass matrix M (default: of both sides); t = 0 where `zero`."""
-        V = self.trace_space
-        mass, on_s = of or self._mass
-        keep = on_s & ~zero[: len(on_s)]
-        first = V.dofmap.index_map.local_range[0] * V.dofmap.index_map_bs
-        rows = PETSc.IS().createGeneral((first + np.flatnonzero(keep)).astype(PETSc.IntType), comm=self.model.comm)
-        A = mass.createSubMatrix(rows, rows)
-        t = fem.Function(V)
-        ksp = PETSc.KSP().create(self.model.comm)
-        ksp.setOperators(A)
-        ksp.setType("cg")
-        ksp.getPC().setType("jacobi")
-        ksp.setTolerances(rtol=MASS_TOLERANCE, atol=0.0, max_it=1000)
-        b = A.createVecLeft()
-        x = A.createVecRight()
-        b.array[:] = r.x.array[: len(on_s)][keep]
-        size = b.norm(PETSc.NormType.NORM_INFINITY) or 1.0
-        b.array[:] /= size  # the squares of forces in the solver must neither underflow nor overflow
-        ksp.solve(b, x)
-        t.x.array[: len(on_s)][keep] = x.array * size
-        t.x.scatter_forward()
-        for thing in (A, b, x, rows, ksp):
-            thing.destroy()
-        return t
+        return SurfaceMass(self.model, V, form, self.entity_maps)
 
 
 def _lacks_side(f: Expr, spaces: Sequence[fem.FunctionSpace]) -> bool:

@@ -117,7 +117,8 @@ def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
     geometry, which needs many times the points for no gain.
     """
     mesh = V.mesh
-    degree, curved = V.ufl_element().basix_element.degree, 2 * (mesh.geometry.cmap.degree - 1)
+    degree = V.ufl_element().basix_element.degree
+    curved = 2 * (mesh.ufl_domain().ufl_coordinate_element().basix_element.degree - 1)
     if mesh.topology.cell_type in (CellType.quadrilateral, CellType.hexahedron):
         return int(2 * degree + 1 + curved)
     return int((2 * degree - 1 if measure.integral_type() == "cell" else 2 * degree) + curved)
