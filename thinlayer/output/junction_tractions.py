@@ -28,7 +28,7 @@ from thinlayer.parallel.exchange import ask
 Mask = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance of the solver for the tractions whose forces are the reactions
-MOST_ITERATIONS = 2000  # of this solver; it needs about thirty on uniform meshes
+MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
 NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
 
 
