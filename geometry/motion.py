@@ -236,8 +236,8 @@ def require_apart(opened: Joint) -> None:
     tolerance = 1e-12 * length**2
     crossed = np.ones(len(a), bool)
     for of, points in ((a, b), (b, a)):
-        sides = beside(of, points)
-        crossed &= (sides.min(axis=1) < -tolerance) & (sides.max(axis=1) > tolerance)
+        left = beside(of, points) > -tolerance  # a vertex on the line counts as left: a chain is crossed there once
+        crossed &= left[:, 0] != left[:, 1]
     if crossed.any():
         raise GeometryError(
             f"no room for the layers at {place(a[crossed][0].mean(axis=0))}: moved apart, the bodies would overlap"

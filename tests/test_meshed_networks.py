@@ -37,7 +37,7 @@ def areas(opened: Joint) -> dict[str, float]:
     return {name: float(found[numbers == opened.regions.index(name)].sum()) for name in opened.band.regions}
 
 
-def check(base: Joint, opened: Joint) -> None:
+def check(base: Joint, opened: Joint, named: bool = True) -> None:
     """No cell is folded, all outer facets have a name, each once, and body cells keep their numbers and their order."""
     jacobians = node_jacobians(opened.points, opened.cells, opened.cell_type)
     assert (np.sign(jacobians) == np.sign(jacobians[:, :1])).all()
@@ -45,10 +45,11 @@ def check(base: Joint, opened: Joint) -> None:
     assert (size[n:].min(axis=1) / size[n:].max(axis=1)).min() > 0.1
     assert (np.sign(jacobians[:n, 0]) == np.sign(node_jacobians(base.points, base.cells, base.cell_type)[:, 0])).all()
     assert opened.reference[opened.cells[:n]] == pytest.approx(base.points[base.cells], abs=0)
-    named = [rows for name, rows in opened.facets.items() if name not in opened.band.faces]
+    sides = [rows for name, rows in opened.facets.items() if name not in opened.band.faces]
     outer = np.flatnonzero(opened.table.cells[:, 1] < 0)
-    assert np.array_equal(np.unique(opened.table.index(np.concatenate(named))), outer)  # no free facets inside
-    assert sum(map(len, named)) == len(outer)
+    if named:
+        assert np.array_equal(np.unique(opened.table.index(np.concatenate(sides))), outer)  # no free facets inside
+        assert sum(map(len, sides)) == len(outer)
     for name in opened.band.faces:
         assert (opened.table.cells[opened.table.index(opened.facets[name]), 1] >= 0).all()
 
@@ -377,13 +378,32 @@ def test_refused_bodies():
         inflate(standing, 0.01)
 
 
-def blocks(at) -> Joint:
-    """A square of 6 x 6 cells with a region for each value of a function of places, and S between them."""
-    square = grid([np.arange(7.0), np.arange(7.0)], lambda x: x[:, 0] > 3, "quadrilateral")
+SIX = np.arange(7.0)
+
+
+def blocks(at, x=SIX, y=SIX) -> Joint:
+    """A grid with a region for each value of a function of places, empty where it is negative, and S between regions."""
+    square = grid([x, y], lambda x: x[:, 0] > 3, "quadrilateral", keep=lambda x: at(x) >= 0)
     region, table = at(square.points[square.corners].mean(axis=1)), square.table
     cut = (table.cells[:, 1] >= 0) & (region[table.cells[:, 0]] != region[table.cells[:, 1]])
     facets, names = {"S": table.vertices[cut]}, tuple("ABCDE"[: region.max() + 1])
     return Joint(square.points, square.cells, "quadrilateral", region, names, facets, {"S": Seam()})
+
+
+def test_no_room_beside_a_crossing():
+    """One of four blocks that cross reaches over another one, which moves up."""
+
+    def hook(x):
+        u, v = x.T
+        empty = (u < 3) & (u > 1) & (v > 3) & (v < 5) & ((u < 1.5) | (v > 4.9))
+        block = (u > 1.5) & (u < 3) & (v > 3) & (v < 4.9)
+        return np.select([empty, block, (u > 3) & (v < 3), u > 3], [-1, 2, 1, 3], 0)
+
+    base = blocks(hook, np.array([0.0, 1.0, 1.5, 2.0, 3.0, 4.0]), np.array([0.0, 1.0, 3.0, 4.0, 4.9, 5.0, 6.0]))
+    assert set(base.splitting.pieces) == {0, 1, 2, 3}
+    check(base, inflate(base, 0.05), named=False)
+    with pytest.raises(GeometryError, match=r"no room for the layers at \(.*: moved apart, the bodies would overlap"):
+        inflate(base, 0.2)
 
 
 def test_a_block_with_four_around_it():
