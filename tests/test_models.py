@@ -285,7 +285,8 @@ def test_meshed_layers_that_cannot_be_built():
 def test_options_are_in_the_signatures():
     """Python itself, editors and type checkers know them."""
     known = set(inspect.signature(Structure).parameters)
-    assert known == {"joint", "body", "supports", "tractions", "body_force", "parts", "plane", "element", "comm"}
+    loads = {"supports", "tractions", "body_force", "strain", "stress"}
+    assert known == {"joint", "body", "parts", "plane", "element", "comm"} | loads
     with pytest.raises(TypeError, match="unexpected keyword argument 'traction'"):
         Structure(JOINT, **SETUP, traction={})
     with pytest.raises(TypeError, match="required keyword-only argument: 'supports'"):

@@ -270,4 +270,5 @@ class JunctionTractions:
 def _is_told(layer: SeamLayer) -> bool:
     """Whether the jump alone tells the traction of a law without contact, by an expression."""
     traits = layer.law.traits
-    return traits.in_ufl and not (traits.remembers or traits.rate or traits.constrained or traits.varies)
+    hidden = traits.compiled or traits.remembers or traits.rate or traits.constrained or traits.varies
+    return traits.in_ufl and not hidden
