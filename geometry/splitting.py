@@ -103,10 +103,11 @@ class Splitting:
         position = np.full(len(self.cells), -1, np.int64)
         position[near] = np.arange(len(near))
 
-        facets = np.flatnonzero(self.table.cells[:, 1] >= 0)
-        facets = np.setdiff1d(facets, self.cut, assume_unique=True)
+        first, second = self.table.cells.T
+        linked = (second >= 0) & (position[first] >= 0) & (position[second] >= 0)
+        linked[self.cut] = False
+        facets = np.flatnonzero(linked)
         pairs = position[self.table.cells[facets]]
-        facets, pairs = facets[(pairs >= 0).all(axis=1)], pairs[(pairs >= 0).all(axis=1)]
         inside = np.array(
             [[i for i, entity in enumerate(local) if set(entity) <= set(facet)] for facet in self._topology[-2]]
         )
@@ -117,12 +118,12 @@ class Splitting:
             links.append((cell[:, None] * len(local) + np.take_along_axis(entity, order, axis=1)).ravel())
         label = connected(links[0], links[1], keys.size)
 
-        first = np.full(label.max(initial=-1) + 1, len(near))
-        np.minimum.at(first, label, np.repeat(np.arange(len(near)), len(local)))
-        found, at = np.unique(np.column_stack([keys.ravel(), first[label], label]), axis=0, return_inverse=True)
-        start = np.flatnonzero(np.diff(found[:, 0], prepend=-1))
-        number = np.arange(len(found)) - np.repeat(start, np.diff(start, append=len(found)))
-        out[near] = np.where(touched, number[at.ravel()].reshape(keys.shape), 0)
+        _, first_place = np.unique(label, return_index=True)  # of each component; places are in the order of cells
+        order = np.lexsort((first_place, keys.ravel()[first_place]))
+        start = np.flatnonzero(np.diff(keys.ravel()[first_place][order], prepend=-1))
+        number = np.empty(len(order), np.int64)
+        number[order] = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
+        out[near] = np.where(touched, number[label].reshape(keys.shape), 0)
 
     @cached_property
     def of_nodes(self) -> IntArray:

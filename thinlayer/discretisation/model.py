@@ -169,7 +169,9 @@ class Model(ABC):
         if self.joint.periods:
             of_entities = [self.domain.on_cells(of_dim) for of_dim in cut.keys]
             return broken_space(self.comm, Keys.of_entities(self.comm, mesh, element, of_entities))
-        components = [self.domain.on_cells(cut.components(k)) for k in range(dim)]
+        used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
+        none = np.empty((0, 0), np.int64)
+        components = [self.domain.on_cells(cut.components(k)) if used[k] else none for k in range(dim)]
         return broken_space(self.comm, Keys.of_components(self.comm, mesh, element, components))
 
     def _cut_at_faces(self) -> Splitting:
