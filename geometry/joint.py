@@ -1,4 +1,4 @@
-"""Joint: two bodies (or one body and a rigid base) that meet on S, as plain arrays with names."""
+"""Joint: bodies that meet on S, or stand on a rigid base there, as plain arrays with names."""
 
 from __future__ import annotations
 

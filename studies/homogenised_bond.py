@@ -15,7 +15,8 @@ BED, HEAD = (5.0, 2.1), (3.0, 1.3)  # normal and tangential stiffness of the mor
 NU = 0.2
 YOUNG = (1e2, 1e3, 1e4, 1e6)
 ENTRIES = {"A_1111": (0, 0), "A_2222": (1, 1), "A_1212": (2, 2)}
-CONSTANTS = {"A_1111": -8.432, "A_2222": -BED[0] * HEIGHT * (1 - NU**2), "A_1212": -5.039}  # (A/rigid - 1) E as E grows
+# (A/rigid - 1) E as E grows: A_2222 in closed form, the others found by an independent program
+CONSTANTS = {"A_1111": -8.432, "A_2222": -BED[0] * HEIGHT * (1 - NU**2), "A_1212": -5.039}
 CUTS = ((0.125, 0.25), (0.625, 0.75))  # other places of the cell in the wall
 
 

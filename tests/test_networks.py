@@ -18,7 +18,6 @@ from tests.network_cases import (
     PUSHED,
     WALL,
     YIELDED,
-    cell_of,
     panel_energy,
     pushed,
     springs,
@@ -240,7 +239,6 @@ def test_refused_layers():
             Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, element="Q1").interface({"BED": BED, "HEAD": HEAD}),
             method="condensed",
         )
-    assert cell_of("Q1") == "quadrilateral"
 
 
 def test_study(tmp_path):
