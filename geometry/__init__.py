@@ -2,11 +2,14 @@
 
 from geometry.builders import block, bond_cell, disc, ring, sandwich, wall
 from geometry.domain import Domain
+from geometry.errors import GeometryError
 from geometry.gathering import from_dolfinx
 from geometry.inflation import inflate
-from geometry.joint import GeometryError, Joint, Periods, Seam
-from geometry.periods import periodic
+from geometry.joint import Joint
+from geometry.periodic import periodic
+from geometry.periods import Periods
 from geometry.reading import read
+from geometry.seam import Seam
 
 __all__ = [
     "Domain",

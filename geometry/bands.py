@@ -9,7 +9,8 @@ from functools import cached_property
 import basix
 import numpy as np
 
-from geometry.joint import GeometryError, Joint, place
+from geometry.errors import GeometryError, place
+from geometry.joint import Joint
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
 
 SAME_HEIGHT = 1e-12  # difference of heights, relative to the thickness, that counts as none

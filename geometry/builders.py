@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from geometry.joint import Joint
 from geometry.parallel import on_root
-from geometry.periods import periodic
+from geometry.periodic import periodic
 from geometry.shapes.boxes import Boxes
 from geometry.shapes.bricks import BondCell, Bricks
 from geometry.shapes.rounds import Discs, Rings

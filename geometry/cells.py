@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.spatial
 
-from geometry.joint import GeometryError, place
+from geometry.errors import GeometryError, place
 from geometry.topology import FACET_TYPES, FacetTable, FloatArray, IntArray, corner_count, lagrange, node_jacobians
 
 CLOSE = 1e-9  # distance of nodes at the same place, at most, over the size of the mesh

@@ -17,8 +17,10 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from geometry.compat import create_mesh
+from geometry.errors import GeometryError, unknown
 from geometry.facets import facets_of_cells, vertices_of_facets
-from geometry.joint import BASE, LAYER, GeometryError, Joint, S, unknown
+from geometry.joint import Joint
+from geometry.seam import BASE, LAYER, S
 from geometry.topology import IntArray
 
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -15,8 +15,9 @@ from mpi4py import MPI
 
 from geometry.cells import Cells
 from geometry.compat import cell_nodes
+from geometry.errors import GeometryError
 from geometry.facets import vertices_of_facets
-from geometry.joint import GeometryError, Joint
+from geometry.joint import Joint
 from geometry.naming import Groups, Named, SeamsOf, Sides
 from geometry.parallel import on_root
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree

@@ -11,19 +11,8 @@ import numpy as np
 
 from forms.base import is_finite
 from geometry.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
-from geometry.joint import (
-    BASE,
-    JUNCTIONS,
-    LAYER,
-    LOWER_FACE,
-    UPPER_FACE,
-    Band,
-    GeometryError,
-    Joint,
-    Profile,
-    place,
-    unknown,
-)
+from geometry.errors import GeometryError, place, unknown
+from geometry.joint import Band, Joint, Profile
 from geometry.junctions import Ring, fill, junction_posts, rings_of
 from geometry.motion import (
     NOT_KEPT,
@@ -35,6 +24,7 @@ from geometry.motion import (
     require_room,
     ways_of,
 )
+from geometry.seam import BASE, JUNCTIONS, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
 
 WAYS = ("kept", "extended")

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import basix
 import numpy as np
 from numpy.typing import NDArray
 
-from forms.base import InputError, is_finite
-from geometry.splitting import Splitting, connected
+from forms.base import is_finite
+from geometry.errors import GeometryError, place, unknown
+from geometry.periods import Periods
+from geometry.seam import JUNCTIONS, RESERVED, S, Seam
+from geometry.splitting import Splitting
 from geometry.topology import (
-    BITS,
     CELL_TYPES,
     FACET_TYPES,
     FacetTable,
@@ -31,72 +31,13 @@ from geometry.topology import (
 
 Profile = Callable[[FloatArray], FloatArray]
 
-S = "S"
-LAYER = "LAYER"
-JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
-LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
-RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
-LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
-SAME_PLACE = 1e-6  # distance of two places that are the same, at most, over the size of the joint
 FLAT = 1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
-
-
-class GeometryError(InputError):
-    """A mesh, a name or a size that cannot be used. Says what is wrong, where, and what is allowed."""
-
-
-def unknown(kind: str, name: object, known: Iterable[str]) -> str:
-    """Message for a name that does not exist: the nearest known one and the whole list."""
-    known = sorted(known)
-    lowered = {one.lower(): one for one in known}
-    near = [lowered[one] for one in difflib.get_close_matches(str(name).lower(), lowered, n=1)]
-    return (
-        f"unknown {kind} {name!r}" + (f", did you mean {near[0]!r}?" if near else "") + f"; known: {', '.join(known)}"
-    )
 
 
 def _digest(*arrays: IntArray) -> str:
     """Hash of arrays of integers, twelve digits."""
     content = b"".join(np.ascontiguousarray(array, np.int64).tobytes() for array in arrays)
     return hashlib.sha256(content).hexdigest()[:12]
-
-
-def place(x: FloatArray) -> str:
-    """Coordinates for a message, short."""
-    return f"({', '.join(f'{c:.6g}' for c in x)})"
-
-
-@dataclass(frozen=True)
-class Seam:
-    """Which side of a layer's surface is the upper one. Its normal n points there, from the lower to the upper side.
-
-    Each facet between two cells has its upper side where `direction` points, if one is given; else in the regions `upper`,
-    or outside the regions `lower`; if neither is given, in the later one of the two cells' regions. On the outer boundary
-    the layer stands on a rigid base, and the side of the cell is the upper one.
-
-    The choice is a convention: jumps, tractions and the order of sublayers refer to it, equilibria do not depend on it.
-
-    Attributes:
-        lower, upper: names of regions on either side; (): not given.
-        direction: (d,) vector to the upper side; None: not given.
-    """
-
-    lower: tuple[str, ...] = ()
-    upper: tuple[str, ...] = ()
-    direction: tuple[float, ...] | None = None
-
-    def reversed(self) -> Seam:
-        """The seam with the opposite normal. GeometryError: neither regions nor a direction are given."""
-        if self == Seam():
-            raise GeometryError(
-                "a seam whose upper side follows the order of regions cannot be reversed; name its sides"
-            )
-        way = None if self.direction is None else tuple(-c for c in self.direction)
-        return Seam(self.upper, self.lower, way)
-
-    def turned(self, turn: FloatArray) -> Seam:
-        """The seam of a joint that is turned by a matrix (d, d)."""
-        return self if self.direction is None else replace(self, direction=tuple(map(float, turn @ self.direction)))
 
 
 @dataclass(frozen=True)
@@ -125,36 +66,6 @@ class Band:
     base: Joint = field(repr=False)
     reference: FloatArray = field(repr=False)
     director: FloatArray = field(repr=False)
-
-
-@dataclass(frozen=True)
-class Periods:
-    """Pairs of sides of a cell that repeats in space; each side is the other one, moved by a translation. See `periodic`.
-
-    Attributes:
-        sides: names of the two sets of facets of each pair.
-        pairs: for each pair (n, 2) nodes on the first side and the same ones on the second.
-    """
-
-    sides: tuple[tuple[str, str], ...]
-    pairs: tuple[IntArray, ...] = field(repr=False)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all sides."""
-        return tuple(name for pair in self.sides for name in pair)
-
-    def vectors(self, points: FloatArray) -> FloatArray:
-        """(m, d) translations from the first side of each pair to the second."""
-        return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
-
-    def masters(self, n: int) -> IntArray:
-        """(n,) for each node of a mesh the first of those that it is identified with; elsewhere the node itself."""
-        first, second = np.concatenate(self.pairs).T
-        label = connected(first, second, n)
-        master = np.full(n, n)
-        np.minimum.at(master, label, np.arange(n))
-        return master[label]
 
 
 @dataclass(frozen=True, repr=False)
@@ -213,7 +124,8 @@ class Joint:
             self._check_seams()
             self._take_out_seams()
         if self.periods:
-            self._check_periods(self.periods)
+            outer = self.surface_rows[self.surface_cells[:, 0] < 0]
+            self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
     def _check_regions(self) -> None:
         for name in [*self.regions, *self.facets] if self.band is None else []:
@@ -222,21 +134,8 @@ class Joint:
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():
                 raise GeometryError(f"region {name!r} has no cells")
-        for seam, sides in self.seams.items():
-            for name in sides.lower + sides.upper:
-                if name not in self.regions:
-                    raise GeometryError(unknown("region", name, self.regions))
-            shared = sorted(set(sides.upper) & set(sides.lower))
-            if shared and sides.direction is None:
-                raise GeometryError(
-                    f"region {shared[0]!r} is on both sides of {seam!r}; give the direction of the upper side"
-                )
-            if sides.direction is not None:
-                if set(sides.upper) != set(sides.lower):
-                    raise GeometryError(f"{seam!r}: a direction tells the upper side, or regions do; give one of them")
-                length = np.linalg.norm(sides.direction)
-                if np.shape(sides.direction) != (self.dim,) or not np.isfinite(length) or length == 0:
-                    raise GeometryError(f"direction is {sides.direction}; it needs {self.dim} components, not all zero")
+        for name, seam in self.seams.items():
+            seam.check(name, self.regions, self.dim)
 
     def _check_seams(self) -> None:
         if not self.seams:
@@ -269,40 +168,6 @@ class Joint:
             for name, facets in self.facets.items()
         }
         object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
-
-    def _check_periods(self, periods: Periods) -> None:
-        """Raise GeometryError unless cells that meet across the periodic sides meet there in one facet, and in no seam."""
-        size = np.ptp(self.points, axis=0).max()
-        for names, pair, vector in zip(periods.sides, periods.pairs, periods.vectors(self.points), strict=True):
-            apart = np.abs(self.points[pair[:, 1]] - self.points[pair[:, 0]] - vector).max(axis=1)
-            if apart.max() > SAME_PLACE * size:
-                x = self.points[pair[apart.argmax(), 0]]
-                raise GeometryError(f"the sides {names[0]!r} and {names[1]!r} do not match any more at {place(x)}")
-        master = self.masters
-        identified = np.bincount(master, minlength=len(master))[master] > 1
-        rows = self.surface_rows[self.surface_cells[:, 0] < 0]
-        on_side = identified[self.table.vertices[rows]].all(axis=1)
-        if on_side.any():
-            x = self.points[self.table.vertices[rows[on_side][0]]].mean(axis=0)
-            raise GeometryError(
-                f"a seam lies on the periodic boundary, at {place(x)}: the cells on its two sides are no neighbours in the "
-                "mesh; cut the periodic cell through bodies instead"
-            )
-        local = np.array(basix.topology(basix.CellType[self.cell_type])[1])
-        nodes = self.corners[:, local].reshape(-1, 2)
-        ends = master[nodes]
-        turned = ends[:, 0] > ends[:, 1]
-        along = (self.points[nodes[:, 1]] - self.points[nodes[:, 0]]) * np.where(turned, -1.0, 1.0)[:, None]
-        keys = (ends.min(axis=1) << BITS) + ends.max(axis=1)
-        _, first, number = np.unique(keys, return_index=True, return_inverse=True)
-        apart = np.abs(along - along[first[number.ravel()]]).max(axis=1)
-        folded = (ends[:, 0] == ends[:, 1]) | (apart > SAME_PLACE * size)
-        if folded.any():
-            pairs = " and ".join(f"{one!r} and {other!r}" for one, other in periods.sides)
-            raise GeometryError(
-                f"a periodic cell needs three cells or more between its sides ({pairs}): near "
-                f"{place(self.points[nodes[folded][0]].mean(axis=0))} two edges have the same ends; use a finer mesh"
-            )
 
     @cached_property
     def masters(self) -> IntArray:
@@ -392,34 +257,10 @@ class Joint:
     def _second_is_upper(self, name: str, seam: Seam, cells: IntArray, nodes: IntArray) -> NDArray[np.bool_]:
         """(n,) whether the second of two cells (n, 2) is the upper one, for facets of a seam given by their nodes."""
         x = self.points[nodes].mean(axis=1)
-        if seam.direction is not None:
-            n = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
-            way = np.asarray(seam.direction, float)
-            cosine = n @ way / np.linalg.norm(n, axis=1) / np.linalg.norm(way)
-            told = np.abs(cosine) >= LEAST_COSINE
-            if not told.all():
-                raise GeometryError(
-                    f"direction {seam.direction} does not tell the upper side of {name!r}: it lies in the facet near "
-                    f"{place(x[~told][0])}"
-                )
-            towards = self.points[self.corners[cells[:, 1]]].mean(axis=1) - x
-            return np.asarray((towards * n).sum(axis=1) * cosine > 0)
-        region = self.region[cells]
-        if seam.lower or seam.upper:
-            lower, upper = (
-                np.isin(region, [self.regions.index(one) for one in side]) for side in (seam.lower, seam.upper)
-            )
-            below, above = lower if seam.lower else ~upper, upper if seam.upper else ~lower
-            upper = above[:, 1] & below[:, 0]
-            told, what = upper | (above[:, 0] & below[:, 1]), "have the same body on both sides"
-        else:
-            upper, told = region[:, 1] > region[:, 0], region[:, 1] != region[:, 0]
-            what = "have one region on both sides; give the direction of the upper side"
-        if not told.all():
-            raise GeometryError(
-                f"{name!r} does not separate two bodies: some of its facets {what}, the first at {place(x[~told][0])}"
-            )
-        return upper
+        if seam.direction is None:
+            return seam.between_regions(name, x, self.region[cells], self.regions)
+        normals = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
+        return seam.along_direction(name, x, normals, self.points[self.corners[cells[:, 1]]].mean(axis=1) - x)
 
     @property
     def rigid_base(self) -> bool:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.bands import Posts
-from geometry.joint import GeometryError, Joint, place
+from geometry.errors import GeometryError, place
+from geometry.joint import Joint
 from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
 
 

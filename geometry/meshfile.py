@@ -15,7 +15,7 @@ import dolfinx
 import numpy as np
 
 from geometry.cells import Cells
-from geometry.joint import GeometryError, unknown
+from geometry.errors import GeometryError, unknown
 
 if TYPE_CHECKING:
     import meshio

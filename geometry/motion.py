@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geometry.bands import Copies
-from geometry.joint import FLAT, GeometryError, Joint, place
+from geometry.errors import GeometryError, place
+from geometry.joint import FLAT, Joint
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface

@@ -11,7 +11,9 @@ import numpy.typing as npt
 
 from forms.base import is_finite
 from geometry.cells import Cells
-from geometry.joint import GeometryError, Joint, S, Seam, place, unknown
+from geometry.errors import GeometryError, place, unknown
+from geometry.joint import Joint
+from geometry.seam import S, Seam
 from geometry.topology import IntArray
 
 Groups = dict[str, npt.NDArray[np.bool_]]  # name -> which cells are in the group

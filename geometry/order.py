@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from geometry.joint import Joint, S
+from geometry.joint import Joint
+from geometry.seam import S
 from geometry.topology import FloatArray, IntArray
 
 CLOSE = 1e-9  # distance, over the size of the whole, below which two places are the same

@@ -1,90 +1,94 @@
-"""Periodic joints: sides of a cell that are identified with each other, because the cell repeats in space."""
+"""Periods: which sides of a cell that repeats in space are identified with each other."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field
 
+import basix
 import numpy as np
-import scipy.spatial
 
-from geometry.joint import SAME_PLACE, GeometryError, Joint, Periods, place, unknown
-from geometry.topology import IntArray
+from geometry.errors import GeometryError, place
+from geometry.splitting import connected
+from geometry.topology import BITS, FloatArray, IntArray
+
+SAME_PLACE = 1e-6  # distance of two places that are the same, at most, over the size of the joint
 
 
-def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
-    """The joint as a cell that repeats: displacements are the same on both sides of each pair.
+@dataclass(frozen=True)
+class Periods:
+    """Pairs of sides of a cell that repeats in space; each side is the other one, moved by a translation. See `periodic`.
 
-    S may cross the sides, and goes on at the other one; it may not lie in them.
+    Attributes:
+        sides: names of the two sets of facets of each pair.
+        pairs: for each pair (n, 2) nodes on the first side and the same ones on the second.
+    """
+
+    sides: tuple[tuple[str, str], ...]
+    pairs: tuple[IntArray, ...] = field(repr=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all sides."""
+        return tuple(name for pair in self.sides for name in pair)
+
+    def vectors(self, points: FloatArray) -> FloatArray:
+        """(m, d) translations from the first side of each pair to the second."""
+        return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
+
+    def masters(self, n: int) -> IntArray:
+        """(n,) for each node of a mesh the first of those that it is identified with; elsewhere the node itself."""
+        first, second = np.concatenate(self.pairs).T
+        label = connected(first, second, n)
+        master = np.full(n, n)
+        np.minimum.at(master, label, np.arange(n))
+        return master[label]
+
+    def check(self, points: FloatArray, corners: IntArray, cell_type: str, seams: IntArray) -> None:
+        """Raise GeometryError unless cells that meet across the sides meet there in one facet, which is in no seam.
+
+        Args:
+            points: (n, d) nodes of the mesh.
+            corners: (n_cells, k) vertices of its cells.
+            cell_type: their type.
+            seams: (m, k) vertices of the outer facets that are in seams.
+        """
+        size = np.ptp(points, axis=0).max()
+        for names, pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
+            apart = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
+            if apart.max() > SAME_PLACE * size:
+                x = points[pair[apart.argmax(), 0]]
+                raise GeometryError(f"the sides {names[0]!r} and {names[1]!r} do not match any more at {place(x)}")
+        master = self.masters(len(points))
+        identified = np.bincount(master, minlength=len(master))[master] > 1
+        on_side = identified[seams].all(axis=1)
+        if on_side.any():
+            x = points[seams[on_side][0]].mean(axis=0)
+            raise GeometryError(
+                f"a seam lies on the periodic boundary, at {place(x)}: the cells on its two sides are no neighbours in the "
+                "mesh; cut the periodic cell through bodies instead"
+            )
+        folded = _folded(points, corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])], master)
+        if folded is not None:
+            pairs = " and ".join(f"{one!r} and {other!r}" for one, other in self.sides)
+            raise GeometryError(
+                f"a periodic cell needs three cells or more between its sides ({pairs}): near {place(folded)} two edges "
+                "have the same ends; use a finer mesh"
+            )
+
+
+def _folded(points: FloatArray, edges: IntArray, master: IntArray) -> FloatArray | None:
+    """Middle of an edge that has the ends of another one, or one end twice, in the periodic mesh; None if there is none.
 
     Args:
-        joint: the cell, cut through bodies.
-        sides: names of two sets of outer facets each, such as ("LEFT", "RIGHT"); one is the other moved by a translation,
-            with its facets. The other sides stay free.
-
-    Raises:
-        GeometryError: an unknown name; sides that do not match, with the place; less than three cells between two sides;
-            a seam on a periodic side; a joint whose layer is meshed.
+        points: (n, d) nodes.
+        edges: (n_cells, edges of a cell, 2) their ends.
+        master: (n,) the node that each one is identified with.
     """
-    if joint.band is not None:
-        raise GeometryError(
-            "the joint's layer is meshed; in a periodic joint it is a surface, S, with an interface model"
-        )
-    if not sides:
-        raise GeometryError('periodic needs pairs of sides, such as ("LEFT", "RIGHT")')
-    before = joint.periods or Periods((), ())
-    names = [*before.names, *(name for pair in sides for name in pair)]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise GeometryError(f"{twice[0]!r} is in two pairs of periodic sides; a side has one other side")
-    pairs = tuple(_matched(joint, *pair) for pair in sides)
-    named = tuple((first, second) for first, second in sides)
-    return replace(joint, periods=Periods(before.sides + named, before.pairs + pairs))
-
-
-def _matched(joint: Joint, first: str, second: str) -> IntArray:
-    """(n, 2) nodes on the first side and the same ones on the second."""
-    rows = [_outer_rows(joint, name) for name in (first, second)]
-    nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
-    x = [joint.points[node] for node in nodes]
-    vector = x[1].min(axis=0) - x[0].min(axis=0)
-    size = np.ptp(joint.points, axis=0).max()
-    for here, there, move, name, other in ((0, 1, vector, first, second), (1, 0, -vector, second, first)):
-        apart, at = scipy.spatial.cKDTree(x[there]).query(x[here] + move)
-        if apart.max() > SAME_PLACE * size:
-            lost = x[here][apart.argmax()]
-            raise GeometryError(
-                f"the sides {first!r} and {second!r} do not match: {name!r} has a node at {place(lost)}, and {other!r} has "
-                f"none at {place(lost + move)}; mesh both alike"
-            )
-        if here == 0:
-            partner = nodes[1][at]
-    image = np.full(len(joint.points), -1)
-    image[nodes[0]] = partner
-    moved = joint.table.index(image[joint.table.vertices[rows[0]]])
-    wrong = ~np.isin(moved, rows[1])
-    if wrong.any() or len(rows[0]) != len(rows[1]):
-        lost = joint.points[joint.table.vertices[rows[0][wrong.argmax()]]].mean(axis=0)
-        raise GeometryError(
-            f"the sides {first!r} and {second!r} do not match: their nodes do, but not their facets, as at {place(lost)}; "
-            "mesh both alike"
-        )
-    return np.column_stack([nodes[0], partner])
-
-
-def _outer_rows(joint: Joint, name: str) -> IntArray:
-    """Rows of the joint's table of the facets of a side."""
-    if name not in joint.facets:
-        raise GeometryError(unknown("side", name, joint.facets.keys() - joint.seams.keys()))
-    if name in joint.seams:
-        raise GeometryError(
-            f"the seam {name!r} cannot be a periodic side: the cells on its two sides are no neighbours in the mesh; cut "
-            "the periodic cell through bodies instead"
-        )
-    rows = np.unique(joint.table.index(joint.facets[name]))
-    inner = joint.table.cells[rows, 1] >= 0
-    if inner.any():
-        x = joint.points[joint.table.vertices[rows[inner][0]]].mean(axis=0)
-        raise GeometryError(
-            f"{name!r} is no side of the joint: {inner.sum()} of its facets lie inside, as at {place(x)}"
-        )
-    return rows
+    nodes = edges.reshape(-1, 2)
+    ends = master[nodes]
+    turned = ends[:, 0] > ends[:, 1]
+    along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(turned, -1.0, 1.0)[:, None]
+    _, first, number = np.unique((ends.min(axis=1) << BITS) + ends.max(axis=1), return_index=True, return_inverse=True)
+    apart = np.abs(along - along[first[number.ravel()]]).max(axis=1)
+    folded = (ends[:, 0] == ends[:, 1]) | (apart > SAME_PLACE * np.ptp(points, axis=0).max())
+    return np.asarray(points[nodes[folded][0]].mean(axis=0)) if folded.any() else None

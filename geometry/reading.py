@@ -12,7 +12,8 @@ from mpi4py import MPI
 
 from forms.base import is_finite
 from geometry.cells import Cells
-from geometry.joint import GeometryError, Joint, place
+from geometry.errors import GeometryError, place
+from geometry.joint import Joint
 from geometry.meshfile import cells_of, load
 from geometry.naming import Groups, Named, SeamsOf, Sides
 from geometry.parallel import on_root

@@ -10,7 +10,8 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from geometry.joint import FLAT, Joint, S
+from geometry.joint import FLAT, Joint
+from geometry.seam import S
 from geometry.topology import FloatArray, IntArray, node_jacobians
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral

@@ -11,7 +11,7 @@ import meshio
 import numpy as np
 
 from geometry import Joint
-from geometry.joint import Seam
+from geometry.seam import Seam
 from geometry.topology import FacetTable, geometry_degree, lagrange
 
 CELLS = {"triangle": (2, False), "quadrilateral": (2, True), "tetrahedron": (3, False), "hexahedron": (3, True)}

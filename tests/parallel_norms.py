@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from forms import Anisotropic, LinearElastic, Stack
 from geometry import block, ring, sandwich
-from geometry.joint import Seam
+from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
 from thinlayer import Structure, Surface, ThinLayer, compare, solve
 

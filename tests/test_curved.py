@@ -10,7 +10,7 @@ import ufl
 
 from forms import Anisotropic, LawError, LinearElastic, Stack
 from geometry import GeometryError, block, ring, sandwich
-from geometry.joint import Seam
+from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
 from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, observed_orders, solve
 

@@ -12,7 +12,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 from geometry import GeometryError, from_dolfinx, read
-from geometry.joint import Seam
+from geometry.seam import Seam
 from tests.from_dolfinx_run import FACETS, REGIONS, built, made_by_dolfinx, norm, strip, tagged, taken_back
 from tests.meshes import CELLS, drawing, model_to_mesh, rings, stack, volume
 from tests.ranks import CLONE, mpirun

@@ -10,7 +10,7 @@ import ufl
 
 from forms import LinearElastic
 from geometry import GeometryError, Joint, disc, inflate, ring, sandwich
-from geometry.joint import Seam
+from geometry.seam import Seam
 from geometry.topology import lagrange
 from thinlayer import Structure, ThinLayer
 from thinlayer.output.surface_mass import nodal_forces

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from forms import Anisotropic, BulkLaw, LawError, LinearElastic, MohrCoulomb, Stack
 from forms.work import work
 from geometry import GeometryError, block, sandwich
-from geometry.joint import Seam
+from geometry.seam import Seam
 from tests.limit_load_run import dragged
 from thinlayer import ModelError, OptionError, SolveError, Structure, Surface, ThinLayer, compare, piecewise, solve
 from thinlayer.errors import RangeWarning

@@ -27,7 +27,7 @@ from forms import (
 from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
-from geometry.joint import Seam
+from geometry.seam import Seam
 from tests.ranks import CLONE, mpirun
 from tests.test_readme import OWN, README
 from thinlayer import (

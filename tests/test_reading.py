@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geometry import GeometryError, block, inflate, read, sandwich
-from geometry.joint import Seam
+from geometry.seam import Seam
 from geometry.topology import lagrange
 from tests.meshes import (
     CELLS,

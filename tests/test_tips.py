@@ -10,7 +10,7 @@ import ufl
 
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import GeometryError, Joint, block, inflate, ring, sandwich
-from geometry.joint import Seam
+from geometry.seam import Seam
 from tests.meshes import volumes
 from thinlayer import Model, ModelError, Structure, Surface, ThinLayer, solve
 

@@ -8,7 +8,7 @@ from typing import Self
 
 import gmsh
 
-from geometry.joint import S
+from geometry.seam import S
 from geometry.shapes.drawing import Drawing
 from geometry.shapes.prism import Prism
 from geometry.shapes.sizing import Grading, times

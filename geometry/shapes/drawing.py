@@ -13,7 +13,9 @@ import dolfinx
 import gmsh
 import numpy as np
 
-from geometry.joint import GeometryError, Joint, S, Seam
+from geometry.errors import GeometryError
+from geometry.joint import Joint
+from geometry.seam import S, Seam
 from geometry.shapes.sizing import CELLS, RANGE, Cells, Grading, require_wide
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor
 

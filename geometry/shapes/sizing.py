@@ -9,7 +9,7 @@ import gmsh
 import numpy as np
 
 from forms.base import is_finite, is_number
-from geometry.joint import GeometryError, unknown
+from geometry.errors import GeometryError, unknown
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension

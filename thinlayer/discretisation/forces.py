@@ -10,7 +10,8 @@ from dolfinx import fem
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
-from geometry.joint import LAYER, S, unknown
+from geometry.errors import unknown
+from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
 from thinlayer.discretisation.load_curves import Moment
 from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, vector

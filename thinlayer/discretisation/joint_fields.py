@@ -11,7 +11,8 @@ from dolfinx import fem
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
-from geometry.joint import Profile, S
+from geometry.joint import Profile
+from geometry.seam import S
 
 
 def cellwise(domain: Domain, element: tuple[Any, ...], values: npt.NDArray[np.float64]) -> fem.Function:

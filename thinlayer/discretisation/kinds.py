@@ -13,7 +13,8 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.tangent import needs_director
 from geometry.inflation import check_layering, inflate
-from geometry.joint import BASE, Joint, S
+from geometry.joint import Joint
+from geometry.seam import BASE, S
 from thinlayer.discretisation.joint_fields import director, relative_thickness
 from thinlayer.discretisation.layer import LawOnS, Layers, constants, real_law
 from thinlayer.discretisation.model import Model

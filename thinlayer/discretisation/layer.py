@@ -19,7 +19,8 @@ from forms.contact import ContactLaw
 from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError
 from forms.traction import TractionLaw
-from geometry.joint import Joint, Profile, unknown
+from geometry.errors import unknown
+from geometry.joint import Joint, Profile
 from thinlayer.errors import ModelError
 
 LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes

@@ -20,7 +20,9 @@ from forms.base import is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
-from geometry.joint import LAYER, Joint, S, unknown
+from geometry.errors import unknown
+from geometry.joint import Joint
+from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Moment, Time, symbols

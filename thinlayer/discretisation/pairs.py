@@ -8,7 +8,8 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from geometry.domain import Domain
-from geometry.joint import Joint, S
+from geometry.joint import Joint
+from geometry.seam import S
 from thinlayer.compiling.compat import create_submesh
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.parallel.exchange import carry

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from forms.contact import ContactLaw
 from forms.law import Law
 from geometry.domain import Domain
-from geometry.joint import place
+from geometry.errors import place
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities

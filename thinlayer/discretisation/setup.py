@@ -11,7 +11,8 @@ from mpi4py import MPI
 
 from forms.law import BulkLaw, Law
 from forms.tangent import Array, require_stable_body, tangent_at_rest
-from geometry.joint import Joint, unknown
+from geometry.errors import unknown
+from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition

@@ -18,8 +18,9 @@ import pyvista
 from dolfinx import fem
 from mpi4py import MPI
 
-from geometry.joint import BASE, Joint
+from geometry.joint import Joint
 from geometry.parallel import on_root
+from geometry.seam import BASE
 from geometry.topology import FACET_TYPES
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError

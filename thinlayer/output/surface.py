@@ -17,8 +17,9 @@ from ufl.domain import extract_domains
 
 from forms.kinematics import Expr, layer_frame, lift
 from forms.work import Interface
-from geometry.joint import S, unknown
+from geometry.errors import unknown
 from geometry.order import order_on_s
+from geometry.seam import S
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model

@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from forms.base import is_number
 from forms.kinematics import Expr
-from geometry.joint import S
+from geometry.seam import S
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix

@@ -13,7 +13,7 @@ import scipy.sparse.linalg
 
 from forms.law import BulkLaw
 from forms.tangent import across, average_lame, in_plane_modulus
-from geometry.joint import LAYER, S
+from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray
 from thinlayer.discretisation.model import Model

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from geometry.joint import place
+from geometry.errors import place
 from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions

@@ -1,0 +1,119 @@
+"""Seam: which side of a layer's surface is the upper one. And the names that joints give to layers' parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.errors import GeometryError, place, unknown
+from geometry.topology import FloatArray, IntArray
+
+S = "S"
+LAYER = "LAYER"
+JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
+LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
+RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE)
+LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
+
+
+@dataclass(frozen=True)
+class Seam:
+    """Which side of a layer's surface is the upper one. Its normal n points there, from the lower to the upper side.
+
+    Each facet between two cells has its upper side where `direction` points, if one is given; else in the regions `upper`,
+    or outside the regions `lower`; if neither is given, in the later one of the two cells' regions. On the outer boundary
+    the layer stands on a rigid base, and the side of the cell is the upper one.
+
+    The choice is a convention: jumps, tractions and the order of sublayers refer to it, equilibria do not depend on it.
+
+    Attributes:
+        lower, upper: names of regions on either side; (): not given.
+        direction: (d,) vector to the upper side; None: not given.
+    """
+
+    lower: tuple[str, ...] = ()
+    upper: tuple[str, ...] = ()
+    direction: tuple[float, ...] | None = None
+
+    def reversed(self) -> Seam:
+        """The seam with the opposite normal. GeometryError: neither regions nor a direction are given."""
+        if self == Seam():
+            raise GeometryError(
+                "a seam whose upper side follows the order of regions cannot be reversed; name its sides"
+            )
+        way = None if self.direction is None else tuple(-c for c in self.direction)
+        return Seam(self.upper, self.lower, way)
+
+    def turned(self, turn: FloatArray) -> Seam:
+        """The seam of a joint that is turned by a matrix (d, d)."""
+        return self if self.direction is None else replace(self, direction=tuple(map(float, turn @ self.direction)))
+
+    def check(self, name: str, regions: Sequence[str], dim: int) -> None:
+        """Raise GeometryError unless the seam of this name can tell its upper side in a mesh of these regions."""
+        for region in self.lower + self.upper:
+            if region not in regions:
+                raise GeometryError(unknown("region", region, regions))
+        shared = sorted(set(self.upper) & set(self.lower))
+        if shared and self.direction is None:
+            raise GeometryError(
+                f"region {shared[0]!r} is on both sides of {name!r}; give the direction of the upper side"
+            )
+        if self.direction is not None:
+            if set(self.upper) != set(self.lower):
+                raise GeometryError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
+            length = np.linalg.norm(self.direction)
+            if np.shape(self.direction) != (dim,) or not np.isfinite(length) or length == 0:
+                raise GeometryError(f"direction is {self.direction}; it needs {dim} components, not all zero")
+
+    def along_direction(
+        self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray
+    ) -> NDArray[np.bool_]:
+        """(n,) whether the second of the two cells at each of n facets is the upper one, by `direction`.
+
+        Args:
+            name: of the seam, for messages.
+            x: (n, d) middles of the facets.
+            normals: (n, d) their normals, in either direction.
+            to_second: (n, d) vectors from there into the second cells.
+
+        Raises:
+            GeometryError: the direction lies in a facet.
+        """
+        way = np.asarray(self.direction, float)
+        cosine = normals @ way / np.linalg.norm(normals, axis=1) / np.linalg.norm(way)
+        told = np.abs(cosine) >= LEAST_COSINE
+        if not told.all():
+            raise GeometryError(
+                f"direction {self.direction} does not tell the upper side of {name!r}: it lies in the facet near "
+                f"{place(x[~told][0])}"
+            )
+        return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
+
+    def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> NDArray[np.bool_]:
+        """(n,) whether the second of the two cells at each of n facets is the upper one, by the cells' regions.
+
+        Args:
+            name: of the seam, for messages.
+            x: (n, d) middles of the facets.
+            region: (n, 2) positions of the regions of both cells in `regions`.
+            regions: names of all regions.
+
+        Raises:
+            GeometryError: both cells are on one side.
+        """
+        if self.lower or self.upper:
+            lower, upper = (np.isin(region, [regions.index(one) for one in side]) for side in (self.lower, self.upper))
+            below, above = lower if self.lower else ~upper, upper if self.upper else ~lower
+            upper = above[:, 1] & below[:, 0]
+            told, what = upper | (above[:, 0] & below[:, 1]), "have the same body on both sides"
+        else:
+            upper, told = region[:, 1] > region[:, 0], region[:, 1] != region[:, 0]
+            what = "have one region on both sides; give the direction of the upper side"
+        if not told.all():
+            raise GeometryError(
+                f"{name!r} does not separate two bodies: some of its facets {what}, the first at {place(x[~told][0])}"
+            )
+        return np.asarray(upper)
