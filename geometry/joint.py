@@ -26,6 +26,7 @@ from geometry.topology import (
     facet_normals,
     geometry_degree,
     lagrange,
+    ridge_keys,
     ridges,
 )
 
@@ -307,15 +308,18 @@ class Joint:
         return bool((counts > 2).any()) or len(np.unique(keys // len(self.seams))) < len(keys)
 
     @cached_property
-    def tip(self) -> FloatArray | None:
-        """A place where S ends inside the bodies; None if there is none."""
+    def tips(self) -> IntArray:
+        """(n, d - 1) vertices of the ridges where S ends inside the bodies."""
         found, counts = ridges(self.surface, self.cell_type)
         outer = np.setdiff1d(np.flatnonzero(self.table.cells[:, 1] < 0), self.surface_rows)
         at_outer, _ = ridges(self.table.nodes(outer, self.corners, self.cell_type), self.cell_type)
         ends = found[counts == 1]
-        keys = [(rows[:, 0] << 32) + rows[:, -1] for rows in (ends, at_outer)]
-        inside = ends[~np.isin(keys[0], keys[1])]
-        return self.points[inside[0]].mean(axis=0) if len(inside) else None
+        return np.asarray(ends[~np.isin(ridge_keys(ends), ridge_keys(at_outer))])
+
+    @property
+    def tip(self) -> FloatArray | None:
+        """A place where S ends inside the bodies; None if there is none."""
+        return self.points[self.tips[0]].mean(axis=0) if len(self.tips) else None
 
     @cached_property
     def node_normals(self) -> FloatArray:

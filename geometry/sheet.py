@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from geometry.joint import FLAT, Joint
 from geometry.seam import S
-from geometry.topology import FloatArray, IntArray, node_jacobians
+from geometry.topology import FloatArray, IntArray, node_jacobians, ridge_keys, ridges
 
 TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
 VOLUMES = {"triangle": 1 / 2, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}  # of reference cells
@@ -43,14 +43,8 @@ class Rim:
     def on(self, facets: IntArray) -> npt.NDArray[np.bool_]:
         """(n,) whether each ridge belongs to one of these facets, given by vertices."""
         pairs = list(combinations(range(facets.shape[1]), self.vertices.shape[1]))
-        found = [_keys(facets[:, list(pair)]) for pair in pairs]
-        return np.asarray(np.isin(_keys(self.vertices), np.concatenate(found)))
-
-
-def _keys(ridges: IntArray) -> IntArray:
-    """(n,) a number for each ridge, given by one vertex or two."""
-    ordered = np.sort(ridges, axis=1)
-    return np.asarray((ordered[:, 0] << 32) + ordered[:, -1])
+        found = [ridge_keys(facets[:, list(pair)]) for pair in pairs]
+        return np.asarray(np.isin(ridge_keys(self.vertices), np.concatenate(found)))
 
 
 @dataclass(frozen=True)
@@ -124,7 +118,7 @@ class Sheet:
         """Where S ends at the outer boundary; tips inside the bodies are left out, and periodic sides, where it goes on."""
         joint, count = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
-        _, first, times = np.unique(_keys(ridges), return_index=True, return_counts=True)
+        _, first, times = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
         first = first[times == 1]
         opposite, simplex = np.divmod(first, count)
         outward = -self.gradients[simplex, opposite]
@@ -137,6 +131,24 @@ class Sheet:
             sides = np.concatenate([joint.facets[name] for name in joint.periods.names])
             outer = np.setdiff1d(outer, joint.table.index(sides))
         return rim[rim.on(joint.table.vertices[outer])]
+
+    @cached_property
+    def tip(self) -> FloatArray | None:
+        """A place where the seam ends inside the bodies, and no other one goes on; None if there is none."""
+        joint = self.joint
+        own, _ = ridges(joint.surface[self.facets], joint.cell_type)
+        here = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(own))]
+        return joint.points[here[0]].mean(axis=0) if len(here) else None
+
+    @cached_property
+    def junction(self) -> FloatArray | None:
+        """A place where the seam branches or meets another one; None if there is none."""
+        joint = self.joint
+        surface = joint.masters[joint.surface]
+        (found, counts), (own, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
+        all_seams = counts[np.searchsorted(ridge_keys(found), ridge_keys(own))]
+        meeting = own[(here > 2) | (all_seams > here)]
+        return joint.points[meeting[0]].mean(axis=0) if len(meeting) else None
 
     @cached_property
     def heights(self) -> tuple[float, ...]:

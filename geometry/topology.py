@@ -125,6 +125,12 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
     return found, counts
 
 
+def ridge_keys(rows: IntArray) -> IntArray:
+    """(n,) a number for each ridge, given by one vertex or two, (n, k)."""
+    ordered = np.sort(rows, axis=1)
+    return np.asarray((ordered[:, 0] << BITS) + ordered[:, -1])
+
+
 def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:
     """Signed Jacobian determinants at the nodes of cells: one sign over a row means the cell is not folded.
 

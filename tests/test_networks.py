@@ -230,7 +230,7 @@ def test_refused_layers():
         bricks.interface({"BEDS": layer, "HEAD": layer})
     with pytest.raises(ModelError, match="the seam 'HEAD' has no layer"):
         bricks.interface({"BED": layer})
-    with pytest.raises(ModelError, match=r"order=1 needs an S without junctions, .*meet at \("):
+    with pytest.raises(ModelError, match=r"order=1 needs an S without junctions, and the layer 'BED' meets .*at \("):
         bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1), "HEAD": layer})
     with pytest.raises(ModelError, match="unknown seam 'BEDS'"):
         Surface(bricks.interface(layer), "BEDS")
@@ -239,6 +239,45 @@ def test_refused_layers():
             Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, element="Q1").interface({"BED": BED, "HEAD": HEAD}),
             method="condensed",
         )
+
+
+def test_order_one_beside_a_seam_that_ends():
+    """Order 1 asks its own seam to have no ends inside and no junctions; elsewhere there may be some."""
+    glue, up = on(1, 0.0), (0.0, 1.0)
+    apart = cut_at(SQUARE, {"GLUE": (glue, up), "CRACK": (lambda x, n: on(1, 2.0)(x, n) & (x[:, 0] < 3), up)})
+    above = lambda x, n: on(0, 4.0)(x, n) & (x[:, 1] > 0) & (x[:, 1] < 2)
+    meeting = cut_at(SQUARE, {"GLUE": (glue, up), "CRACK": (above, (1.0, 0.0))})
+    left, right = lambda x, n: glue(x, n) & (x[:, 0] < 3), lambda x, n: glue(x, n) & (x[:, 0] > 3)
+    in_line = cut_at(SQUARE, {"GLUE": (left, up), "CRACK": (right, up)})
+    law = LinearElastic(2.0, 0.7)
+    ends = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
+    bodies = lambda joint: Structure(joint, body=ROCK, supports=ends, element="Q2")
+    total = lambda model: sum(solve(model).energies()[part] for part in ("bodies", "layer"))
+    closed = ThinLayer(LinearElastic(1e8, 1e8), 1e-7)
+    found = []
+    for order in (0, 1):
+        layer = ThinLayer(law.per_thickness(0.2), 0.2, order=order)
+        beside = bodies(apart).interface({"GLUE": layer, "CRACK": closed})
+        found.append((total(bodies(SQUARE).interface(layer)), total(beside)))
+    for joint in (meeting, in_line):
+        with pytest.raises(ModelError, match=r"without junctions, and the layer 'GLUE' meets another one"):
+            bodies(joint).interface({"GLUE": layer, "CRACK": closed})
+    (zero, zero_apart), (one, one_apart) = found
+    assert (zero_apart, one_apart) == pytest.approx((zero, one), rel=1e-6)  # the crack is closed by springs of 1e8
+    assert abs(one / zero - 1) > 1e-3
+    with pytest.raises(ModelError, match=r"the layer 'CRACK' ends at \(3, 2\)"):
+        bodies(apart).interface({"GLUE": layer, "CRACK": layer})
+
+
+def test_a_base_without_a_layer_holds_nothing():
+    joint = sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral")
+    facets = {"GLUE" if name == "S" else name: rows for name, rows in joint.facets.items()}
+    stands = replace(joint, facets=facets, seams={"GLUE": joint.seams["S"], "BOTTOM": Seam(direction=(0.0, 1.0))})
+    bodies = Structure(stands, body=ROCK, supports={}, tractions={"TOP": (0.1, -0.2)})
+    glue = springs(2.0, 1.0)
+    assert solve(bodies.interface({"GLUE": glue, "BOTTOM": glue})).energies()["layer"] > 0
+    with pytest.raises(ModelError, match="no support against rigid motion"):
+        bodies.interface({"GLUE": glue, "BOTTOM": None})
 
 
 def test_study(tmp_path):

@@ -111,10 +111,11 @@ class Model(ABC):
         with on_all(self.comm):
             check_additions(self.parts, self)
         resistances = [partial(part.resistance, self) for part in self.parts]
-        if self.joint.periods and not self.joint.base_seams:
+        on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
+        if self.joint.periods and not on_layers:
             held = self.supports.held(self.V)
             self.supports.anchored = free_translations(self.comm, self.V, self.joint, held, resistances)
-        if not self.joint.base_seams:
+        if not on_layers:
             require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()

@@ -86,17 +86,20 @@ class SeamLayer:
         self.at_rest.require_stable()
 
     def _check_order_1(self) -> None:
-        joint, element = self.structure.joint, self.structure.element
         if self.structure.degree != 2:
+            element = self.structure.element
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
         if not self.sheet.planar:
             raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
-        if joint.tip is not None:
-            raise ModelError("order=1 needs an S that does not end inside the bodies: its law has gradients at the tip")
-        if joint.branch is not None:
+        if self.sheet.tip is not None:
             raise ModelError(
-                f"order=1 needs an S without junctions, and three or more bodies meet at {place(joint.branch)}: the next "
-                "term leaves out what a junction adds, which is of the same order"
+                f"order=1 needs an S that does not end inside the bodies, and {self} ends at {place(self.sheet.tip)}: its "
+                "law has gradients at the tip"
+            )
+        if self.sheet.junction is not None:
+            raise ModelError(
+                f"order=1 needs an S without junctions, and {self} meets another one, or branches, at "
+                f"{place(self.sheet.junction)}: the next term leaves out what a junction adds, which is of the same order"
             )
 
     def _check_contact(self, law: ContactLaw) -> None:
