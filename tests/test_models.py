@@ -381,6 +381,28 @@ def test_a_term_beside_those_of_a_model():
         model.form(own + ufl.inner(f, v) * ufl.dx(subdomain_data=model.domain.facet_tags))
 
 
+def test_forms_whose_tags_overlap():
+    """Forces of bodies and of their weight, on quadrilaterals, and integrals of several degrees over some of the tags."""
+    joint = sandwich(1.0, 0.5, 0.7, 0.25, cell="quadrilateral")
+    model = Structure(joint, **SETUP, body_force={"LOWER": (0.3, -1.1)}, element="Q2").interface(LAYER)
+    u, v = solve(model).u, ufl.TestFunction(model.V)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.supports.on(model.V).held)
+    forces = lambda form: fem.assemble_vector(form).array
+    residual = work(model.terms, u, v) - model.external_work(v, 0.0)
+    loads = forces(model.form(model.external_work(v, 0.0)))
+    assert forces(model.form(residual))[free] == pytest.approx(0 * free, abs=1e-11 * np.abs(loads).max())
+
+    x, (low, high) = ufl.SpatialCoordinate(model.domain.mesh), model.domain.cell_values("LOWER", "UPPER")
+    several = [
+        x[0] * v[0] * model.dx((low, high), metadata={"quadrature_degree": 4}),
+        x[1] ** 4 * v[1] * model.dx(high),
+        2.0 * v[0] * model.dx(low, metadata={"quadrature_degree": 2}),
+        v[1] * ufl.dx,
+    ]
+    apart = sum(forces(model.form(one)) for one in several)
+    assert forces(model.form(sum(several))) == pytest.approx(apart, rel=1e-12, abs=1e-14)
+
+
 def test_a_form_keeps_the_time_it_was_taken_at():
     """Of a load with a table, one that moves along the body, and one that is asked for another time."""
     table = piecewise({0: (0.0, 1.0), 1: (2.0, 1.0), 3: (2.0, 5.0)})

@@ -16,6 +16,7 @@ from mpi4py import MPI
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from thinlayer.discretisation.loads import Coordinates
+from thinlayer.discretisation.measures import compiled
 from thinlayer.errors import ModelError
 
 TAKEN = ("forms", "layer", "pressure", "contact", "bodies", "loads")  # keys of parts that every model may have
@@ -68,7 +69,7 @@ class Addition(ABC):
         """
         rest = fem.Function(model.V)
         form = self.work(model, rest, ufl.TestFunction(model.V))
-        A = dolfinx.fem.petsc.assemble_matrix(fem.form(ufl.derivative(form, rest, ufl.TrialFunction(model.V))))
+        A = dolfinx.fem.petsc.assemble_matrix(compiled(ufl.derivative(form, rest, ufl.TrialFunction(model.V))))
         A.assemble()
         forces = A.createVecLeft()
         found = np.zeros((len(motions), len(motions)))

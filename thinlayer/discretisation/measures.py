@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
@@ -44,6 +46,38 @@ def _with_one_set_of_tags(form: Expr) -> list[ufl.Form]:
         else:
             found.append(({kind: data}, [integral]))
     return [
-        ufl.Form([one.reconstruct(subdomain_data=tags.get(one.integral_type())) for one in integrals])
+        ufl.Form(_apart([one.reconstruct(subdomain_data=tags.get(one.integral_type())) for one in integrals]))
         for tags, integrals in found
     ]
+
+
+def _apart(integrals: Sequence[Any]) -> list[Any]:
+    """The integrals, divided such that two of them are over the same tags or have no tag in common.
+
+    Where tags overlap and metadata, such as degrees of quadrature, differ, DOLFINx 0.9 takes one of the integrals over
+    the common tags several times and loses the others.
+    """
+    tags = [np.atleast_1d(np.array(one.subdomain_id(), object)).tolist() for one in integrals]
+    found: dict[tuple[str, Any], list[int]] = {}
+    for number, (one, own) in enumerate(zip(integrals, tags, strict=True)):
+        for tag in own:
+            found.setdefault((one.integral_type(), tag), []).append(number)
+    rules = [repr(sorted(one.metadata().items())) for one in integrals]
+    mixed = {number for numbers in found.values() if len({rules[k] for k in numbers}) > 1 for number in numbers}
+    if not mixed:
+        return list(integrals)
+    parts: dict[tuple[str, frozenset[str]], int] = {}  # of the tags of a kind of measure: those with the same rules
+    part_of = {
+        key: parts.setdefault((key[0], frozenset(rules[k] for k in numbers)), len(parts))
+        for key, numbers in found.items()
+    }
+    out = []
+    for one, own in zip(integrals, tags, strict=True):
+        by_part: dict[int, list[Any]] = {}
+        for tag in own:
+            by_part.setdefault(part_of[one.integral_type(), tag], []).append(tag)
+        for part, same in by_part.items():
+            ids = tuple(same) if len(same) > 1 else same[0]
+            # UFL joins integrals whose metadata are the same: "part" keeps those apart
+            out.append(one.reconstruct(subdomain_id=ids, metadata={**one.metadata(), "part": part}))
+    return out

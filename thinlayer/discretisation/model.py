@@ -49,8 +49,8 @@ class Model(ABC):
         V: displacement space; broken across S in the interface model.
         dx, ds: measures of the mesh with its tags, for your own terms beside the model's: the residual at u is
             `work(model.terms, u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal laws.
-            Compile stresses and loads as forms of their own and add the vectors: in one form, DOLFINx 0.9 loses integrals
-            over overlapping tags whose quadratures differ, as of a body and of its weight on quadrilaterals.
+            Compile it with `model.form`: by itself DOLFINx 0.9 loses integrals over overlapping tags whose quadratures
+            differ, as of a body and of its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
         bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
@@ -233,7 +233,7 @@ class Model(ABC):
 
     @staticmethod
     def form(form: Expr) -> fem.Form:
-        """Compile a form, in which plain dx, ds and dS may stand beside the model's measures.
+        """Compile a form, in which plain dx, ds and dS may stand beside the model's measures, and tags overlap.
 
         Raises:
             ModelError: measures of one kind with two sets of tags.
