@@ -26,6 +26,7 @@ class Term:
         measure: dx, ds or dS.
         n: director, (d,), or None in a body.
         mean: strain (3, 3) that is added to that of the displacements, as in periodic cells; None: none is.
+        key: name of what the law remembers and stores, where several layers have names; "": by kind and order.
     """
 
     law: BulkLaw
@@ -34,6 +35,7 @@ class Term:
     measure: ufl.Measure
     n: Expr | None = None
     mean: Expr | None = None
+    key: str = ""
 
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""

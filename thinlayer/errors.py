@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -12,6 +12,8 @@ from forms.base import InputError as InputError
 from forms.base import ThinlayerError as ThinlayerError
 from forms.declarations import RangeWarning as RangeWarning
 from forms.declarations import show_warnings, warn_of_range
+
+LEAST_SHARE = 0.005  # of a layer's strains, to be named in a message
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:
@@ -51,11 +53,13 @@ class NoEquilibrium(SolveError):
 
     Attributes:
         growth: norm of these displacements over that of an elastic layer under the same change of loads.
+        shares: name of a seam -> its share of the squares of the strains that they cause in layers that yield, the largest
+            first; empty if there is one seam only.
     """
 
-    def __init__(self, growth: float) -> None:
+    def __init__(self, growth: float, shares: Mapping[str, float]) -> None:
         super().__init__(f"displacements run away, {growth:.3g} times as far as those of an elastic layer")
-        self.growth = growth
+        self.growth, self.shares = growth, shares
 
 
 class LimitLoad(SolveError):
@@ -70,17 +74,33 @@ class LimitLoad(SolveError):
         resultant: (d,) sum of the tractions and body forces on the bodies at t, a force.
         growth: norm of the displacements with the weakest springs from t to `failed_at`, over that of an elastic layer; if
             the layer's flow is associated, an equilibrium is at least this far away.
+        shares: of several seams, name -> share of the squares of the strains that these displacements cause in layers that
+            yield, over the layers' volumes; the largest first. They tell which layers give way.
         history: the accepted steps.
     """
 
     def __init__(
-        self, reason: str, t: float, failed_at: float, resultant: Sequence[float], growth: float, history: Any
+        self,
+        reason: str,
+        t: float,
+        failed_at: float,
+        resultant: Sequence[float],
+        run_away: NoEquilibrium,
+        history: Any,
     ) -> None:
+        growth, shares = run_away.growth, run_away.shares
         loads = ", ".join(f"{force:.6g}" for force in resultant)
         super().__init__(
             f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
             f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}): displacements run away, "
-            f"{growth:.3g} times as far as with an elastic layer. The states before it are kept",
+            f"{growth:.3g} times as far as with an elastic layer{_strained(shares)}. The states before it are kept",
             history,
         )
         self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth
+        self.shares = dict(shares)
+
+
+def _strained(shares: Mapping[str, float]) -> str:
+    """Which layers are strained most; "" if there is one seam only."""
+    shown = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= LEAST_SHARE)
+    return f", with strains in the layers {shown}" if shown else ""

@@ -15,11 +15,13 @@ from mpi4py import MPI
 
 from forms.kinematics import Expr
 from geometry.domain import Domain
+from geometry.joint import Joint
+from thinlayer.discretisation.layer import CONTACT, LAYER
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.measures import compiled
 from thinlayer.errors import ModelError
 
-TAKEN = ("forms", "layer", "pressure", "contact", "bodies", "loads")  # keys of parts that every model may have
+TAKEN = ("forms", LAYER, "pressure", CONTACT, "bodies", "loads")  # keys of parts that every model may have
 
 
 class Host(Protocol):
@@ -28,6 +30,7 @@ class Host(Protocol):
     comm: MPI.Intracomm
     domain: Domain
     coordinates: Coordinates
+    joint: Joint
     V: fem.FunctionSpace
     dx: ufl.Measure
     ds: ufl.Measure
@@ -87,7 +90,7 @@ class Addition(ABC):
 
 def check_additions(parts: Sequence[Any], model: Host) -> None:
     """Raise ModelError unless a model's parts are additions that fit it, with keys of their own. Collective."""
-    keys = set(TAKEN)
+    keys = {*TAKEN, *(f"{kind} {name}" for kind in (LAYER, CONTACT) for name in model.joint.seams)}
     for part in parts:
         if not isinstance(part, Addition):
             raise ModelError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")

@@ -19,13 +19,7 @@ from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import ask
 
 Array = npt.NDArray[np.float64]
-CONTACT = "contact"  # key of the slip at nodes (n, d - 1) in states and in files
 NONE = np.empty(0, np.int32)
-
-
-def contact_key(model: Model, name: str) -> str:
-    """Key of the slip on a seam; it has the seam's name if several seams have contact laws."""
-    return f"{CONTACT} {name}" if len(model.contacts) > 1 else CONTACT
 
 
 @dataclass(frozen=True, eq=False)

@@ -114,7 +114,8 @@ class FullModel(Model):
             sublayers = real_law(one.layer, self.plane).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
-                terms.append(forms.band(law, self.dx(self.domain.cell_values(region, *shared), **self._rule), n))
+                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
+                terms.append(replace(forms.band(law, cells, n), key=one.key))
         return terms
 
 
@@ -185,11 +186,11 @@ class InterfaceModel(Model):
         sides = self.sides_of(one.name)
         sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
         if layer is None:
-            return [forms.of_jumps(law, sides)]
+            return [replace(forms.of_jumps(law, sides), key=one.key)]
         eps: Expr = fem.Constant(mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
-        return forms.surface(law, sides, eps, layer.order)
+        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order)]
 
 
 class BondedModel(Model):

@@ -23,6 +23,7 @@ from geometry.errors import unknown
 from geometry.joint import Joint, Profile
 from thinlayer.errors import ModelError
 
+LAYER, CONTACT = "layer", "contact"  # keys of what laws remember and store, in states and in files
 LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 
 
@@ -94,6 +95,8 @@ Layers = Layer | Mapping[str, Layer | None]
 def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
     """The layer of each seam that is not open: one for all, or {name of a seam: layer, or None for an open joint}.
 
+    They are in the order of the joint's seams, so that the order in which they are given makes no difference.
+
     Raises:
         ModelError: a seam has no layer, or a layer no seam.
     """
@@ -105,7 +108,7 @@ def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
     for name in joint.seams:
         if name not in given:
             raise ModelError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
-    return {name: layer for name, layer in given.items() if layer is not None}
+    return {name: given[name] for name in joint.seams if given[name] is not None}
 
 
 def real_law(layer: Layer, plane: str) -> BulkLaw:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property, partial
 from typing import Any, ClassVar
 
@@ -43,7 +44,7 @@ class Model(ABC):
         structure: the structure, shared with other models.
         joint: the joint before inflating.
         plane, element, body_laws: the structure's.
-        layers: name of a seam -> its layer; empty where the bodies are bonded.
+        layers: name of a seam -> its layer, in the joint's order; empty where the bodies are bonded.
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
@@ -209,6 +210,14 @@ class Model(ABC):
     def layer_laws(self) -> list[Law]:
         """The laws of the layers, as given."""
         return [one.law for one in self.layers.values()]
+
+    def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
+        several = self.layers if len(self.joint.seams) > 1 else {}
+        return {
+            name: sum(value for key, value in values.items() if key.split("/")[0] == one.key)
+            for name, one in several.items()
+        }
 
     @cached_property
     def linear(self) -> bool:

@@ -16,7 +16,7 @@ from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
-from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer, real_law
+from thinlayer.discretisation.layer import CONTACT, LAYER, LawOnS, Layer, ThinLayer, real_law
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -38,6 +38,15 @@ class SeamLayer:
         return f"the layer {self.name!r}" if len(self.structure.joint.seams) > 1 else "the layer"
 
     @property
+    def key(self) -> str:
+        """Key of what the law remembers and stores; it has the seam's name if the joint has several seams.
+
+        Several terms of one layer have the keys "layer NAME/1", "layer NAME/2", ...; names of seams have no slash.
+        """
+        kind = CONTACT if self.contact else LAYER
+        return f"{kind} {self.name}" if len(self.structure.joint.seams) > 1 else kind
+
+    @property
     def thin(self) -> ThinLayer | None:
         """The layer, if it has a law of strains."""
         return None if isinstance(self.layer, LawOnS) else self.layer
@@ -51,6 +60,11 @@ class SeamLayer:
     def law(self) -> Law:
         """The law, as given."""
         return self.layer if isinstance(self.layer, LawOnS) else self.layer.law
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the law depends on its history, and may dissipate energy."""
+        return self.law.traits.rate or self.law.traits.remembers
 
     @cached_property
     def sheet(self) -> Sheet:

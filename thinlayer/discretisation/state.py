@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from forms.kinematics import lift
 from forms.work import Term, energy, stress
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS, MeanStrain
 from thinlayer.discretisation.measures import compiled
@@ -57,7 +58,7 @@ class Audit:
         remainder: error of the time scheme (backward Euler: the energy of the increments; midpoint: zero for laws with a
             quadratic energy), and the effect of parameters that vary in time, at fixed strains.
         total: energy stored in all parts at the end of the step.
-
+        by_seam: what the layer of each seam dissipates, by name; empty if there is one seam only.
     """
 
     supplied: float = 0.0
@@ -65,6 +66,7 @@ class Audit:
     dissipated: float = 0.0
     remainder: float = 0.0
     total: float = 0.0
+    by_seam: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def imbalance(self) -> float:
@@ -82,8 +84,8 @@ class Configuration:
         u: displacement; in a periodic cell beside the motion by its mean strain.
         t: time.
         memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
-            (of several "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
-            (nodes, d - 1).
+            (of sublayers "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
+            (nodes, d - 1). If there are several seams keys have their names: "layer BED", "layer BED/1", "contact BED".
         fields: unknowns beside the displacements, by the key of their part.
         stored: energy at the end of the step in the parts that are not forms of laws, by key.
     """
@@ -134,16 +136,22 @@ class State(Configuration):
     def energies(self) -> dict[str, float]:
         """Stored energy of the bodies, of the layer, and of what was added to the model by its key; the work of the loads.
 
+        If there are several seams, "layer" is all layers together, and "layer NAME" is that of a seam, with the junctions
+        that its law fills.
+
         Per unit thickness in 2D. For linear laws and supports that do not move, the stored energies are half the work of
         the loads (Clapeyron). NaN where a law declares no energy. Collective.
         """
         model = self.model
         added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts}
-        remembered = sum(energy for key, energy in self.stored.items() if key not in added)
-        in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
+        of_layers = {key: energy for key, energy in self.stored.items() if key not in added}
+        for key in {p.key: None for p in model.layer_terms}:
+            in_forms = [p for p in model.layer_terms if p.key == key and not p.law.traits.compiled]
+            of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
         return {
             "bodies": self._stored(self.bodies),
-            "layer": remembered + self._stored(in_forms),
+            LAYER: sum(of_layers.values()),
+            **{f"{LAYER} {name}": energy for name, energy in model.by_seam(of_layers).items()},
             **added,
             "loads": self.integral(model.external_work(self.u, self.t)),
         }

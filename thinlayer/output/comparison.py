@@ -11,6 +11,7 @@ from ufl.algorithms.analysis import extract_coefficients, extract_constants
 
 from forms.base import is_number
 from forms.kinematics import Expr
+from geometry.joint import S
 from geometry.parallel import on_root
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.state import State
@@ -24,7 +25,12 @@ SAME_PROFILE = 1e-9  # relative difference of equal thickness profiles
 
 
 def compare(
-    full: State | History, interface: State | History, *, where: Where | None = None, at: float | None = None
+    full: State | History,
+    interface: State | History,
+    *,
+    seam: str = S,
+    where: Where | None = None,
+    at: float | None = None,
 ) -> dict[str, float]:
     """Difference between the interface law and the meshed layer. Collective.
 
@@ -33,17 +39,19 @@ def compare(
     Args:
         full: state of a full model, or its history.
         interface: state of the interface model of the same joint, or its history.
+        seam: name of the seam to measure on; default all of S.
         where: part of S to measure on, a function of the coordinates that returns a UFL condition, such as
             `lambda x: x[0] > 1` or `lambda x: ufl.And(x[0] > 1, x[0] < 9)`; default all of S.
         at: time of the states to take from histories; default the last. A state must be of this time.
 
     Returns:
-        eps; error_traction and error_jump: L2(S) norms of the differences over those of the interface model's fields;
+        eps, the largest thickness of the layers; error_traction and error_jump: L2(S) norms of the differences over
+        those of the interface model's fields;
         traction and jump: these norms (stress and length, times length^(1/2) in 2D).
 
     Raises:
         ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
-            plane, element, thickness), or are of two times; `where` is no condition, or holds nowhere on S.
+            plane, element, thickness), or are of two times; `where` is no condition, or holds nowhere on S; unknown seam.
     """
     for one in (full, interface):
         if not isinstance(one, (State, History)):
@@ -63,9 +71,9 @@ def compare(
     for name, layer in limit.layers.items():
         thin, other = meshed.layers[name].thin, layer.thin
         if thin and other and thin.eps != other.eps:
-            raise ModelError(f"compare needs one thickness, not {thin.eps} and {other.eps}")
+            raise ModelError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
     on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
-    surface = Surface(limit)
+    surface = Surface(limit, seam)
     part = 1 if where is None else _part(surface, where)
     row = {"eps": max(float(one.thin.eps) for one in meshed.layers.values() if one.thin)}
     sizes = {}

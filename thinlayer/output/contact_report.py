@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.contact import Status
 from forms.work import work
 from geometry.order import edges_of_s, order_on_s
-from thinlayer.discretisation.contact_nodes import Array, ContactNodes, ContactSurface, contact_key
+from thinlayer.discretisation.contact_nodes import Array, ContactNodes, ContactSurface
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
@@ -51,12 +51,14 @@ class ContactReport:
 
     Args:
         state: state of a model with a contact law. The constructor is collective.
+        seam: name of a seam with a contact law; None: the only one.
 
     Raises:
-        ModelError: no contact law in the state's model.
+        ModelError: no contact law in the state's model; another seam, or none where there are several.
 
     Attributes:
         joint: the joint.
+        seam: name of the seam.
         numbers: (n,) vertices of the joint.
         x: (n, d) places.
         status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
@@ -86,7 +88,7 @@ class ContactReport:
         held = model.supports.held(model.V)
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
         nodes = ContactNodes(ContactSurface.of(model, seam), held[held < owned])
-        slip, d = state.memory[contact_key(model, seam)], nodes.dim
+        slip, d = state.memory[model.layers[seam].key], nodes.dim
         w = nodes.jump(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)
         threshold = law.threshold(p)
@@ -107,7 +109,7 @@ class ContactReport:
         )
         names = np.array([NAMES[Status(int(k))] for k in kinds.ravel()], dtype="<U9")
         names[held_rows.ravel() > 0] = PINNED
-        self.joint, self.numbers, self.x, self.status = model.joint, numbers[order], x, names
+        self.joint, self.seam, self.numbers, self.x, self.status = model.joint, seam, numbers[order], x, names
         self.u_T, self.u_N, self.p, self.t_T = jumps[:, :-1], -jumps[:, -1], pressure.ravel(), friction
         self.threshold, self.weights, self.frames = bound.ravel(), weights.ravel(), frames.reshape(-1, d, d)
         force = -model.comm.allreduce(np.einsum("n,nki,nk->i", nodes.weights, nodes.frames, t))
@@ -174,10 +176,17 @@ class ContactReport:
         )
 
     def __repr__(self) -> str:
-        return f"ContactReport({', '.join(f'{count} {name}' for name, count in self.counts.items() if count)})"
+        return (
+            f"ContactReport({self.title}{', '.join(f'{count} {name}' for name, count in self.counts.items() if count)})"
+        )
+
+    @property
+    def title(self) -> str:
+        """The seam's name and a colon if the joint has several seams, else ""."""
+        return f"{self.seam}: " if len(self.joint.seams) > 1 else ""
 
     def __str__(self) -> str:
-        lines = [", ".join(f"{count} {name}" for name, count in self.counts.items() if count)]
+        lines = [self.title + ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)]
         lines += [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]
         lines.append(f"normal force {self.normal_force:.6g}, equilibrium {self.equilibrium:.1e}")
         return "\n".join(lines)

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from forms.kinematics import Expr, lift
 from forms.law import explained
 from forms.work import Term
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer
@@ -169,7 +169,7 @@ class JunctionTractions:
         assert law is not None
         surface = ContactSurface.of(model, layer.name)
         nodes = ContactNodes(surface)
-        t = law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[contact_key(model, layer.name)])
+        t = law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[layer.key])
         known = np.vstack([np.einsum("nij,ni->nj", nodes.frames, t), np.zeros(model.joint.dim)])  # the last: at tips
         imap = model.V.dofmap.index_map
         keys = nodes.pairs @ [imap.size_global + 1, 1]

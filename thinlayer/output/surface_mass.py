@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from forms.kinematics import Expr
 from forms.work import work
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 
@@ -54,7 +54,7 @@ def contact_forces(state: State) -> fem.Function:
     for name, law in model.contacts.items():
         nodes = ContactNodes(ContactSurface.of(model, name))
         out = nodes.zero()
-        slip = state.memory[contact_key(model, name)]
+        slip = state.memory[model.layers[name].key]
         nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), slip), out)
         forces.x.array[: out.getLocalSize()] += out.array_r
         nodes.destroy()

@@ -143,7 +143,7 @@ class CompiledPart(Part):
         if not may_soften(self.law):
             return None
         count = self.comm.allreduce(self.points.falls(self._e, self._e_old, self._memory, self._response))
-        return (type(self.law).__name__, f"at {count} points") if count else None
+        return (type(self.law).__name__, f"at {count} points of the {self.key}") if count else None
 
     def takes_time(self) -> str:
         return type(self.law).__name__ if takes_time(self.points) else ""

@@ -9,7 +9,8 @@ from petsc4py import PETSc
 
 from forms.contact import ContactLaw
 from forms.law import LawError
-from thinlayer.discretisation.contact_nodes import CONTACT, NONE, Array, ContactNodes, ContactSurface
+from thinlayer.discretisation.contact_nodes import NONE, Array, ContactNodes, ContactSurface
+from thinlayer.discretisation.layer import CONTACT
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
 
 

@@ -291,8 +291,7 @@ class LawForms(FormPart):
         return Softening(self._u.function_space, self._terms)
 
     def undeclared_softening(self) -> tuple[str, str] | None:
-        name, share = self._softening.found(self._end, self.interval.old.u)
-        return (name, f"on {share:.3g} of the layer") if name else None
+        return self._softening.found(self._end, self.interval.old.u)
 
 
 def _stress_of_mean(p: Term) -> Expr:

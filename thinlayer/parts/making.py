@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from thinlayer.discretisation.contact_nodes import ContactSurface, contact_key
+from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
@@ -40,5 +40,5 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
     if model.stress:
         parts.append(MeanStressPart(model.V, model.bodies, model.stress, model.comm))
     for name, law in model.contacts.items():
-        parts.append(ContactPart(law, ContactSurface.of(model, name), held, contact_key(model, name)))
+        parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts + [addition.part(model) for addition in model.parts]

@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 from forms.law import BulkLaw, Law
 from geometry.order import along, by_place
 from geometry.topology import IntArray
-from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.parts.places import quadratures
@@ -31,12 +32,14 @@ class PhaseReport:
 
     Attributes:
         state: the state; the layer's law, or one of a Stack, has phases (`forms.NonMonotone`).
+        seam: name of the layer's seam; "": the only one with phases.
 
     Raises:
-        ModelError: a layer without phases.
+        ModelError: a layer without phases; no seam is named, and several layers have phases.
     """
 
     state: State
+    seam: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.state, State):
@@ -44,17 +47,16 @@ class PhaseReport:
         _ = self._layer
 
     @cached_property
-    def _layer(self) -> ThinLayer:
-        thin = [one.thin for one in self.state.model.layers.values() if one.thin and one.law.traits.phases]
-        if len(thin) != 1:
-            raise ModelError(NO_PHASES if not thin else "several layers have phases; a report is of one")
-        return thin[0]
+    def _layer(self) -> SeamLayer:
+        return _with_phases(self.state.model, self.seam)
 
     @cached_property
     def _parts(self) -> list[tuple[Quadrature, Array, Array]]:
         """Quadrature points, phases (n,) and weights (n,) of each law that has phases."""
         parts = []
         for key, quadrature in quadratures(self.state.model).items():
+            if quadrature.term.key != self._layer.key:
+                continue
             memory = self.state.memory[key]
             for a, k in phase_slots(quadrature.term.law):
                 parts.append((quadrature, memory[:, k], a * quadrature.weights))
@@ -81,7 +83,9 @@ class PhaseReport:
 
         For the bar of section 6.2 it is the position eps S of the phase boundary, Eq. (47).
         """
-        return max(1 - self.plus - self.minus, 0.0) * float(self._layer.eps) * phase_thickness(self._layer.law)
+        thin = self._layer.thin
+        assert thin is not None
+        return max(1 - self.plus - self.minus, 0.0) * float(thin.eps) * phase_thickness(thin.law)
 
     def profile(self) -> tuple[Array, Array]:
         """Centres (columns, d) of the facets of the layer's seam and the mean phase (columns,) of the layer there.
@@ -132,6 +136,23 @@ class PhaseReport:
 
     def __str__(self) -> str:
         return f"phase 1: {self.plus:.4g}, phase -1: {self.minus:.4g} of the layer, boundary at {self.boundary:.6g}"
+
+
+def seams_with_phases(model: Model) -> list[str]:
+    """Names of the seams whose layers have phases."""
+    return [name for name, one in model.layers.items() if one.thin and one.law.traits.phases]
+
+
+def _with_phases(model: Model, seam: str) -> SeamLayer:
+    """The layer with phases of a seam; "": the only one."""
+    names = seams_with_phases(model)
+    if not names:
+        raise ModelError(NO_PHASES)
+    if not seam and len(names) > 1:
+        raise ModelError(f"several layers have phases; a report is of one: give seam=, one of {', '.join(names)}")
+    if seam and seam not in names:
+        raise ModelError(f"seam is {seam!r}; name one whose layer has phases: {', '.join(names)}")
+    return model.layers[seam or names[0]]
 
 
 def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:

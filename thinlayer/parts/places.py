@@ -6,22 +6,28 @@ from collections.abc import Iterable
 from weakref import WeakKeyDictionary
 
 from forms.work import Term
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.model import Model
 from thinlayer.pointwise.quadrature import Quadrature
 
-LAYER = "layer"  # key of the layer's memory; several terms have "layer 1", "layer 2", ... from below
-BODY = "body"  # the same for a law with memory in a body, in a script without a model
+BODY = "body"  # key of a law with memory in a body, in a script without a model
 _FOUND: WeakKeyDictionary[Model, dict[str, Quadrature]] = WeakKeyDictionary()
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
-    """The terms whose laws are compiled, by key."""
+    """The terms whose laws are compiled, by key: that of their layer, or "layer", or "body".
+
+    Several of one key are numbered in their order (sublayers from below): "layer 1", "layer 2", ..., "layer BED/1", ...
+    """
     found: dict[str, list[Term]] = {}
     for p in terms:
         if p.law.traits.compiled:
-            found.setdefault(BODY if p.n is None else LAYER, []).append(p)
-    several = ((name, k, p, len(some)) for name, some in found.items() for k, p in enumerate(some, 1))
-    return {name if n == 1 else f"{name} {k}": p for name, k, p, n in several}
+            found.setdefault(p.key or (BODY if p.n is None else LAYER), []).append(p)
+    keys: dict[str, Term] = {}
+    for name, some in found.items():
+        start = f"{name} " if name in (BODY, LAYER) else f"{name}/"
+        keys |= {f"{start}{k}" if len(some) > 1 else name: p for k, p in enumerate(some, 1)}
+    return keys
 
 
 def quadratures(model: Model) -> dict[str, Quadrature]:

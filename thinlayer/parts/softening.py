@@ -14,6 +14,7 @@ from mpi4py import MPI
 from forms.kinematics import jump_strain
 from forms.law import BulkLaw, Step
 from forms.work import Term
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.parallel.communicator import communicator
 from thinlayer.pointwise.quadrature import quadrature_degree
 
@@ -45,13 +46,13 @@ class Softening:
         self._u, self._old = fem.Function(V), fem.Function(V)
         self._places = [_Place.of(p, self._u, self._old) for p in terms if p.n is not None and may_soften(p.law)]
 
-    def found(self, u: fem.Function, old: fem.Function) -> tuple[str, float]:
-        """Name of a law whose stress falls at displacements u or since `old`, and the share of its points; "": none."""
+    def found(self, u: fem.Function, old: fem.Function) -> tuple[str, str] | None:
+        """Name of a law whose stress falls at displacements u or since `old`, and on which part of its layer."""
         for place in self._places:
             self._u.x.array[:], self._old.x.array[:] = u.x.array, old.x.array
             if share := place.share(self.comm):
-                return place.name, share
-        return "", 0.0
+                return place.name, f"on {share:.3g} of the {place.layer}"
+        return None
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,13 @@ class _Place:
 
     Attributes:
         name: class of the law.
+        layer: its layer.
         falls: form whose value is the size of the region where stresses fall.
         everywhere: constant in `falls`; 1: the form's value is the size of the whole region.
     """
 
     name: str
+    layer: str
     falls: fem.Form
     everywhere: fem.Constant
 
@@ -75,7 +78,7 @@ class _Place:
         everywhere = fem.Constant(V.mesh, 0.0)
         one = ufl.conditional(falling(p, u, old), 1.0, everywhere)
         measure = p.measure.reconstruct(metadata={"quadrature_degree": degree})
-        return cls(type(p.law).__name__, fem.form(one * measure), everywhere)
+        return cls(type(p.law).__name__, p.key or LAYER, fem.form(one * measure), everywhere)
 
     def share(self, comm: MPI.Intracomm) -> float:
         size = self._measured(comm, 0.0)

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
+from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.making import parts_of
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
@@ -200,8 +201,18 @@ class Equations(PartSum):
             sum(one.dissipated for one in every),
             sum(one.remainder for one in every),
             sum(one.after for one in every),
+            self.model.by_seam({key: one.dissipated for key, one in found.items()}),
         )
         return State(**vars(end), model=self.model, report=report, audit=audit)
+
+    def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
+        """Integrals of the squares of the strains that unknowns x cause in layers that yield, by the keys of parts."""
+        self._layout.put(x)
+        nothing = self._forces.duplicate()
+        yielding = [part for part in self.of_kind(CompiledPart) if part.law.traits.bounded]
+        local = {part.key: float((part.error_measure(self.u, nothing) ** 2).sum()) for part in yielding}
+        nothing.destroy()
+        return {key: self.comm.allreduce(value) for key, value in local.items()}
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:

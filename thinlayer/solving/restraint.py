@@ -96,7 +96,7 @@ class Restraint:
             if distance > math.sqrt(softer) * before > 0:
                 self._run_on(softer)
         if distance >= RUN_AWAY * elastic and not settled:
-            raise NoEquilibrium(distance / elastic)
+            raise NoEquilibrium(distance / elastic, self._shares())
         raise failed
 
     # ---------------------------------------------------------------- the step
@@ -139,6 +139,15 @@ class Restraint:
         x.copy(self._d)
         self._d.axpy(-1.0, self._begin)
         return float(self._d.norm())
+
+    def _shares(self) -> dict[str, float]:
+        """Shares of the seams in the squares of the strains since the beginning, in layers that yield."""
+        self.x.copy(self._d)
+        self._d.axpy(-1.0, self._begin)
+        squares = self.equations.model.by_seam(self.equations.squares_of_strains(self._d))
+        whole = sum(squares.values())
+        order = sorted(squares, key=lambda name: -squares[name])
+        return {name: squares[name] / whole for name in order} if whole else {}
 
     def _run_on(self, softer: float) -> None:
         """Extrapolate x, as if displacements grew in proportion to 1/k, if that reduces the residual."""

@@ -20,7 +20,7 @@ from thinlayer.files.table import Table, replaced
 from thinlayer.identity.values import digest
 from thinlayer.parallel.exchange import carry
 from thinlayer.solving.equations import Equations
-from thinlayer.time.history import History
+from thinlayer.time.history import History, dissipated_columns
 
 Array = npt.NDArray[Any]
 TABLE = "table.csv"
@@ -221,7 +221,10 @@ class Checkpoint:
         stored = {name.removeprefix(STORED): value for name, value in single.items()}
         numbers = {name: value for name, value in table.rows[row].items() if not isinstance(value, str)}
         found = {name: np.nan if value is None else float(value) for name, value in numbers.items()}
-        audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
+        by_seam = dict.fromkeys(self.model.by_seam({}), 0.0)
+        by_seam |= {seam: found.get(column, np.nan) for column, seam in dissipated_columns(self.model).items()}
+        terms = {name: found[name] for name in ("supplied", "stored", "dissipated", "remainder")}
+        audit = Audit(**terms, by_seam=by_seam)
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
         return State(u, t, memory, fields, stored, model=self.model, report=report, audit=audit)
 

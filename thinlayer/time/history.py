@@ -15,6 +15,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
+from thinlayer.parts.phases import seams_with_phases
 
 SAME_TIME = 1e-9  # largest difference of times that count as equal, relative to the span of a march
 
@@ -27,11 +28,24 @@ class Snap:
         t: time of the snap.
         row: row of the state after the snap; the row before has the state just before it (if `keep` is "all").
         lost: energy lost in the snap.
+        seams: names of the seams whose layers have other shares of phases after it.
     """
 
     t: float
     row: int
     lost: float
+    seams: tuple[str, ...]
+
+
+def dissipated_columns(model: Model) -> dict[str, str]:
+    """Column of what the layer of a seam dissipates in a step -> its name; for layers that remember, of several seams."""
+    return {f"dissipated {name}": name for name in model.by_seam({}) if model.layers[name].remembers}
+
+
+def phase_columns(model: Model, seam: str) -> dict[str, str]:
+    """Attribute of the `PhaseReport` of a seam -> its column, which has the seam's name if several have phases."""
+    of_seam = f" {seam}" if len(seams_with_phases(model)) > 1 else ""
+    return {name: name + of_seam for name in ("plus", "minus", "boundary")}
 
 
 @dataclass(repr=False)
@@ -83,7 +97,16 @@ class History:
         if not self.table.rows:
             return []
         t, dt, lost = (self.table[name] for name in ("t", "dt", "dissipated"))
-        return [Snap(float(t[k]), int(k), float(lost[k])) for k in np.flatnonzero(dt == 0) if k > 0]
+        rows = [int(k) for k in np.flatnonzero(dt == 0) if k > 0]
+        return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
+
+    def _changed(self, row: int) -> tuple[str, ...]:
+        """The seams whose layers have other shares of phases in a row than in the one before it."""
+        shares = {
+            seam: [self.table[phase_columns(self.model, seam)[name]][row - 1 : row + 1] for name in ("plus", "minus")]
+            for seam in seams_with_phases(self.model)
+        }
+        return tuple(seam for seam, both in shares.items() if np.diff(both).any())
 
     def at(self, t: float) -> State:
         """The state at a time, the last of several. ModelError: no step ended there, or its state was not kept."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from forms.base import ThinlayerError
 from geometry.parallel import on_root
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Row
@@ -18,17 +19,16 @@ from thinlayer.identity.codes import code_of
 from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.communicator import collect
 from thinlayer.parallel.log import logger
-from thinlayer.parts.phases import PhaseReport
+from thinlayer.parts.phases import PhaseReport, seams_with_phases
 from thinlayer.solving.equations import Equations
 from thinlayer.time.checkpoint import Checkpoint, Pace, fingerprint
-from thinlayer.time.history import History
+from thinlayer.time.history import History, dissipated_columns, phase_columns
 
 Observe = Mapping[str, Callable[[State], float]]
 COLUMNS = ("t", "dt", "iterations", "residual", "supplied", "stored", "dissipated", "remainder", "imbalance")
 # Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
 # mesh differ by more.
 SAME_VALUE = 1e-6
-PHASE_COLUMNS = ("energy", "plus", "minus", "boundary")  # further columns for layers with phases
 
 
 class Journal:
@@ -121,10 +121,13 @@ class Journal:
         for name in COLUMNS[len(values) :]:
             value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
             values[name] = None if math.isnan(value) else value
-        if any(law.traits.phases for law in self.model.layer_laws):
-            report = PhaseReport(state)
-            energy = None if math.isnan(state.audit.total) else state.audit.total
-            values |= {"energy": energy} | {name: getattr(report, name) for name in PHASE_COLUMNS[1:]}
+        for column, seam in dissipated_columns(self.model).items():
+            values[column] = None if math.isnan(state.audit.by_seam[seam]) else state.audit.by_seam[seam]
+        if seams := seams_with_phases(self.model):
+            values["energy"] = None if math.isnan(state.audit.total) else state.audit.total
+        for seam in seams:
+            report = PhaseReport(state, seam)
+            values |= {column: getattr(report, name) for name, column in phase_columns(self.model, seam).items()}
         return values | {name: self._observed(name, state) for name in self._observe}
 
     def _observed(self, name: str, state: State) -> float:
@@ -141,6 +144,13 @@ class Journal:
             advice = "let the function return the sum, or the largest, of the values of all ranks"
             raise ModelError(f"{place}: the ranks find {numbers}; {advice}")
         return float(values[0])
+
+
+def columns(model: Model) -> set[str]:
+    """Names of the columns of a march beside those that are observed."""
+    of_phases = [phase_columns(model, seam).values() for seam in seams_with_phases(model)]
+    energy = ["energy"] if of_phases else []
+    return {*COLUMNS, *energy, *dissipated_columns(model)}.union(*of_phases)
 
 
 def _problem(error: Exception) -> str:

@@ -20,7 +20,7 @@ from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
 from thinlayer.time.checkpoint import Pace
 from thinlayer.time.following import PathFollowing
 from thinlayer.time.history import History
-from thinlayer.time.journal import COLUMNS, PHASE_COLUMNS, Journal, Observe
+from thinlayer.time.journal import Journal, Observe, columns
 from thinlayer.time.plan import Adaptive, Plan
 from thinlayer.time.scheme import remembers, require_ends, require_time_scale
 from thinlayer.time.stepping import TimeStepping
@@ -151,7 +151,7 @@ def _check(model: Any, theta: float, keep: str, out: Any, resume: bool, observe:
             raise ModelError(
                 f"observe[{name!r}] is {function!r}; it must be a function of a state that returns a number"
             )
-        if name in COLUMNS or (name in PHASE_COLUMNS and any(p.law.traits.phases for p in model.layer_terms)):
+        if name in columns(model):
             raise ModelError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
         raise ModelError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")

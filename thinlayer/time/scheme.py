@@ -13,7 +13,7 @@ ALLOWED_THETA = "theta = 1"  # the last words of errors
 
 def remembers(model: Model) -> bool:
     """Whether the layer's law depends on its history, so that a peak of the loads between two times matters."""
-    return any(law.traits.rate or law.traits.remembers for law in model.layer_laws)
+    return any(one.remembers for one in model.layers.values())
 
 
 def require_ends(model: Model, theta: float) -> None:

@@ -189,7 +189,7 @@ class TimeStepping:
             try:
                 state = self.solver.seek(old, t, self.theta)
             except NoEquilibrium as run_away:
-                sign, self._run_away = (t, run_away.growth), t
+                sign, self._run_away = (t, run_away), t
             except SolveError:
                 pass  # displacements that ran away at a later time still show a limit before it
             else:

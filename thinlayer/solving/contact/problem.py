@@ -8,7 +8,7 @@ from typing import Any
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.discretisation.contact_nodes import CONTACT, Array
+from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.parts.contact import ContactPart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.force_scale import AIM, TINY
@@ -45,7 +45,7 @@ class ContactProblem:
         self.K, self.held, self.nodes, self.law = equations.K, equations.held, part.nodes, part.law
         self.near = PETSc.NullSpace().create(vectors=rigid_modes(equations.model), comm=self.comm)
         self.b, self.prescribed, self.loads, self._forces = (self.K.createVecLeft() for _ in range(4))
-        self.slip = part.rest()
+        self.slip, self._key = part.rest(), part.key
 
     @cached_property
     def diagonal(self) -> float:
@@ -82,7 +82,7 @@ class ContactProblem:
     def begin(self) -> None:
         """Take over the step that the equations have begun."""
         equations, old = self.equations, self.equations.interval.old
-        self.slip = old.memory[CONTACT]
+        self.slip = old.memory[self._key]
         self.prescribed.set(0.0)
         self.prescribed.array[self.held] = equations.prescribed
         self.K.mult(self.prescribed, self.b)
