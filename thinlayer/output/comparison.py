@@ -11,7 +11,7 @@ from ufl.algorithms.analysis import extract_coefficients, extract_constants
 
 from forms.base import is_number
 from forms.kinematics import Expr
-from geometry.joint import S
+from geometry.seam import S
 from geometry.parallel import on_root
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.state import State
