@@ -438,8 +438,6 @@ def test_refused_models():
     assert bricks.full({"BED": tilted, "HEAD": elastic}, junctions="HEAD").domain.joint.band.junctions == {
         "LAYER/JUNCTIONS": "HEAD"
     }
-    with pytest.raises(ModelError, match="several seams have incompressible layers"):
-        bricks.interface(ThinLayer(Incompressible(1.0), eps))
     with pytest.raises(GeometryError, match=r"S branches at \(.*sublayers"):
         bricks.full({"BED": ThinLayer(Stack((0.5, elastic.law), (0.5, elastic.law)), eps), "HEAD": elastic})
     with pytest.raises(ModelError, match=r"order=1 needs an S without junctions"):

@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
 
-from forms import IncrementalCoulomb, LinearElastic
+from forms import Incompressible, IncrementalCoulomb, LinearElastic
 from geometry import GeometryError, Joint, Seam, sandwich, wall
 from geometry.splitting import Splitting
 from geometry.topology import FacetTable, facet_normals
@@ -18,6 +20,7 @@ from tests.network_cases import (
     PUSHED,
     WALL,
     YIELDED,
+    panel,
     panel_energy,
     pushed,
     springs,
@@ -267,6 +270,30 @@ def test_order_one_beside_a_seam_that_ends():
     assert abs(one / zero - 1) > 1e-3
     with pytest.raises(ModelError, match=r"the layer 'CRACK' ends at \(3, 2\)"):
         bodies(apart).interface({"GLUE": layer, "CRACK": layer})
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the free ends
+@pytest.mark.parametrize("element", ["P2", "Q2"])
+def test_two_incompressible_seams(element):
+    """They do not open: as layers that hardly do; each has its pressure, which is the stress across it."""
+    soft, hard = 0.7, 0.45  # shear, per thickness
+    layers = {"HEAD": ThinLayer(Incompressible(hard), 0.007), "BED": ThinLayer(Incompressible(soft), 0.01)}
+    nearly = {"BED": springs(1e6, soft, 0.01), "HEAD": springs(1e6, hard, 0.007)}
+    state, other = solve(panel(element, 0.125, **layers), 1.0), solve(panel(element, 0.125, **nearly), 1.0)
+    found, expected = state.energies(), other.energies()
+    assert found["bodies"] == pytest.approx(expected["bodies"], rel=5e-3)  # held weakly, and at each point
+    assert found["layer"] == pytest.approx(expected["layer"], rel=0.01)
+    for name in layers:
+        surface = Surface(state.model, name)
+        opened = ufl.inner(surface.jump(state), surface.sides.n)
+        assert abs(surface.integral(opened)) < 1e-12 * surface.norm(surface.jump(state))
+        p = state.fields[f"pressure {name}"]
+        pressed = fem.assemble_scalar(fem.form(p * ufl.dx(p.function_space.mesh)))
+        surface = Surface(other.model, name)
+        across = 1e6 * surface.integral(ufl.inner(surface.jump(other), surface.sides.n))
+        assert across == pytest.approx(pressed, rel=0.06), name  # a head is four cells high
+    with pytest.raises(ModelError, match="pressure BED, pressure HEAD"):
+        _ = state.p
 
 
 def test_a_base_without_a_layer_holds_nothing():

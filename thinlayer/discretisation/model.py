@@ -101,11 +101,6 @@ class Model(ABC):
             for names in of_law.values()
         ]
         self.layer_terms = self._layer_terms()
-        constrained = [term for term in self.layer_terms if term.law.traits.constrained]
-        if len({term.strain for term in constrained}) > 1:
-            raise ModelError(
-                "several seams have incompressible layers; on S only one may have a pressure; mesh the layers"
-            )
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
         self.parts = structure.parts

@@ -113,7 +113,14 @@ class State(Configuration):
 
     @property
     def p(self) -> fem.Function | None:
-        """Pressure in an incompressible layer, on the cells of the meshed layer or on S; else None."""
+        """Pressure in an incompressible layer, on the cells of the meshed layers or on S; None if there is none.
+
+        If several seams have one on S, they are `fields["pressure NAME"]`, by the seam's name, and asking for `p` is a
+        ModelError.
+        """
+        several = [key for key in self.fields if key.startswith(f"{PRESSURE} ")]
+        if several:
+            raise ModelError(f"the layers have several pressures; take state.fields[...] of {', '.join(several)}")
         return self.fields.get(PRESSURE)
 
     def __repr__(self) -> str:

@@ -11,8 +11,8 @@ from ufl.algorithms.analysis import extract_coefficients, extract_constants
 
 from forms.base import is_number
 from forms.kinematics import Expr
-from geometry.seam import S
 from geometry.parallel import on_root
+from geometry.seam import S
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError

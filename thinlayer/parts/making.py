@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from forms.work import Term
 from thinlayer.discretisation.contact_nodes import ContactSurface
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import PRESSURE
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.forms import LawForms
@@ -31,14 +35,25 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
         CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
         for key, term in compiled_terms(model.terms).items()
     ]
-    constrained = [p for p in model.terms if p.law.traits.constrained]
-    if constrained:  # meshed layers of several seams have one pressure: their strains are of one kind
-        tags = tuple(tag for p in constrained for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
-        whole = replace(constrained[0], measure=constrained[0].measure.reconstruct(subdomain_id=tags))
-        one = whole if len(constrained) > 1 else constrained[0]
-        parts.append(PressurePart(model.V, one, forms.largest, model.origin))
+    parts += [
+        PressurePart(model.V, term, forms.largest, model.origin, key) for key, term in _constrained(model.terms).items()
+    ]
     if model.stress:
         parts.append(MeanStressPart(model.V, model.bodies, model.stress, model.comm))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts + [addition.part(model) for addition in model.parts]
+
+
+def _constrained(terms: Iterable[Term]) -> dict[str, Term]:
+    """The terms of laws with a pressure, by its key: meshed layers share one, on S each seam has its own."""
+    found: dict[object, list[Term]] = {}
+    for p in terms:
+        if p.law.traits.constrained:
+            found.setdefault(p.strain, []).append(p)
+    keys: dict[str, Term] = {}
+    for some in found.values():
+        tags = tuple(tag for p in some for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
+        whole = replace(some[0], measure=some[0].measure.reconstruct(subdomain_id=tags)) if len(some) > 1 else some[0]
+        keys[PRESSURE + whole.key.removeprefix(LAYER) if len(found) > 1 else PRESSURE] = whole
+    return keys

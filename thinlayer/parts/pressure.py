@@ -25,6 +25,7 @@ class PressurePart(Part):
         stiffness: stiffness of the bodies at a node, force per displacement, > 0. It makes the rows of G forces, so that
             residuals of both kinds have one unit.
         origin: original numbers of the cells of the mesh, for files.
+        key: of the pressure, among the fields of states.
 
     Attributes:
         region: the cells of the meshed layer, or S.
@@ -32,12 +33,13 @@ class PressurePart(Part):
         G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
     """
 
-    key = PRESSURE
     traits = PartTraits(saddle=True, weakens=True)
     hint = "S has too few cells for the pressures of its layer"
 
-    def __init__(self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None) -> None:
-        self._origin = origin
+    def __init__(
+        self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None, key: str = PRESSURE
+    ) -> None:
+        self.key, self._origin = key, origin
         self.region = region = Region(V.mesh, term.measure)
         space = fem.functionspace(region.mesh, ("Lagrange", 1))
         self.field = self._p = fem.Function(space)
