@@ -12,7 +12,9 @@ from forms import LinearElastic
 from tests.meshes import upper_cells
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
-from thinlayer.solving.ranges import _Faces, _sublayers, pressure_excess
+from thinlayer.ranges.faces import Faces
+from thinlayer.ranges.pressure import pressure_excess
+from thinlayer.ranges.sublayers import sublayers_of
 
 STIFF = LinearElastic.young(1e5, 0.3)
 
@@ -31,11 +33,11 @@ def opened(model, upper):
     cells = np.flatnonzero(model.domain.on_cells(upper_cells(model.joint))).astype(np.int32)
     u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
     u.x.scatter_forward()
-    return _Faces.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.layers["S"])
+    return Faces.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.layers["S"])
 
 
 def excess(model, upper):
-    (layer,) = _sublayers(model.layers["S"])
+    (layer,) = sublayers_of(model.layers["S"])
     return pressure_excess(opened(model, upper), layer)
 
 

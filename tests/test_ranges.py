@@ -14,7 +14,7 @@ from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from tests.ranks import mpirun
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
-from thinlayer.solving.ranges import warn_of_model
+from thinlayer.ranges.checks import warn_of_model
 
 
 # ---------------------------------------------------------------- jumps that are no openings

@@ -18,6 +18,7 @@ from thinlayer.errors import ModelError, SolveError, warn
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.parallel.log import logger
 from thinlayer.parts.part import Interval
+from thinlayer.ranges.checks import warn_of_model, warn_of_states
 from thinlayer.solving.contact.solver import METHODS, ContactFinder, check_method, default_method
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.equations import Equations
@@ -34,7 +35,6 @@ from thinlayer.solving.options import (
     require_all_read,
     require_known_values,
 )
-from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.restraint import Restraint
 
 SEARCHES = ("bt", "l2")  # line searches of PETSc, tried in turn for laws that yield

@@ -13,8 +13,8 @@ from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import owned
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.ranges.checks import warn_of_model, warn_of_states
 from thinlayer.solving.options import OptionValue
-from thinlayer.solving.ranges import warn_of_model, warn_of_states
 from thinlayer.solving.solvers import Solver, comm_of, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
 from thinlayer.time.checkpoint import Pace

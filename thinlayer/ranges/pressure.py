@@ -1,0 +1,178 @@
+"""The pressure of nearly incompressible layers, which falls to zero at free ends: interface laws leave this out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from geometry.seam import LAYER, S
+from geometry.sheet import Rim, Sheet
+from geometry.topology import FloatArray, IntArray
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.errors import warn
+from thinlayer.ranges.faces import Faces
+from thinlayer.ranges.sublayers import Sublayer, sublayers_of
+
+LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
+LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter length, relative to eps, changes jumps only within a thickness of free ends
+SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
+STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
+LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
+
+
+def free_rim(model: Model, sheet: Sheet) -> Rim:
+    """The part of the rim of a seam where the layer's side is free: no support of the whole side holds it along S."""
+    rim, supports = sheet.rim, model.supports
+    held = np.zeros(rim.outward.shape)
+    for place, components in supports.entries:
+        name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
+        if name in (S, *model.joint.seams) or name not in model.joint.facets:  # a vertex, or the side of one body
+            continue
+        axes = [supports.axes.index(axis) for axis in components]
+        held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
+    return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
+
+
+def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> None:
+    """Warn if the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta.
+
+    Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
+    1 - tanh(l/delta) delta/l of the load that the law gives. The warning names the largest factor.
+
+    Args:
+        model: the interface model.
+        one: the layer.
+        layers: the sublayers at several times.
+    """
+    layers = [sublayers for sublayers in layers if any(one.nearly for one in sublayers)]
+    if not layers:
+        return
+    assert one.thin
+    rim, eps = free_rim(model, one.sheet), one.thin.eps
+    if not len(rim.vertices):
+        return
+    if any(one.length == math.inf for sublayers in layers for one in sublayers):
+        warn(
+            f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
+            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; mesh the layer "
+            "(structure.full), or support its sides if they are held",
+            model.comm,
+        )
+        return
+    width = float(one.sheet.areas.sum() / rim.length.sum())
+    lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
+    worst = max(layers[lengths.index(max(lengths))], key=lambda one: one.length)
+    delta = eps * max(lengths)
+    y = delta / width
+    lost = 1 / (1 - math.tanh(1 / y) * y) - 1
+    if lost > 1 / (1 - LEAST_ERROR) - 1:
+        warn(
+            f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
+            f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; mesh the "
+            "layer (structure.full), or support its sides if they are held",
+            model.comm,
+        )
+
+
+def pressure_length(sublayers: list[Sublayer], width: float) -> float:
+    """Length delta over which the pressure falls to zero at a free end of S, relative to the thickness of the layer.
+
+    All sublayers have one normal traction t. The layer opens by w = c t - B t'': c is the sum of their compliances, and
+    B t'' is the flow along S that a slope of t drives in nearly incompressible sublayers. The flow shears the other
+    sublayers. It also stretches them, as strains along S grow in proportion to the distance. delta^2 = B/c; for one
+    sublayer delta is its `length`. B is the minimum of a quadratic form of displacements along S, of degree 2 through
+    each sublayer.
+
+    Args:
+        sublayers: from below.
+        width: length of the flow along S, relative to the thickness of the layer.
+    """
+    count = 2 * len(sublayers) + 1
+    A, b = np.zeros((count, count)), np.zeros(count)
+    for k, one in enumerate(sublayers):
+        at = slice(2 * k, 2 * k + 3)
+        A[at, at] += one.mu / (3 * one.fraction) * SHEAR_MATRIX
+        if one.nearly:
+            b[at] += math.sqrt(one.lmbda / (one.lmbda + 2 * one.mu)) * one.fraction / 6 * np.array([1.0, 4.0, 1.0])
+        else:
+            A[at, at] += 3 / width**2 * max(one.along, 0.0) * one.fraction / 30 * STRETCH_MATRIX
+    inside = slice(1, -1)  # the bodies do not move
+    flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
+    return math.sqrt(flow / sum(one.compliance for one in sublayers))
+
+
+def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start: float | None) -> None:
+    """Warn if the law is too stiff for the openings found, compared with a layer whose pressure evens out along S.
+
+    Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
+    or relax become nearly incompressible with time.
+    """
+    openings = [float(np.abs(faces.opening).max()) for faces in found]
+    most = openings.index(max(openings))
+    last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
+    worst, sublayer = LEAST_ERROR, None
+    for faces in (found[k] for k in sorted({most, last})):
+        state = faces.state
+        sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
+        if len(sublayers) != 1 or not LONG_PRESSURE < sublayers[0].length < math.inf:
+            continue
+        excess = pressure_excess(faces, sublayers[0])
+        if excess > worst:
+            worst, sublayer = excess, sublayers[0]
+    if sublayer:
+        warn(
+            f"{one} is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
+            f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
+            "flow along S; the structure is off by less where the bodies are soft; mesh the layer (structure.full) to see "
+            "by how much",
+            model.comm,
+        )
+
+
+def pressure_excess(faces: Faces, layer: Sublayer) -> float:
+    """Excess of the law's work over the work of the layer, int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2).
+
+    The law is 1 + excess times too stiff for the jumps found; the excess is zero if they only shear the layer. With
+    wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, and the pressure p of the layer solves
+
+        (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through the others,
+
+    continuous and of degree 1. If cells at a free end are larger than the length of the pressure, p is not set to zero
+    there, as it cannot fall within a cell. On straight facets of a curved S slip opens the layer at one end of a facet and
+    closes it at the other, and the law resists that, too. Jumps as small as the rounding of displacements count as shear.
+    """
+    sheet, eps = faces.sheet, faces.thickness.mean(axis=1)
+    d = sheet.joint.dim
+    stretch = ((faces.lower + faces.upper) / 2 * sheet.gradients).sum(axis=(1, 2))
+    wb = faces.opening + (eps * stretch)[:, None]
+    used, number = np.unique(sheet.vertices, return_inverse=True)
+    number = number.reshape(sheet.vertices.shape)
+    mass = sheet.areas[:, None, None] / (d * (d + 1)) * (1 + np.eye(d))
+    stiff = sheet.areas[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
+    volume = _assemble(mass * (eps / layer.lmbda)[:, None, None], number)
+    flow = _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
+    moments = (mass @ wb[..., None])[..., 0]
+    b = np.bincount(number.ravel(), moments.ravel(), len(used))
+    rim = free_rim(faces.state.model, sheet)
+    fine = rim[rim.depth <= layer.length * eps[rim.simplex]]
+    inside = np.setdiff1d(np.arange(len(used)), np.searchsorted(used, fine.vertices))
+    if not b[inside].any():
+        return 0.0
+    p = scipy.sparse.linalg.spsolve((volume + flow)[inside][:, inside], b[inside])
+    work_0 = float(layer.lmbda / eps @ (wb * moments).sum(axis=1))
+    work = float(b[inside] @ p)
+    shear = layer.mu * float((sheet.areas / eps) @ faces.slip_squared.mean(axis=1))
+    return (work_0 - work) / (work + shear)
+
+
+def _assemble(blocks: FloatArray, number: IntArray) -> scipy.sparse.csc_matrix:
+    """Assemble the blocks (n, d, d) of simplices whose vertices have these numbers (n, d)."""
+    rows = np.broadcast_to(number[:, :, None], blocks.shape).ravel()
+    columns = np.broadcast_to(number[:, None, :], blocks.shape).ravel()
+    return scipy.sparse.coo_matrix((blocks.ravel(), (rows, columns))).tocsc()
