@@ -358,7 +358,7 @@ def test_refused_meshes():
 
 
 def test_refused_bodies():
-    """Layers in line of two thicknesses; bodies that cannot part; an outer face along S; curved cells and 3D."""
+    """Layers in line of two thicknesses; bodies that cannot part; a rigid base."""
     thick = {"L0": 0.01, "L1": 0.01, "L2": 0.02}
     with pytest.raises(GeometryError, match=r"different thickness, 0.005 and 0.01 .* nearly in line at \(0, 0\)"):
         inflate(star((0, 90, 180), "triangle"), thick, bodies="extended")
@@ -369,9 +369,6 @@ def test_refused_bodies():
         inflate(inner, 0.01)
     with pytest.raises(GeometryError, match=r"ask for motions that contradict one another: .*use bodies='extended'"):
         inflate(blocks(lambda x: np.where(x[:, 1] < 2, 0, np.where((x[:, 0] < 3) & (x[:, 1] < 4), 1, 2))), 0.01)
-    space = wall(1, 2, (4.0, 2.0), 1.0, depth=3.0)
-    with pytest.raises(GeometryError, match=r"S branches at \(.*in 3D junctions are not meshed yet; use the interface"):
-        inflate(space, 0.01, bodies="extended")
     base = wall(2, 2, BRICK, 0.25)
     standing = replace(base, seams=base.seams | {"BOTTOM": Seam()})
     with pytest.raises(GeometryError, match=r"S branches at \(1, 0\), .*not meshed on a rigid base; use the interface"):
