@@ -36,7 +36,7 @@ from geometry.motion import (
     require_room,
     ways_of,
 )
-from geometry.topology import BITS, FacetTable, FloatArray, IntArray, node_jacobians
+from geometry.topology import BITS, BoolArray, FacetTable, FloatArray, IntArray, node_jacobians
 
 WAYS = ("kept", "extended")
 MANY = 3  # number of different motions of bodies whose ways are checked, pair by pair
@@ -85,8 +85,8 @@ def inflate(
         GeometryError: a size, cells_through or fractions out of range; S ends inside the bodies or is folded; the
             thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that touch S and are nearly
             parallel to it, layers of different thickness that meet in line (extended); cells turned inside out, layers
-            that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, on a rigid base, of an
-            odd number of cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three
+            that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, of an odd number of
+            cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three
             layers there; bodies that touch at a vertex, or along an edge, only.
     """
     check_layering(cells_through, bodies)
@@ -101,7 +101,7 @@ def inflate(
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
     meeting = junction_posts(posts)
-    _check_junctions(joint, copies, posts, footing.seam[meeting], meeting, layers)
+    _check_junctions(joint, posts, footing.seam[meeting], meeting, layers)
     posts, meetings = junctions_of(joint, posts, footing)
     around = polyhedra_of(joint, posts, meetings)
 
@@ -128,7 +128,7 @@ def inflate(
     in_layers = np.concatenate([bands.cells, between.cells])
     cells = np.concatenate([copies.cells, in_layers])
     _check_cells(joint, points, cells, len(bands.cells))
-    facets, faces = _move_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], footprint)
+    facets, faces = _move_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
         points,
@@ -273,27 +273,20 @@ class _Cells:
         return cls(*(np.concatenate([getattr(one, of) for one in several]) for of in ("cells", "region", "director")))
 
 
-def _check_junctions(
-    joint: Joint, copies: Copies, posts: Posts, seams: IntArray, meeting: IntArray, layers: _Layers
-) -> None:
+def _check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArray, layers: _Layers) -> None:
     """Raise GeometryError where layers meet that cannot be meshed there.
 
     Args:
         joint: the joint before inflating.
-        copies: of its nodes.
         posts: all posts at the nodes of S.
         seams: numbers of the seams of the posts at junctions.
         meeting: these posts.
         layers: the layers.
     """
-    if not len(meeting):
-        return
     names = np.array(list(joint.seams))[seams]
-    based = np.concatenate([np.zeros(len(joint.points), bool), copies.base])[posts.ends[meeting]].any(axis=1)
     reasons = {
-        "junctions are not meshed on a rigid base": based,
         "the sublayers of one layer have no place in the others": np.array(
-            [len(layers.fractions[n]) > 0 for n in names]
+            [len(layers.fractions[n]) > 0 for n in names], bool
         ),
         "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
         "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
@@ -389,14 +382,15 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
 
 
 def _move_facets(
-    joint: Joint, copies: Copies, layers: IntArray, footprint: IntArray
+    joint: Joint, copies: Copies, layers: IntArray, n_bands: int, footprint: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
     """Facet sets of the inflated joint, and the names of those between bodies and layers.
 
     Args:
         joint: the joint before inflating.
         copies: of its nodes.
-        layers: vertices of the layers' cells.
+        layers: vertices of the layers' cells, those of bands first.
+        n_bands: number of the latter.
         footprint: node of S below or above each node.
     """
     vertices = joint.table.vertices[joint.surface_rows]
@@ -412,31 +406,34 @@ def _move_facets(
     faces = tuple(out)
     if on_base.any():
         out[BASE] = below[on_base]
-    sides = _side_faces(layers, joint.cell_type, np.concatenate([above, below]))
+    sides, of_band = _side_faces(layers, n_bands, joint.cell_type, np.concatenate([above, below]))
     stands = footprint[sides]
-    upright = (stands == stands[:, :1]).all(axis=1)  # above a vertex: ends of layers in 2D, of junctions in 3D
+    ridges, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)
     for name, facets in joint.facets.items():
         if name in joint.seams:
             continue
         rows = joint.table.index(facets)
         out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
         outer = facets[joint.table.cells[rows, 1] < 0]
-        along = np.isin(_edges(stands), _edges(outer)).any(axis=1)
-        continued = np.where(upright, np.isin(stands[:, 0], outer), along)
+        continued = np.isin(ridges, _ridges(outer, joint.dim)).any(axis=1)
+        around = stands[continued & of_band]  # the end of a junction in 3D continues what the layers around it do
+        continued |= upright & np.isin(stands[:, 0], around)
         if continued.any():
             out[f"{name}/{LAYER}"] = sides[continued]
     return out, faces
 
 
-def _side_faces(layers: IntArray, cell_type: str, faces: IntArray) -> IntArray:
-    """Outer facets of the layers other than their lower and upper faces."""
+def _side_faces(layers: IntArray, n_bands: int, cell_type: str, faces: IntArray) -> tuple[IntArray, BoolArray]:
+    """Outer facets of the layers other than their lower and upper faces, and whether they are those of bands."""
     table = FacetTable.of(layers, cell_type)
     outer = table.cells[:, 1] < 0
     outer[table.index(faces)] = False
-    return table.vertices[outer]
+    return table.vertices[outer], table.cells[outer, 0] < n_bands
 
 
-def _edges(rows: IntArray) -> IntArray:
-    """(n, pairs) keys of the edges, and of a quadrilateral's diagonals, of facets given by vertices."""
+def _ridges(rows: IntArray, dim: int) -> IntArray:
+    """Keys of the ridges of facets given by vertices: vertices in 2D, edges (and a quadrilateral's diagonals) in 3D."""
     rows = np.sort(rows, axis=1)
-    return np.stack([(rows[:, i] << BITS) + rows[:, j] for i, j in combinations(range(rows.shape[1]), 2)], axis=1)
+    k = range(rows.shape[1])
+    pairs = [(i, i) for i in k] if dim == 2 else list(combinations(k, 2))
+    return np.stack([(rows[:, i] << BITS) + rows[:, j] for i, j in pairs], axis=1)

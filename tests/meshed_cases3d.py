@@ -6,6 +6,7 @@ import numpy as np
 
 from geometry import Joint, Seam
 from geometry.topology import FacetTable
+from tests.meshed_cases import star
 from tests.meshes import grid
 
 SIDES = ("LEFT", "RIGHT", "BOTTOM", "TOP", "BACK", "FRONT")
@@ -35,3 +36,36 @@ def cube(kind: str, cell: str, m: int = 4) -> Joint:
         facets |= {name: table.vertices[flat[k] & (x[:, 0, k] == at)] for name, at in ((low, -1.0), (high, 1.0))}
     names = tuple(f"BLOCK {k + 1}" for k in range(region.max() + 1))
     return Joint(whole.points, whole.cells, cell, region, names, facets, seams)
+
+
+def half_star(cell: str, collar: bool) -> Joint:
+    """Three wedges of a half-cylinder about the z axis, |z| < 1, that meet on the axis in its flat side x = 0.
+
+    Seams R between them and, where there is a collar, Z at z = 0; facets SIDE on the flat side and RIM elsewhere.
+    """
+    flat = star((-90, -45, 45, 90), "triangle" if cell == "tetrahedron" else "quadrilateral")
+    n, z = len(flat.points), np.linspace(-1.0, 1.0, 5)
+    points = np.column_stack([np.tile(flat.points, (5, 1)), np.repeat(z, n)])
+    rows = flat.cells[flat.region != 3]
+    body, at = np.tile(flat.region[flat.region != 3], 4), np.repeat(np.arange(4), len(rows))
+    low = np.tile(rows, (4, 1)) + at[:, None] * n
+    if cell == "tetrahedron":  # prisms, split in the order of their vertices
+        low = np.sort(low, axis=1)
+        cells = np.concatenate([np.column_stack([low[:, : k + 1], low[:, k:] + n]) for k in range(3)])
+        body, at = np.tile(body, 3), np.tile(at, 3)
+    else:
+        cells = np.column_stack([low, low + n])
+    used, cells = np.unique(cells, return_inverse=True)
+    points, cells = points[used], cells.reshape(len(body), -1)
+    region = body + 3 * collar * (at > 1)
+    table = FacetTable.of(cells, cell)
+    first, second = table.cells.T
+    cut, x = (second >= 0) & (region[first] != region[second]), points[table.vertices]
+    across = np.ptp(x[..., 2], axis=1) < 1e-12
+    side = (second < 0) & (np.abs(x[..., 0]) < 1e-12).all(axis=1)
+    facets = {"R": table.vertices[cut & ~across], "SIDE": table.vertices[side]}
+    facets["RIM"] = table.vertices[(second < 0) & ~side]
+    seams = {"R": Seam()}
+    if collar:
+        facets["Z"], seams["Z"] = table.vertices[cut & across], Seam(direction=(0.0, 0.0, 1.0))
+    return Joint(points, cells, cell, region, tuple(f"B{k}" for k in range(region.max() + 1)), facets, seams)
