@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
@@ -12,12 +11,10 @@ import numpy as np
 from forms.base import is_finite
 from geometry.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
 from geometry.blocks import fill
+from geometry.faces import moved_facets
 from geometry.joint import (
-    BASE,
     JUNCTIONS,
     LAYER,
-    LOWER_FACE,
-    UPPER_FACE,
     Band,
     GeometryError,
     Joint,
@@ -32,14 +29,11 @@ from geometry.motion import (
     extended_motion,
     face_motion,
     kept_motion,
-    require_apart,
-    require_room,
-    ways_of,
 )
-from geometry.topology import BITS, BoolArray, FacetTable, FloatArray, IntArray, node_jacobians
+from geometry.room import is_swept, require_apart, require_room
+from geometry.topology import FloatArray, IntArray, node_jacobians
 
 WAYS = ("kept", "extended")
-MANY = 3  # number of different motions of bodies whose ways are checked, pair by pair
 Given = TypeVar("Given")
 
 
@@ -128,7 +122,7 @@ def inflate(
     in_layers = np.concatenate([bands.cells, between.cells])
     cells = np.concatenate([copies.cells, in_layers])
     _check_cells(joint, points, cells, len(bands.cells))
-    facets, faces = _move_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint)
+    facets, faces = moved_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
         points,
@@ -150,7 +144,7 @@ def inflate(
             np.concatenate([bands.director, between.director]),
         ),
     )
-    if translation is not None and not _is_swept(joint, translation):
+    if translation is not None and not is_swept(joint, translation):
         require_apart(opened)
     return opened
 
@@ -352,14 +346,9 @@ def _translation(joint: Joint, thickness: FloatArray) -> FloatArray:
         if np.ptp(own) > UNIFORM * own.max():
             raise GeometryError(f"the thickness varies along {name}: {NOT_KEPT}")
     translation = kept_motion(joint, thickness[:, 0])
-    if _is_swept(joint, translation):
+    if is_swept(joint, translation):
         require_room(joint, translation)
     return translation
-
-
-def _is_swept(joint: Joint, translation: FloatArray) -> bool:
-    """Whether the bodies' ways are checked; in 2D, of many different ones, it is the result instead."""
-    return joint.dim == 3 or len(ways_of(translation)[0]) <= MANY
 
 
 def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int) -> None:
@@ -379,61 +368,3 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
         raise GeometryError(
             f"S turns too sharply for this eps: {len(bad)} cells of {where} are folded, the first at {place(x)}"
         )
-
-
-def _move_facets(
-    joint: Joint, copies: Copies, layers: IntArray, n_bands: int, footprint: IntArray
-) -> tuple[dict[str, IntArray], tuple[str, ...]]:
-    """Facet sets of the inflated joint, and the names of those between bodies and layers.
-
-    Args:
-        joint: the joint before inflating.
-        copies: of its nodes.
-        layers: vertices of the layers' cells, those of bands first.
-        n_bands: number of the latter.
-        footprint: node of S below or above each node.
-    """
-    vertices = joint.table.vertices[joint.surface_rows]
-    order = np.argsort(joint.surface[:, : vertices.shape[1]], axis=1)
-    above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
-    on_base = joint.surface_cells[:, 0] < 0
-    out: dict[str, IntArray] = {}
-    for number, seam in enumerate(joint.seams):
-        here, prefix = joint.seam_numbers == number, "" if len(joint.seams) == 1 else f"{seam}/"
-        out[f"{prefix}{UPPER_FACE}"] = above[here]
-        if not on_base[here].any():
-            out[f"{prefix}{LOWER_FACE}"] = below[here]
-    faces = tuple(out)
-    if on_base.any():
-        out[BASE] = below[on_base]
-    sides, of_band = _side_faces(layers, n_bands, joint.cell_type, np.concatenate([above, below]))
-    stands = footprint[sides]
-    ridges, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)
-    for name, facets in joint.facets.items():
-        if name in joint.seams:
-            continue
-        rows = joint.table.index(facets)
-        out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
-        outer = facets[joint.table.cells[rows, 1] < 0]
-        continued = np.isin(ridges, _ridges(outer, joint.dim)).any(axis=1)
-        around = stands[continued & of_band]  # the end of a junction in 3D continues what the layers around it do
-        continued |= upright & np.isin(stands[:, 0], around)
-        if continued.any():
-            out[f"{name}/{LAYER}"] = sides[continued]
-    return out, faces
-
-
-def _side_faces(layers: IntArray, n_bands: int, cell_type: str, faces: IntArray) -> tuple[IntArray, BoolArray]:
-    """Outer facets of the layers other than their lower and upper faces, and whether they are those of bands."""
-    table = FacetTable.of(layers, cell_type)
-    outer = table.cells[:, 1] < 0
-    outer[table.index(faces)] = False
-    return table.vertices[outer], table.cells[outer, 0] < n_bands
-
-
-def _ridges(rows: IntArray, dim: int) -> IntArray:
-    """Keys of the ridges of facets given by vertices: vertices in 2D, edges (and a quadrilateral's diagonals) in 3D."""
-    rows = np.sort(rows, axis=1)
-    k = range(rows.shape[1])
-    pairs = [(i, i) for i in k] if dim == 2 else list(combinations(k, 2))
-    return np.stack([(rows[:, i] << BITS) + rows[:, j] for i, j in pairs], axis=1)

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
+import json
+from functools import cache
 
+import numpy as np
+import ufl
+from mpi4py import MPI
+
+from forms import LinearElastic
 from geometry import Joint, Seam
 from geometry.topology import FacetTable
 from tests.meshed_cases import star
 from tests.meshes import grid
+from tests.network_cases import square
+from thinlayer import Structure, Surface, ThinLayer, UflPart, solve
 
+THICK = {"X": 0.7, "Y": 1.0, "Z": 1.3}  # of the layers of the cube over eps
+LAW = {"X": (0.3, 0.45), "Y": (0.6, 0.7), "Z": (0.4, 0.5)}  # their lmbda and mu per thickness
 SIDES = ("LEFT", "RIGHT", "BOTTOM", "TOP", "BACK", "FRONT")
 BLOCKS = {  # the block of each octant of the cube (-1, 1)^3, from its signs 0 or 1
     "T": lambda x, y, z: np.where(y == 0, 0, 1 + x),
@@ -19,6 +29,7 @@ BLOCKS = {  # the block of each octant of the cube (-1, 1)^3, from its signs 0 o
 }
 
 
+@cache
 def cube(kind: str, cell: str, m: int = 4) -> Joint:
     """A cube of m^3 cells or 6 m^3, cut into blocks along x = 0, y = 0, z = 0: seams X, Y, Z."""
     axis = np.linspace(-1.0, 1.0, m + 1)
@@ -69,3 +80,59 @@ def half_star(cell: str, collar: bool) -> Joint:
     if collar:
         facets["Z"], seams["Z"] = table.vertices[cut & across], Seam(direction=(0.0, 0.0, 1.0))
     return Joint(points, cells, cell, region, tuple(f"B{k}" for k in range(region.max() + 1)), facets, seams)
+
+
+def thickness(base: Joint, eps: float) -> dict[str, float]:
+    """Of each seam of a cube."""
+    return {name: THICK[name] * eps for name in base.seams}
+
+
+def mortar(base: Joint, eps: float) -> dict[str, ThinLayer]:
+    """The layer of each seam of a cube."""
+    return {name: ThinLayer(LinearElastic(*LAW[name]), one) for name, one in thickness(base, eps).items()}
+
+
+@cache
+def sheared(element: str, m: int, kind: str = "T", parts: tuple[UflPart, ...] = ()) -> Structure:
+    """A cube whose top is shifted."""
+    return Structure(
+        cube(kind, "tetrahedron" if element[0] == "P" else "hexahedron", m),
+        body=LinearElastic.young(1.0, 0.2),
+        supports={"BOTTOM": 0.0, "TOP": {"x": 0.01, "y": -0.02, "z": 0.005}},
+        element=element,
+        parts=parts,
+    )
+
+
+def jump_errors(element: str, sizes, m: int = 4, parts=(), **choices) -> np.ndarray:
+    """(sizes,) errors of the jump of the interface model against meshed layers, .3 away from junctions and the outside."""
+    structure = sheared(element, m)
+    limit = structure.interface(mortar(structure.joint, 0.01))
+    surface, state, x = Surface(limit), solve(limit), ufl.SpatialCoordinate(limit.domain.mesh)
+    inner = ufl.conditional(ufl.gt(x[0] ** 2 + x[1] ** 2, 0.09), 1.0, 0.0)
+    for k in range(3):
+        inner *= ufl.conditional(ufl.lt(abs(x[k]), 0.7), 1.0, 0.0)
+    whole, errors = surface.norm(surface.jump(state), inner), []
+    for eps in sizes:
+        full = sheared(element, m, parts=parts).full(
+            mortar(structure.joint, eps), cells_through=2, **{"bodies": "extended"} | choices
+        )
+        difference = surface.displacement(solve(full)).copy()
+        difference.x.array[:] -= state.u.x.array
+        errors.append(surface.norm(surface.sides.jump(difference), inner) / whole)
+    return np.array(errors)
+
+
+def main() -> None:
+    """Print the numbers as JSON."""
+    found = {}
+    for element in ("Q2", "P2"):
+        structure = sheared(element, 2)
+        state = solve(structure.full(mortar(structure.joint, 0.02), bodies="extended", cells_through=2))
+        found[element] = [*list(state.energies().values())[:2], square(state)]
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()
