@@ -1,34 +1,32 @@
-"""Inflating S: layers become bands of cells between the bodies, with polygons of cells where layers meet."""
+"""Inflating S: layers become bands of cells between the bodies, with junctions of cells where layers meet."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
 
 from forms.base import is_finite
 from geometry.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
+from geometry.blocks import fill
 from geometry.errors import GeometryError, place, unknown
+from geometry.faces import moved_facets
 from geometry.joint import Band, Joint, Profile
-from geometry.junctions import Ring, fill, junction_posts, rings_of
+from geometry.junctions import Corners, junction_posts, junctions_of, polyhedra_of
 from geometry.motion import (
     NOT_KEPT,
     UNIFORM,
     extended_motion,
     face_motion,
     kept_motion,
-    require_apart,
-    require_room,
-    ways_of,
 )
-from geometry.seam import BASE, JUNCTIONS, LAYER, LOWER_FACE, UPPER_FACE
-from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
+from geometry.room import is_swept, require_apart, require_room
+from geometry.seam import JUNCTIONS, LAYER
+from geometry.topology import FloatArray, IntArray, node_jacobians
 
 WAYS = ("kept", "extended")
-MANY = 3  # number of different motions of bodies whose ways are checked, pair by pair
 Given = TypeVar("Given")
 
 
@@ -66,16 +64,17 @@ def inflate(
         A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
         sets "LOWER_FACE" ("BASE" on a rigid base) and "UPPER_FACE", and its side faces in "NAME/LAYER" for each outer
         set NAME that they continue. Of several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces
-        "SEAM/LOWER_FACE", "SEAM/UPPER_FACE". In 2D, polygons where three or more bodies meet are the region
-        "LAYER/JUNCTIONS" ("LAYER/JUNCTIONS/SEAM" where they belong to different seams). Body cells keep their numbers and
-        their nodes' order, curved cells stay curved.
+        "SEAM/LOWER_FACE", "SEAM/UPPER_FACE". Cells where three or more bodies meet are the region "LAYER/JUNCTIONS"
+        ("LAYER/JUNCTIONS/SEAM" where they belong to different seams). Body cells keep their numbers and their nodes' order,
+        curved cells stay curved.
 
     Raises:
         GeometryError: a size, cells_through or fractions out of range; S ends inside the bodies or is folded; the
             thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that touch S and are nearly
             parallel to it, layers of different thickness that meet in line (extended); cells turned inside out, layers
-            that overlap the bodies; junctions in 3D, of sublayers, of a varying thickness, of curved cells, on a rigid
-            base, of an odd number of cells.
+            that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, of an odd number of
+            cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three
+            layers there; bodies that touch at a vertex, or along an edge, only.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
@@ -89,39 +88,40 @@ def inflate(
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
     meeting = junction_posts(posts)
-    _check_junctions(joint, copies, posts, footing.seam[meeting], meeting, layers)
-    posts, rings = rings_of(joint, posts, meeting)
+    _check_junctions(joint, posts, footing.seam[meeting], meeting, layers)
+    posts, meetings = junctions_of(joint, posts, footing)
+    around = polyhedra_of(joint, posts, meetings)
 
     translation = _translation(joint, layers.thickness) if bodies == "kept" else None
     copied = _motion(joint, copies, layers.thickness, translation)
-    nodes, between, below = posts.between(copied)
+    nodes, moved, below = posts.between(copied)
     motion = np.concatenate([copied, np.empty((posts.size, joint.dim))])
     footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
-    motion[nodes], footprint[nodes] = between, below
+    motion[nodes], footprint[nodes] = moved, below
 
     bands, names = _bands(joint, posts, footing, layers)
-    blocks = [_Cells.empty(joint)]
-    for ring in rings:
-        cells, moved, below = fill(ring, posts, joint.cell_type, motion, len(motion))
-        motion, footprint = np.concatenate([motion, moved]), np.concatenate([footprint, below])
-        blocks.append(_Cells.of_junctions(cells, _owners(joint, ring, footing, junctions)))
-    polygons = _Cells.joined(blocks)
-    owners = np.unique(polygons.region)
+    between = _Cells.empty(joint)
+    if len(meetings.of):
+        filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
+        motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
+        owners = np.concatenate([_owners(joint, of, footing, junctions) for of in (meetings, around)])
+        between = _Cells.of_junctions(filled.cells, owners[filled.corners], joint.dim)
+    owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
     first = len(joint.regions) + sum(map(len, names.values()))
 
     points = joint.points[footprint] + motion
-    in_layers = np.concatenate([bands.cells, polygons.cells])
+    in_layers = np.concatenate([bands.cells, between.cells])
     cells = np.concatenate([copies.cells, in_layers])
     _check_cells(joint, points, cells, len(bands.cells))
-    facets, faces = _move_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], footprint)
+    facets, faces = moved_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
         points,
         cells,
         joint.cell_type,
-        np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, polygons.region)]),
+        np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)]),
         joint.regions + regions,
         facets,
         joint.seams,
@@ -134,10 +134,10 @@ def inflate(
             faces,
             joint,
             joint.points[footprint],
-            np.concatenate([bands.director, polygons.director]),
+            np.concatenate([bands.director, between.director]),
         ),
     )
-    if translation is not None and not _is_swept(joint, translation):
+    if translation is not None and not is_swept(joint, translation):
         require_apart(opened)
     return opened
 
@@ -250,10 +250,9 @@ class _Cells:
         return cls(joint.cells[:0], joint.region[:0], np.empty((0, joint.corners.shape[1], joint.dim)))
 
     @classmethod
-    def of_junctions(cls, cells: IntArray, owners: IntArray) -> _Cells:
-        """Cells (junctions, n, k) of junctions in 2D, which have no normal of S: any unit vector stands for it."""
-        rows = cells.reshape(-1, cells.shape[2])
-        return cls(rows, np.repeat(owners, cells.shape[1]), np.broadcast_to([0.0, 1.0], (*rows.shape, 2)))
+    def of_junctions(cls, cells: IntArray, owners: IntArray, dim: int) -> _Cells:
+        """Cells (n, k) of junctions, which have no normal of S: any unit vector stands for it."""
+        return cls(cells, owners, np.broadcast_to(np.eye(dim)[1], (*cells.shape, dim)))
 
     @classmethod
     def joined(cls, several: Sequence[_Cells]) -> _Cells:
@@ -261,28 +260,20 @@ class _Cells:
         return cls(*(np.concatenate([getattr(one, of) for one in several]) for of in ("cells", "region", "director")))
 
 
-def _check_junctions(
-    joint: Joint, copies: Copies, posts: Posts, seams: IntArray, meeting: IntArray, layers: _Layers
-) -> None:
+def _check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArray, layers: _Layers) -> None:
     """Raise GeometryError where layers meet that cannot be meshed there.
 
     Args:
         joint: the joint before inflating.
-        copies: of its nodes.
         posts: all posts at the nodes of S.
         seams: numbers of the seams of the posts at junctions.
         meeting: these posts.
         layers: the layers.
     """
-    if not len(meeting):
-        return
     names = np.array(list(joint.seams))[seams]
-    based = np.concatenate([np.zeros(len(joint.points), bool), copies.base])[posts.ends[meeting]].any(axis=1)
     reasons = {
-        "in 3D junctions are not meshed yet": np.full(len(meeting), joint.dim == 3),
-        "junctions are not meshed on a rigid base": based,
         "the sublayers of one layer have no place in the others": np.array(
-            [len(layers.fractions[n]) > 0 for n in names]
+            [len(layers.fractions[n]) > 0 for n in names], bool
         ),
         "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
         "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
@@ -302,13 +293,14 @@ def _check_junctions(
         )
 
 
-def _owners(joint: Joint, ring: Ring, footing: Footing, junctions: Sequence[str]) -> IntArray:
-    """(n,) number of the seam to which the cells of each junction belong."""
+def _owners(joint: Joint, corners: Corners, footing: Footing, junctions: Sequence[str]) -> IntArray:
+    """(n,) number of the seam to which the cells at each corner belong; it is one for each junction."""
     order = list(dict.fromkeys([*junctions, *joint.seams]))
     rank = np.array([order.index(name) for name in joint.seams])
     of_posts = np.append(rank[footing.seam], len(order))  # the sides that close a polygon have no seam
-    first = of_posts[np.minimum(ring.sides, len(footing.seam))].min(axis=1)
-    return np.argsort(rank)[first]
+    first = np.full(int(corners.of.max(initial=-1)) + 1, len(order))
+    np.minimum.at(first, corners.of, of_posts[np.minimum(corners.sides, len(footing.seam))].min(axis=(1, 2)))
+    return np.asarray(np.argsort(rank)[first[corners.of]])
 
 
 def _bands(joint: Joint, posts: Posts, footing: Footing, layers: _Layers) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
@@ -347,14 +339,9 @@ def _translation(joint: Joint, thickness: FloatArray) -> FloatArray:
         if np.ptp(own) > UNIFORM * own.max():
             raise GeometryError(f"the thickness varies along {name}: {NOT_KEPT}")
     translation = kept_motion(joint, thickness[:, 0])
-    if _is_swept(joint, translation):
+    if is_swept(joint, translation):
         require_room(joint, translation)
     return translation
-
-
-def _is_swept(joint: Joint, translation: FloatArray) -> bool:
-    """Whether the bodies' ways are checked; in 2D, of many different ones, it is the result instead."""
-    return joint.dim == 3 or len(ways_of(translation)[0]) <= MANY
 
 
 def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int) -> None:
@@ -374,57 +361,3 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
         raise GeometryError(
             f"S turns too sharply for this eps: {len(bad)} cells of {where} are folded, the first at {place(x)}"
         )
-
-
-def _move_facets(
-    joint: Joint, copies: Copies, layers: IntArray, footprint: IntArray
-) -> tuple[dict[str, IntArray], tuple[str, ...]]:
-    """Facet sets of the inflated joint, and the names of those between bodies and layers.
-
-    Args:
-        joint: the joint before inflating.
-        copies: of its nodes.
-        layers: vertices of the layers' cells.
-        footprint: node of S below or above each node.
-    """
-    vertices = joint.table.vertices[joint.surface_rows]
-    order = np.argsort(joint.surface[:, : vertices.shape[1]], axis=1)
-    above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
-    on_base = joint.surface_cells[:, 0] < 0
-    out: dict[str, IntArray] = {}
-    for number, seam in enumerate(joint.seams):
-        here, prefix = joint.seam_numbers == number, "" if len(joint.seams) == 1 else f"{seam}/"
-        out[f"{prefix}{UPPER_FACE}"] = above[here]
-        if not on_base[here].any():
-            out[f"{prefix}{LOWER_FACE}"] = below[here]
-    faces = tuple(out)
-    if on_base.any():
-        out[BASE] = below[on_base]
-    sides = _side_faces(layers, joint.cell_type, np.concatenate([above, below]))
-    ridges = _ridges(footprint[sides], joint.dim)
-    for name, facets in joint.facets.items():
-        if name in joint.seams:
-            continue
-        rows = joint.table.index(facets)
-        out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
-        outer = facets[joint.table.cells[rows, 1] < 0]
-        continued = np.isin(ridges, _ridges(outer, joint.dim)).any(axis=1)
-        if continued.any():
-            out[f"{name}/{LAYER}"] = sides[continued]
-    return out, faces
-
-
-def _side_faces(layers: IntArray, cell_type: str, faces: IntArray) -> IntArray:
-    """Outer facets of the layers other than their lower and upper faces."""
-    table = FacetTable.of(layers, cell_type)
-    outer = table.cells[:, 1] < 0
-    outer[table.index(faces)] = False
-    return table.vertices[outer]
-
-
-def _ridges(rows: IntArray, dim: int) -> IntArray:
-    """Keys of the ridges of facets given by vertices: vertices in 2D, edges (and a quadrilateral's diagonals) in 3D."""
-    rows = np.sort(rows, axis=1)
-    k = range(rows.shape[1])
-    pairs = [(i, i) for i in k] if dim == 2 else list(combinations(k, 2))
-    return np.stack([(rows[:, i] << 32) + rows[:, j] for i, j in pairs], axis=1)

@@ -1,37 +1,53 @@
-"""Junctions in 2D: the polygon between the ends of three or more layers, filled with cells.
+"""Junctions: where three or more bodies meet on S, vertices of S in 2D and edges of S in 3D, and what is left open there.
 
-Its corners are the copies of a vertex of S, one on each body, its sides the ends of the layers. On the outer boundary one
-more side closes it. Each corner has a block of quadrilaterals: between the corner, the middles of its two sides, and the
-centre.
+When the bodies part, a polygon opens at each vertex of a junction: its corners are the copies of the vertex, one on each
+body, its sides the posts at the ends of the layers. On the outer boundary one more side closes it. In 2D the polygon is the
+junction. In 3D the junction is a prism between the polygons at the two ends of an edge. Edges in line have one polygon at
+their common vertex. Where a vertex has several polygons, they are the faces of a polyhedron, whose edges are all posts
+there; on the outer boundary one more polygon closes it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from geometry.bands import Posts
+from geometry.bands import Footing, Posts
 from geometry.errors import GeometryError, place
 from geometry.joint import Joint
-from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
+from geometry.topology import FACET_TYPES, IntArray, lagrange
 
 
 @dataclass(frozen=True)
-class Ring:
-    """Junctions with the same number of corners.
+class Corners:
+    """Corners of polygons; k of them, one at each vertex of a junction, belong together.
 
     Attributes:
-        nodes: (n,) the vertex of S of each junction.
-        corners: (n, m) its copies, in order around the polygon.
-        sides: (n, m) the post from each corner to the next one.
-        turned: (n, m) whether this post leads from the next corner to this one.
+        copies: (n, k) copy of a vertex of S at each corner; k vertices of a junction in ascending order of their numbers.
+        sides: (n, k, 2) posts from there to the next two corners.
+        polygons: (n, k) number of the polygon.
+        of: (n,) number of the junction; of corners of a polyhedron, the vertex of S.
     """
 
-    nodes: IntArray
-    corners: IntArray
+    copies: IntArray
     sides: IntArray
-    turned: BoolArray
+    polygons: IntArray
+    of: IntArray
+
+    @classmethod
+    def none(cls, k: int) -> Corners:
+        """No corners."""
+        return cls(*(np.empty(shape, np.int64) for shape in ((0, k), (0, k, 2), (0, k), 0)))
+
+    def at(self, rows: IntArray) -> Corners:
+        """Some of them."""
+        return Corners(self.copies[rows], self.sides[rows], self.polygons[rows], self.of[rows])
+
+    @classmethod
+    def joined(cls, *several: Corners) -> Corners:
+        """All of several sets of corners."""
+        return cls(*(np.concatenate([getattr(one, f.name) for one in several]) for f in fields(cls)))
 
 
 def junction_posts(posts: Posts) -> IntArray:
@@ -41,115 +57,155 @@ def junction_posts(posts: Posts) -> IntArray:
     return found[np.argsort(posts.nodes[found], kind="stable")]
 
 
-def rings_of(joint: Joint, posts: Posts, found: IntArray) -> tuple[Posts, list[Ring]]:
-    """The junctions, and all posts, with those that close the polygons on the outer boundary.
+def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, Corners]:
+    """The corners of junctions, and all posts, with those that close the polygons on the outer boundary.
 
     Args:
         joint: the joint before inflating.
-        posts: all posts at the nodes of S.
-        found: those of junctions, see `junction_posts`.
+        posts: all posts at the nodes of S; those at junctions have one number of levels.
+        footing: where the facets have them.
 
     Raises:
-        GeometryError: bodies that touch at a vertex only lie between the layers that end there.
+        GeometryError: bodies that touch at a vertex, in 3D along an edge only, lie between the layers that end there.
     """
-    if not len(found):
-        return posts, []
-    first, second = posts.ends[found].T
-    copy = np.concatenate([first, second])
-    order = np.argsort(copy, kind="stable")
-    copies, start, degree = np.unique(copy[order], return_index=True, return_counts=True)
-    to, by = np.concatenate([second, first])[order], np.concatenate([found, found])[order]
-    # (copies, 2) the neighbours of each copy, and the posts that lead there; -1: there is one only
-    last = start + degree - 1
-    neighbour = np.column_stack([to[start], np.where(degree > 1, to[last], -1)])
-    link = np.column_stack([by[start], np.where(degree > 1, by[last], -1)])
-
-    node_of = np.empty(len(copies), np.int64)
-    node_of[np.searchsorted(copies, first)] = posts.nodes[found]
-    node_of[np.searchsorted(copies, second)] = posts.nodes[found]
-    nodes, at = np.unique(node_of, return_inverse=True)
-    corners, sides = np.bincount(at), np.bincount(np.searchsorted(nodes, posts.nodes[found]))
-    loose = (corners - sides > 1) | (np.bincount(at, degree > 2) > 0)
+    links = _links(joint, posts, footing)
+    k = links.shape[1]
+    if not len(links):
+        return posts, Corners.none(k)
+    vertices, of_link = _numbered(posts.nodes[links])
+    ends = posts.ends[links]
+    copies, at = _numbered(np.concatenate([ends[..., 0], ends[..., 1]]))
+    of = np.empty(len(copies), np.int64)
+    of[at] = np.tile(of_link, 2)
+    degree = np.bincount(at)
+    loose = (np.bincount(of) - np.bincount(of_link) > 1) | (np.bincount(of, degree > 2) > 0)
     if loose.any():
-        raise GeometryError(
-            f"at {place(joint.points[nodes[loose][0]])} bodies touch at a vertex only, between layers that meet there: the "
-            "layers' ends enclose no polygon"
-        )
-    begin = np.lexsort((copies, degree, at))[
-        np.searchsorted(np.sort(at), np.arange(len(nodes)))
-    ]  # an end, if there is one
-    rings = []
-    for m, closed in np.unique(np.column_stack([corners, corners == sides]), axis=0):
-        here = np.flatnonzero((corners == m) & ((corners == sides) == closed))
-        ring, by_side = np.empty((len(here), m), np.int64), np.full((len(here), m), -1)
-        now, came = begin[here], np.full(len(here), -1)
-        for k in range(m):
-            ring[:, k] = copies[now]
-            way = (link[now, 0] == came).astype(np.int64)
-            came = link[now, way]
-            if k < m - 1 or closed:
-                by_side[:, k] = came
-                now = np.searchsorted(copies, neighbour[now, way])
-        if not closed:
-            by_side[:, -1] = len(posts.nodes) + np.arange(len(here))
-            posts = posts.joined(ring[:, [-1, 0]], nodes[here], int(posts.kind[found[0]]))
-        rings.append(Ring(nodes[here], ring, by_side, posts.ends[by_side, 0] != ring))
-    return posts, rings
+        raise _loose(joint, vertices[loose][0])
+
+    alone = np.flatnonzero(degree == 1)
+    alone = alone[np.argsort(of[alone], kind="stable")].reshape(-1, 2)
+    posts, closing = _closed(posts, links, copies[alone], vertices[of[alone[:, 0]]])
+    links = np.concatenate([links, closing])
+    at = np.concatenate([at[: len(of_link)], alone[:, 0], at[len(of_link) :], alone[:, 1]])
+    sides = links[np.argsort(at, kind="stable") % len(links)].reshape(-1, 2, k).swapaxes(1, 2)
+    return posts, Corners(copies, sides, _polygons(sides, of), of)
 
 
-def fill(
-    ring: Ring, posts: Posts, cell_type: str, values: FloatArray, first: int
-) -> tuple[IntArray, FloatArray, IntArray]:
-    """Cells of junctions, (n, cells, corners), and values at their new nodes, which are numbered from `first` on.
+def _links(joint: Joint, posts: Posts, footing: Footing) -> IntArray:
+    """(n, k) the posts at the k vertices of each junction, for each layer that ends there, in ascending order."""
+    several = np.bincount(posts.nodes)[posts.nodes] > 1
+    ridges = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[-2]
+    rows = np.concatenate([footing.posts[:, ridge] for ridge in ridges])
+    links, _ = _numbered(np.sort(rows[several[rows].all(axis=1)], axis=1))
+    _, place = _numbered(posts.nodes[links])
+    return links[np.bincount(place)[place] > 1]
+
+
+def _numbered(rows: IntArray) -> tuple[IntArray, IntArray]:
+    """Different rows in lexicographic order, and the number of each given one among them."""
+    found, number = np.unique(rows, axis=0, return_inverse=True)
+    return found, number.ravel()
+
+
+def _loose(joint: Joint, vertices: IntArray) -> GeometryError:
+    return GeometryError(
+        f"at {place(joint.points[vertices].mean(axis=0))} bodies touch at a vertex or along an edge only, between layers "
+        "that meet there: the layers' ends enclose no polygon"
+    )
+
+
+def _closed(posts: Posts, links: IntArray, ends: IntArray, vertices: IntArray) -> tuple[Posts, IntArray]:
+    """All posts, with further ones between pairs of copies; (n, k) numbers of the latter.
 
     Args:
-        ring: junctions with the same number of corners.
-        posts: all posts; those of the sides have one even number of cells.
-        cell_type: "triangle" or "quadrilateral".
-        values: (n_nodes, d) at the copies; linear from the centre to the sides, bilinear in the blocks.
-        first: number of the first new node.
-
-    Returns:
-        The cells, the values, and the node of S below each new node.
+        posts: all posts so far.
+        links: (m, k) posts of junctions.
+        ends: (n, 2, k) pairs of copies.
+        vertices: (n, k) vertices of S.
     """
-    n, m = ring.corners.shape
-    N = int(posts.top[ring.sides[0, 0]])
-    half, d = N // 2, values.shape[1]
-    at = values[ring.corners]  # (n, m, d)
-    centre = at.mean(axis=1)
-    middle = (at + np.roll(at, -1, axis=1)) / 2
-    inner, t = half - 1, np.arange(1, half) / half
-    per_junction = 1 + m * inner + m * inner**2
-    start = first + per_junction * np.arange(n)
-    rays = start[:, None, None] + 1 + np.arange(m * inner).reshape(m, inner)
-    insides = start[:, None, None, None] + 1 + m * inner + np.arange(m * inner**2).reshape(m, inner, inner)
-
-    grid = np.empty((n, m, half + 1, half + 1), np.int64)  # [p, q]: p along the next side, q along the one before
-    k = np.arange(half + 1)
-    level = np.where(ring.turned[..., None], N - k, k)
-    grid[:, :, :, 0] = posts.number(ring.sides[..., None], level)
-    grid[:, :, 0, :] = np.roll(posts.number(ring.sides[..., None], N - level), 1, axis=1)
-    grid[:, :, half, 1:half] = rays
-    grid[:, :, 1:half, half] = np.roll(rays, 1, axis=1)
-    grid[:, :, half, half] = start[:, None]
-    grid[:, :, 1:half, 1:half] = insides
-
-    found = np.empty((n, per_junction, d))
-    found[:, 0] = centre
-    s = t[:, None]
-    found[:, 1 : 1 + m * inner] = ((1 - s) * middle[:, :, None] + s * centre[:, None, None]).reshape(n, -1, d)
-    p, q = t[:, None, None], t[None, :, None]
-    before = np.roll(middle, 1, axis=1)[:, :, None, None]
-    blocks = (
-        (1 - p) * (1 - q) * at[:, :, None, None]
-        + p * (1 - q) * middle[:, :, None, None]
-        + (1 - p) * q * before
-        + p * q * centre[:, None, None, None]
+    pairs, number = _numbered(np.sort(ends.swapaxes(1, 2).reshape(-1, 2), axis=1))
+    nodes = np.empty(len(pairs), np.int64)
+    nodes[number] = vertices.ravel()
+    return (
+        posts.joined(pairs, nodes, int(posts.kind[links[0, 0]])),
+        (len(posts.nodes) + number).reshape(-1, links.shape[1]),
     )
-    found[:, 1 + m * inner :] = blocks.reshape(n, -1, d)
 
-    quads = np.stack([grid[..., :-1, :-1], grid[..., 1:, :-1], grid[..., :-1, 1:], grid[..., 1:, 1:]], axis=-1)
-    cells: IntArray = quads.reshape(n, -1, 4)
-    if not is_tensor(cell_type):  # halved from the corner to the centre, which suits corners of all angles
-        cells = np.concatenate([cells[..., [0, 1, 3]], cells[..., [0, 3, 2]]], axis=1)
-    return cells, found.reshape(-1, d), np.repeat(ring.nodes, per_junction)
+
+def _polygons(sides: IntArray, of: IntArray) -> IntArray:
+    """(n, k) numbers of polygons: two with the same sides are one.
+
+    Args:
+        sides: (n, k, 2) posts at their corners.
+        of: (n,) junction of each corner.
+    """
+    k, count = sides.shape[1], np.bincount(of)
+    out, first = np.empty(sides.shape[:2], np.int64), 0
+    for m in np.unique(count):
+        here = np.flatnonzero(count[of] == m)
+        here = here[np.argsort(of[here], kind="stable")].reshape(-1, m)
+        around = np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2]
+        found, number = _numbered(around)
+        out[here] = first + number.reshape(-1, 1, k)
+        first += len(found)
+    return out
+
+
+def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
+    """The corners of the polygons around the polyhedra at vertices of S in 3D, each polygon once; in 2D there are none.
+
+    Args:
+        joint: the joint before inflating.
+        posts: all posts, with those that close polygons.
+        corners: of junctions.
+
+    Raises:
+        GeometryError: bodies that touch at a vertex only lie between the layers there.
+    """
+    if joint.dim == 2:
+        return Corners.none(1)
+    n, several_posts = len(joint.points), np.bincount(posts.nodes, minlength=len(joint.points)) > 1
+    each = _once(corners, posts)
+    polygons, first = np.unique(each.polygons, return_index=True)
+    faces = np.bincount(each.of[first], minlength=n)
+    uses = np.bincount(each.sides.ravel(), minlength=len(posts.nodes))  # two for each polygon
+    loose = several_posts[posts.nodes] & (faces[posts.nodes] <= 1) & (uses != 2)
+
+    around = each.at(np.flatnonzero(faces[each.of] > 1))
+    rim = np.flatnonzero((faces[posts.nodes] > 1) & (uses == 2))
+    outer = _outer_polygons(posts, rim, len(polygons))
+    faces[np.unique(outer.of)] += 1
+    around = Corners.joined(around, outer)
+    uses = np.bincount(around.sides.ravel(), minlength=len(posts.nodes))
+    loose |= (faces[posts.nodes] > 1) & (uses != 4)
+    first = np.unique(around.copies, return_index=True)[1]
+    euler = np.bincount(around.of[first], minlength=n) - np.bincount(posts.nodes, minlength=n) + faces
+    loose |= (faces[posts.nodes] > 1) & (euler[posts.nodes] != 2)
+    if loose.any():
+        raise _loose(joint, posts.nodes[loose][:1])
+    return around
+
+
+def _once(corners: Corners, posts: Posts) -> Corners:
+    """The corners of each polygon, one by one, with its vertex."""
+    copies, polygons = corners.copies.reshape(-1, 1), corners.polygons.reshape(-1, 1)
+    _, once = np.unique(np.column_stack([polygons, copies]), axis=0, return_index=True)
+    sides = corners.sides.reshape(-1, 1, 2)[once]
+    return Corners(copies[once], sides, polygons[once], posts.nodes[sides[:, 0, 0]])
+
+
+def _outer_polygons(posts: Posts, rim: IntArray, first: int) -> Corners:
+    """The corners of polygons on the outer boundary, one at each vertex, numbered from `first` on.
+
+    Args:
+        posts: all posts.
+        rim: those around the polygons.
+        first: number of the first polygon.
+    """
+    copies, at = np.unique(posts.ends[rim], return_inverse=True)
+    by_copy = np.argsort(at.ravel(), kind="stable") // 2
+    twice = np.bincount(at.ravel(), minlength=len(copies)) == 2
+    sides = rim[by_copy[np.repeat(twice, np.bincount(at.ravel(), minlength=len(copies)))]].reshape(-1, 1, 2)
+    of = posts.nodes[sides[:, 0, 0]]
+    _, number = np.unique(of, return_inverse=True)
+    return Corners(copies[twice][:, None], sides, first + number.reshape(-1, 1), of)

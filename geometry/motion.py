@@ -1,8 +1,6 @@
-"""Motion of nodes when layers open: of the copies of the nodes of S, harmonic motion of the bodies, room for the layers."""
+"""Motion of nodes when layers open: of the copies of the nodes of S, harmonic motion of the bodies."""
 
 from __future__ import annotations
-
-from itertools import combinations
 
 import numpy as np
 import scipy.sparse
@@ -10,7 +8,6 @@ import scipy.sparse.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from geometry.bands import Copies
 from geometry.errors import GeometryError, place
@@ -26,9 +23,6 @@ UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
 SAME_GAP = 1e-9  # relative error of the thickness between bodies that are kept
 STIFF = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
 TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
-ASKEW = np.array(
-    [1.0, 1.3, 1.7, 2.3]
-)  # weights of a facet's vertices: their mean lies above no edge of an aligned grid
 NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
 
 
@@ -219,32 +213,6 @@ def _translations(
     return best
 
 
-def require_apart(opened: Joint) -> None:
-    """Raise GeometryError if parts of the outer boundary of a joint in 2D cross each other: bodies overlap."""
-    outer = opened.table.vertices[opened.table.cells[:, 1] < 0]
-    x = opened.points[outer]
-    length = float(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).max())
-    pairs = cKDTree(x.mean(axis=1)).query_pairs(length, output_type="ndarray")
-    one, other = outer[pairs].swapaxes(0, 1) if len(pairs) else (outer[:0], outer[:0])
-    apart = ~(one[:, :, None] == other[:, None, :]).any(axis=(1, 2))
-    a, b = opened.points[one[apart]], opened.points[other[apart]]
-
-    def beside(of: FloatArray, points: FloatArray) -> FloatArray:
-        """Twice the areas of the triangles over a segment, with signs."""
-        edge, to = (of[:, 1] - of[:, 0])[:, None], points - of[:, :1]
-        return np.asarray(edge[..., 0] * to[..., 1] - edge[..., 1] * to[..., 0])
-
-    tolerance = 1e-12 * length**2
-    crossed = np.ones(len(a), bool)
-    for of, points in ((a, b), (b, a)):
-        left = beside(of, points) > -tolerance  # a vertex on the line counts as left: a chain is crossed there once
-        crossed &= left[:, 0] != left[:, 1]
-    if crossed.any():
-        raise GeometryError(
-            f"no room for the layers at {place(a[crossed][0].mean(axis=0))}: moved apart, the bodies would overlap"
-        )
-
-
 def extended_motion(
     joint: Joint, body_cells: IntArray, n_nodes: int, known: IntArray, values: FloatArray
 ) -> FloatArray:
@@ -323,63 +291,3 @@ def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     if reason < 0:
         raise GeometryError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
     return solution
-
-
-def require_room(joint: Joint, translation: FloatArray) -> None:
-    """Raise GeometryError if bodies that are kept, or a layer on a rigid base, hit one another on their way.
-
-    Args:
-        joint: the joint before inflating.
-        translation: of its pieces, and of the rigid base if there is one, see `kept_motion`.
-    """
-    table, cells = joint.table, joint.surface_cells
-    first, alike = ways_of(translation)
-    outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
-    piece = joint.splitting.pieces[table.cells[outer, 0]]
-    below = np.where(cells[:, 0] >= 0, joint.splitting.pieces[cells[:, 0]], len(translation) - 1)
-    piece[np.searchsorted(outer, joint.surface_rows)] = below
-    group = alike[piece]
-    for one, other in combinations(range(len(first)), 2):
-        way = translation[first[one]] - translation[first[other]]
-        eps = float(np.linalg.norm(way))
-        for moving, fixed, sign in ((one, other, 1.0), (other, one, -1.0)):
-            corners = table.vertices[outer[group == moving]]
-            weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
-            probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
-            x = _first_hit(joint, probes, outer[group == fixed], sign * way / eps, eps)
-            if x is not None:
-                raise GeometryError(
-                    f"no room for a layer of thickness {eps:g} at {place(x)}: moved apart, the bodies would overlap"
-                )
-
-
-def ways_of(translation: FloatArray) -> tuple[IntArray, IntArray]:
-    """The first pieces with each translation, but for rounding errors; and (n_pieces,) which of these each piece has."""
-    scale = SAME_GAP * max(float(np.abs(translation).max()), np.finfo(float).tiny)
-    _, first, alike = np.unique(np.round(translation / scale), axis=0, return_index=True, return_inverse=True)
-    return first, alike.ravel()
-
-
-def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
-    """The first of the points (n, d) that meets one of the facets on its way, a length eps along a unit vector."""
-    nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
-    if is_tensor(joint.cell_type) and joint.dim == 3:
-        nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
-    facets = joint.points[nodes]
-    tolerance = 1e-9 * float(np.ptp(joint.points, axis=0).max())
-    start, heights = x @ way, facets @ way
-    near = (heights.max(axis=1) > start.min(initial=np.inf) + tolerance) & (
-        heights.min(axis=1) < start.max(initial=-np.inf) + eps
-    )
-    plane = np.linalg.svd(way[None])[2][1:]
-    for facet, height in zip(facets[near] @ plane.T, heights[near], strict=True):
-        edges = (facet[1:] - facet[0]).T
-        if abs(np.linalg.det(edges)) < tolerance ** (joint.dim - 1):
-            continue  # the facet is parallel to the way
-        weights = np.linalg.solve(edges, (x @ plane.T - facet[0]).T).T
-        gap = height[0] + weights @ (height[1:] - height[0]) - start
-        inside = (weights > 1e-9).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-9)
-        hit = np.flatnonzero(inside & (gap > tolerance) & (gap < eps))
-        if len(hit):
-            return np.asarray(x[hit[0]], float)
-    return None

@@ -1,0 +1,142 @@
+"""Meshed networks of layers in 3D: junction lines and the polyhedra where they meet, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import LinearElastic
+from geometry import GeometryError, Seam, inflate, wall
+from tests.meshed_cases3d import BLOCKS, cube, half_star, jump_errors, thickness
+from tests.meshes import grid, renumbered, volumes
+from tests.ranks import mpirun
+from tests.test_meshed_networks import BRICK, RATIOS, WAYS, areas, check
+from thinlayer import UflPart
+
+CELLS = ("hexahedron", "tetrahedron")
+CASES = [(kind, cell) for kind in BLOCKS for cell in CELLS if (kind, cell) != ("staggered", "hexahedron")]
+
+
+# ---------------------------------------------------------------- geometry
+@pytest.mark.parametrize(("kind", "cell"), CASES)
+def test_cubes_of_blocks(kind, cell):
+    """No cell is folded, no facet is free inside, the whole keeps its volume, and the numbers do not depend on eps."""
+    base, counts = cube(kind, cell), set()
+    for ratio in RATIOS:
+        opened = inflate(base, thickness(base, ratio), bodies="extended", cells_through=2)
+        check(base, opened)
+        assert volumes(opened).sum() == pytest.approx(8.0, rel=1e-12)
+        counts.add((len(opened.points), len(opened.cells)))
+    assert len(counts) == 1
+
+
+def volumes_of_junctions(kind, a, b, c):
+    """For layers of thickness a, b, c: of the first seam's junctions, and of the second's if there are three seams."""
+    return {
+        "T": (a * b,),
+        "X": (2 * a * b,),
+        "T x collar": (a * b * (1 - c / 2) + a * c * (1 - b / 2) + a * b * c / 2, b * c * (2 - a / 2)),
+        "staggered": (a * b / 2 * (1 - c / 2) + a * c / 2 * (1 - b / 2) + a * b * c / 4, b * c * (2 - a / 4)),
+        "octants": (a * b * (2 - c) + a * c * (2 - b) + a * b * c, b * c * (2 - a)),
+    }[kind]
+
+
+@pytest.mark.parametrize(("kind", "cell"), CASES)
+def test_volumes_of_junctions(kind, cell):
+    """Triangles and quadrilaterals along lines, and polyhedra between them, however many cells fill them."""
+    eps, wanted = 0.02, volumes_of_junctions(kind, 0.014, 0.02, 0.026)
+    for through in (2, 4):
+        base = renumbered(cube(kind, cell, 2), through)
+        opened = inflate(base, thickness(base, eps), bodies="extended", cells_through=through)
+        check(base, opened)
+        found = [volume for name, volume in areas(opened).items() if "JUNCTIONS" in name]
+        assert found == pytest.approx(wanted, rel=1e-10)
+        assert set(opened.band.junctions.values()) == {"X", "Y"} if len(wanted) == 2 else {"X"}
+    if kind == "octants":
+        at_vertex = (opened.reference[opened.corners] == 0.0).all(axis=(1, 2))
+        assert volumes(opened)[at_vertex].sum() == pytest.approx(0.014 * 0.02 * 0.026, rel=1e-10)
+
+
+@pytest.mark.parametrize("bodies", WAYS)
+@pytest.mark.parametrize(("cell", "depth"), [("triangle", None), ("quadrilateral", None), *((c, 0.75) for c in CELLS)])
+def test_a_wall_on_a_rigid_base(cell, depth, bodies):
+    """A head that ends at the base meets the layer there in a triangle, as at a bed."""
+    base = wall(2, 2, BRICK, 0.25, depth=depth, cell=cell)
+    base = replace(base, seams=base.seams | {"BOTTOM": Seam()})
+    bed, head, bottom = 0.02, 0.01, 0.03
+    opened = inflate(base, {"BED": bed, "HEAD": head, "BOTTOM": bottom}, bodies=bodies, junctions=["BED", "BOTTOM"])
+    check(base, opened)
+    found = {name: volume / (depth or 1.0) for name, volume in areas(opened).items()}
+    assert found["LAYER/JUNCTIONS/BED"] == pytest.approx(3 * bed * head / 2)
+    assert found["LAYER/JUNCTIONS/BOTTOM"] == pytest.approx(bottom * head / 2)
+    corners = (3 * bed + bottom) * head / 2 if bodies == "kept" else -(3 * bed / 2 + bottom) * head
+    layers = 2 * bed + 1.5 * head + 2 * bottom + corners
+    assert sum(found.values()) == pytest.approx(layers, rel=1e-10)
+    kept = volumes(opened)[: len(base.cells)].sum() / (depth or 1.0)
+    assert kept == pytest.approx(2.0 if bodies == "kept" else 2.0 - layers, rel=1e-10)
+    ends = {name for name in opened.facets if name.endswith("/LAYER")}
+    assert ends == {f"{name}/LAYER" for name in base.facets if name not in base.seams}
+
+
+@pytest.mark.parametrize("collar", [False, True])
+@pytest.mark.parametrize("cell", CELLS)
+def test_junctions_on_the_outer_boundary(cell, collar):
+    """Layers meet along a line in a flat side, and with a collar in a point there: outer faces close what is between."""
+    base, eps = renumbered(half_star(cell, collar)), 0.01
+    for through in (2, 4):
+        opened = inflate(base, eps, bodies="extended", cells_through=through)
+        check(base, opened, least=0.01)  # the quadrilaterals at the centre are thin
+        assert opened.points[opened.facets["SIDE/LAYER"]][..., 0] == pytest.approx(0.0, abs=1e-15)
+        at_axis = (opened.reference[opened.corners][..., :2] == 0.0).all(axis=(1, 2))
+        assert volumes(opened)[at_axis].sum() == pytest.approx(2 * eps**2 / 2, rel=1e-10)
+
+
+def test_hexahedra_need_three_layers_around_a_corner():
+    with pytest.raises(GeometryError, match=r"S branches at \(0, 0, 0\), .*need three layers.*not 2; use tetrahedra"):
+        inflate(cube("staggered", "hexahedron"), 0.01, bodies="extended")
+
+
+def test_bodies_that_touch_at_a_vertex_only():
+    """Two pairs of blocks, glued each, touch along the line where their layers meet."""
+    axis = np.linspace(-1.0, 1.0, 5)
+    base = grid([axis] * 3, lambda x: x[:, 0] > 0, "hexahedron", keep=lambda x: x[:, 1] * x[:, 2] > 0)
+    with pytest.raises(GeometryError, match=r"at \(0, 0, 0\) bodies touch at a vertex or along an edge only"):
+        inflate(base, 0.01, bodies="extended")
+
+
+# ---------------------------------------------------------------- models
+@pytest.mark.parametrize("element", ["Q2", "P2"])
+def test_jumps_converge(element):
+    """At rate 1, for laws by the names of seams."""
+    errors = jump_errors(element, (0.04, 0.02))
+    assert 0.9 < np.log2(errors[0] / errors[1]) < 1.1
+    assert errors[1] < 0.025
+
+
+def test_the_fill_makes_no_difference_if_it_scales_as_a_layer():
+    first, other = jump_errors("P2", (0.02,)), jump_errors("P2", (0.02,), junctions="Y")
+    assert first == pytest.approx(other, rel=0.05)
+    assert first != pytest.approx(other, rel=1e-6)
+
+
+def test_a_stiff_fill_does_not_converge():
+    """A junction as stiff as the blocks ties them together along its line."""
+    block = LinearElastic.young(1.0, 0.2)
+
+    def stiff(u, model):
+        e = ufl.sym(ufl.grad(u))
+        density = block.lmbda / 2 * ufl.tr(e) ** 2 + block.mu * ufl.inner(e, e)
+        return density * model.dx(model.domain.cell_values("LAYER/JUNCTIONS"))
+
+    errors = jump_errors("P2", (0.01, 0.005), parts=(UflPart(energy=stiff),))
+    assert (errors > 0.02).all()
+    assert abs(np.log2(errors[0] / errors[1])) < 0.2
+
+
+def test_same_on_two_ranks():
+    found, alone = (json.loads(mpirun(ranks, "-m", "tests.meshed_cases3d").stdout) for ranks in (2, 1))
+    assert found.keys() == alone.keys()
+    for name, values in alone.items():
+        assert found[name] == pytest.approx(values, rel=1e-10), name
