@@ -1,6 +1,6 @@
 """Meshes with names: builders, joints, inflating S into a layer, distributing over MPI ranks."""
 
-from geometry.builders import block, bond_cell, disc, ring, sandwich, wall
+from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall
 from geometry.domain import Domain
 from geometry.errors import GeometryError
 from geometry.gathering import from_dolfinx
@@ -20,7 +20,10 @@ __all__ = [
     "block",
     "bond_cell",
     "disc",
+    "faults",
+    "fibre",
     "from_dolfinx",
+    "grains",
     "inflate",
     "periodic",
     "read",

@@ -1,7 +1,8 @@
-"""Ready-made joints in 2D and 3D: a body on a rigid base, two stacked bodies, discs, rings, walls, cells of a wall."""
+"""Ready-made joints: a body on a rigid base, stacked bodies, discs, rings, fibres, walls and their cell, grains, faults."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from math import tau
 
 from mpi4py import MPI
@@ -11,6 +12,8 @@ from geometry.parallel import on_root
 from geometry.periodic import periodic
 from geometry.shapes.boxes import Boxes
 from geometry.shapes.bricks import BondCell, Bricks
+from geometry.shapes.cuts import faulted, grained
+from geometry.shapes.fibre import Fibre
 from geometry.shapes.rounds import Discs, Rings
 from geometry.shapes.sizing import Cells
 
@@ -163,6 +166,40 @@ def ring(
     return on_root(comm, Rings(cells, depth, inner, interface, outer, angle).build)
 
 
+def fibre(
+    radius: float,
+    around: float | tuple[float, float],
+    h: float | None = None,
+    *,
+    h_S: float | None = None,
+    cell: str = "triangle",
+    degree: int = 1,
+    comm: MPI.Intracomm | None = None,
+) -> Joint:
+    """A fibre, the disc r < radius about the origin, in its matrix; S is the circle between them. Collective.
+
+    Args:
+        radius: of the fibre, a length > 0.
+        around: radius of the matrix's outer circle, or (width, height) of the rectangle about the origin that it fills;
+            lengths that leave room for the fibre.
+        h: largest cell size, a length (default: a tenth of the smaller one of the radius and the matrix's least width).
+        h_S: cell size at S (default: h).
+        cell: "triangle" or, in a circle, "quadrilateral", which form a polar grid around a square one.
+        degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
+        comm: communicator whose rank 0 runs gmsh (default: the world).
+
+    Returns:
+        Regions "FIBRE" (the lower body), "MATRIX" (the upper one); facets "S", and "OUTSIDE" or "BOTTOM", "TOP", "LEFT",
+        "RIGHT". Whatever h is, about 20 cells or more go round S.
+
+    Raises:
+        GeometryError: a size is not positive, the fibre has no room, a name is unknown, quadrilaterals in a rectangle, the
+            degree is not 1 or 2.
+    """
+    lengths = around if isinstance(around, tuple) else (around,)
+    return on_root(comm, lambda: Fibre(Cells(h, h_S, None, cell, degree), radius, lengths).build())
+
+
 def wall(
     bricks: int,
     courses: int,
@@ -229,3 +266,78 @@ def bond_cell(
     size = tuple(brick) if depth is None else (*brick, depth)
     joint = on_root(comm, BondCell(Cells(h, None, None, cell), size, cut).build)
     return periodic(joint, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
+
+
+def grains(
+    width: float,
+    height: float,
+    grains: int | Sequence[tuple[float, float]],
+    h: float | None = None,
+    *,
+    seed: int = 0,
+    seams: Callable[[int, int], str] | None = None,
+    h_S: float | None = None,
+    h_ends: float | None = None,
+    comm: MPI.Intracomm | None = None,
+) -> Joint:
+    """The rectangle (0, width) x (0, height), filled with Voronoi grains; S is all boundaries between them. Collective.
+
+    Args:
+        width, height: size, lengths > 0.
+        grains: points (x, y) in the rectangle, one for each grain, which has all that is nearer to it than to others; or
+            the number of grains, at least 2. Their points are then random, moved to the centres of their grains three
+            times, and after that until no side of a grain is shorter than 0.12 of the root of the mean area.
+        h: largest cell size, a length (default: a tenth of the root of the mean area). Grains do not depend on it.
+        seed: of random points, a whole number >= 0: the same seed gives the same grains.
+        seams: function of the numbers of two grains that touch, the smaller one first, that returns the name of the seam
+            between them (default: all are "S").
+        h_S: cell size at S (default: h).
+        h_ends: cell size where boundaries of grains meet and end (default: h_S).
+        comm: communicator whose rank 0 runs gmsh (default: the world).
+
+    Returns:
+        Triangles; regions "GRAIN 1", "GRAIN 2", ... in the order of the points; the grain of the larger number is the upper
+        side; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
+
+    Raises:
+        GeometryError: a size or number out of range; points outside, or two at one place; a name of a seam that sides have;
+            a side of a grain shorter than half a cell, sides that meet at less than 6 degrees, with the place.
+    """
+    cells = Cells(h, h_S, h_ends, "triangle")
+    return on_root(comm, lambda: grained(cells, width, height, grains, seed, seams).build())
+
+
+def faults(
+    width: float,
+    height: float,
+    faults: Mapping[str, Sequence[tuple[float, float]]],
+    h: float | None = None,
+    *,
+    h_S: float | None = None,
+    h_ends: float | None = None,
+    comm: MPI.Intracomm | None = None,
+) -> Joint:
+    """The block (0, width) x (0, height) with faults, which may cross, branch, and end inside or outside. Collective.
+
+    Args:
+        width, height: size, lengths > 0.
+        faults: name -> points (x, y) of a fault, from one end to the other, joined by straight lines. What lies outside the
+            block is cut off. A fault ends on another one, and branches from it, where its last point lies on it, to 1e-6
+            of the block.
+        h: largest cell size, a length (default: a tenth of the smallest side).
+        h_S: cell size at S (default: h).
+        h_ends: cell size where faults meet and end (default: h_S).
+        comm: communicator whose rank 0 runs gmsh (default: the world).
+
+    Returns:
+        Triangles; a seam for each fault, its upper side on the left, seen from its first to its last point; regions
+        "BLOCK 1", "BLOCK 2", ..., the parts between faults by their centres from left to right; facets "BOTTOM", "TOP",
+        "LEFT", "RIGHT".
+
+    Raises:
+        GeometryError: a size out of range; a fault that is no path, turns back, lies outside, on another one or on a side,
+            or has the name of a side; faults that come nearer to each other or to a side than half a cell without
+            touching, or that meet at less than 6 degrees, with the place.
+    """
+    cells = Cells(h, h_S, h_ends, "triangle")
+    return on_root(comm, lambda: faulted(cells, width, height, faults).build())

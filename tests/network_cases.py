@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from forms import HolonomicCoulomb, LinearElastic, MohrCoulomb
-from geometry import Joint, Seam, wall
+from geometry import Joint, Seam, faults, grains, wall
 from geometry.topology import FacetTable
 from thinlayer import ContactReport, Structure, Surface, ThinLayer, march, solve
 
@@ -102,9 +102,20 @@ BED = HolonomicCoulomb(K_N=200.0, K_T=80.0, friction=0.5)
 HEAD = HolonomicCoulomb(K_N=100.0, K_T=40.0, friction=0.3)
 
 
+def shifted(joint: Joint, layer) -> float:
+    """Energy of a body whose top is shifted."""
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
+    found = solve(Structure(joint, body=LinearElastic.young(10.0, 0.25), supports=supports).interface(layer)).energies()
+    return found["bodies"] + found["layer"]
+
+
 def main() -> None:
     """Print the numbers as JSON."""
-    found = {f"wall {element}": wall_energy(element) for element in ("P1", "Q2")}
+    found = {"grains": shifted(grains(3.0, 2.0, 7, 0.2), springs(2.0, 0.7))}
+    given = {"A": ((-1.0, 1.0), (7.0, 4.0)), "B": ((1.0, 5.0), (4.0, 0.0)), "C": ((5.0, 3.25), (5.0, 4.2))}
+    layers = {"A": springs(2.0, 0.7), "B": springs(1.0, 0.4), "C": None}
+    found["faults"] = shifted(faults(6.0, 5.0, given, 0.4), layers)
+    found |= {f"wall {element}": wall_energy(element) for element in ("P1", "Q2")}
     found["panel"] = panel_energy("Q2")
     found["yielded"] = yielded("P2")
     found |= {f"pushed {push}": square(pushed(three_bricks(8, "triangle"), push, BED)) for push in (0.6, -0.6)}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from math import floor, log10
 from typing import Any, Self
@@ -33,12 +34,19 @@ class Drawing:
         facets: tags of the entities of one dimension less.
         floor: tags of the four-sided surfaces for a grid; in 3D the surfaces that were swept.
         gradings: tag of each curve around them -> its grading.
+        seams: name of a seam -> which of its sides is up; {}: "S" between the last body and those below.
     """
 
     bodies: dict[str, list[int]]
     facets: dict[str, list[int]]
     floor: list[int]
     gradings: dict[int, Grading]
+    seams: Mapping[str, Seam] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.seams:
+            *below, above = self.bodies
+            object.__setattr__(self, "seams", {S: Seam(tuple(below), (above,))})
 
 
 @dataclass(frozen=True)
@@ -71,9 +79,9 @@ class Shape(ABC):
         """Length of S in 2D, of the longest curve around it in 3D."""
 
     @property
-    @abstractmethod
     def distance(self) -> str:
-        """Distance from S, a formula in x, y and z."""
+        """Distance from S of a shape in 3D, a formula in x, y and z."""
+        return "0"
 
     @property
     def limits(self) -> list[str]:
@@ -135,7 +143,7 @@ class Shape(ABC):
             if self.gridded:
                 self._set_grid(drawing)
             else:
-                self._set_sizes(drawing.facets[S])
+                self._set_sizes([tag for name in drawing.seams for tag in drawing.facets[name]])
             gmsh.model.mesh.generate(self.dim)
             if self.cells.degree > 1:
                 gmsh.model.mesh.setOrder(self.cells.degree)
@@ -163,10 +171,11 @@ class Shape(ABC):
                 gmsh.model.mesh.setRecombine(2, surface)
 
     def _set_sizes(self, s: Sequence[int]) -> None:
-        """Size fields: h_ends at the ends of S, h_S on it, growing to h."""
+        """Size fields: h_ends where S ends or branches, h_S on it, growing to h."""
         h, h_S, h_ends = self.sizes
         field = gmsh.model.mesh.field
-        ends = [tag for _, tag in gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s], oriented=False)]
+        boundary = gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s], combined=False, oriented=False)
+        ends = [tag for (_, tag), count in Counter(boundary).items() if count != 2]
         formulas = []
         for dim, where, size in ((self.dim - 1, s, h_S), (self.dim - 2, ends, h_ends)):
             distance = f"({self.distance})"
@@ -214,7 +223,7 @@ class Shape(ABC):
             np.repeat(np.arange(len(bodies)), [len(body) for body in bodies]),
             names,
             {name: number(rows[:, : corner_count(facet_type)]) for name, rows in facets.items()},
-            {S: Seam(names[:-1], names[-1:])},
+            drawing.seams,
         )
 
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:

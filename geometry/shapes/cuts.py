@@ -1,0 +1,307 @@
+"""A rectangle that is cut along straight lines: into grains, or by faults that may cross and end inside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import degrees
+from typing import Any, Self
+
+import gmsh
+import numpy as np
+from scipy.spatial import Voronoi, cKDTree
+
+from forms.base import is_finite
+from geometry.joint import LEAST_COSINE, SAME_PLACE, GeometryError, Seam, place
+from geometry.shapes.drawing import Drawing, Shape
+from geometry.shapes.lines import Lines
+from geometry.shapes.sizing import Cells, times
+from geometry.topology import FloatArray, IntArray
+
+SIDES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
+NEAR = 0.5  # least distance between lines that do not meet, over the cell size there
+SHARP = 0.1  # least angle between lines that meet, in radians
+SHORT = 0.12  # least side of relaxed grains, over the root of their mean area
+EVEN = 3  # steps of points to the centres of their cells
+STEPS = 100  # of the relaxation, at most
+DECIMALS = 10  # of coordinates that gmsh gets, which are between 1 and 1000
+
+
+@dataclass(frozen=True)
+class CutRectangle(Shape):
+    """The rectangle (0, width) x (0, height), cut along lines.
+
+    Attributes:
+        width, height: lengths > 0.
+        grain: the length that the default cell size divides.
+        names: of the lines, those of the four sides first.
+        lines: the sides and the lines, which meet in their ends only.
+        seams: name of a line that is no side -> which side is up.
+        part: name of the parts of the rectangle, which are numbered.
+        centres: (n, 2) points of the parts, in the order of their numbers; None: from left to right, then upwards.
+    """
+
+    width: float
+    height: float
+    grain: float
+    names: tuple[str, ...]
+    lines: Lines
+    seams: Mapping[str, Seam]
+    part: str
+    centres: FloatArray | None = None
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return 2
+
+    @property
+    def lengths(self) -> dict[str, float]:
+        """The sides."""
+        return {"width": self.width, "height": self.height}
+
+    @property
+    def thinnest(self) -> float:
+        """The size of grains, or the smaller side."""
+        return self.grain
+
+    @property
+    def span(self) -> float:
+        """The longer side."""
+        return max(self.width, self.height)
+
+    def scaled(self, factor: float) -> Self:
+        """All lengths times a factor; coordinates are rounded."""
+        return replace(
+            self,
+            cells=self.cells.scaled(factor),
+            width=times(self.width, factor),
+            height=times(self.height, factor),
+            grain=times(self.grain, factor),
+            lines=replace(self.lines, points=np.round(self.lines.points * factor, DECIMALS)),
+            centres=None if self.centres is None else self.centres * factor,
+        )
+
+    def draw(self) -> Drawing:
+        """The rectangle in fragments, with the lines that end in one of them."""
+        kernel = gmsh.model.occ
+        points = [kernel.addPoint(x, y, 0.0) for x, y in self.lines.points]
+        curves = [(1, kernel.addLine(points[a], points[b])) for a, b in self.lines.ends]
+        whole = kernel.addRectangle(0.0, 0.0, 0.0, self.width, self.height)
+        _, (parts, *drawn) = kernel.fragment([(2, whole)], curves)
+        kernel.synchronize()
+        facets: dict[str, list[int]] = {}
+        for line, found in zip(self.lines.line, drawn, strict=True):
+            facets.setdefault(self.names[line], []).extend(tag for _, tag in found)
+        tags = np.array([tag for _, tag in parts])
+        order = self._order(np.array([kernel.getCenterOfMass(2, tag)[:2] for tag in tags]))
+        bodies = {f"{self.part} {k + 1}": [int(tag)] for k, tag in enumerate(tags[order])}
+        return Drawing(bodies, facets, [], {}, self.seams)
+
+    def _order(self, middles: FloatArray) -> IntArray:
+        """The order of the parts with these centres of mass."""
+        if self.centres is None:
+            return np.lexsort(np.round(middles / self.span, DECIMALS).T[::-1])
+        return np.argsort(cKDTree(self.centres).query(middles)[1])
+
+
+def require_sides(width: float, height: float, cells: Cells) -> None:
+    """Raise GeometryError for sides and cell sizes that are out of range."""
+    cells.check({"width": width, "height": height}, 2)
+
+
+def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]) -> CutRectangle:
+    """A block with faults: name -> points, from one end to the other. Raises GeometryError, see `builders.faults`."""
+    require_sides(width, height, cells)
+    if not isinstance(faults, Mapping) or not faults:
+        raise GeometryError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
+    for name in faults:
+        if name in SIDES or not isinstance(name, str):
+            raise GeometryError(f"{name!r} cannot be the name of a fault; not allowed: {', '.join(SIDES)}")
+    given = {name: _path(name, points) for name, points in faults.items()}
+    seams = {name: Seam(direction=_left(name, x)) for name, x in given.items()}
+    pieces = [np.stack([x[:-1], x[1:]], axis=1) for x in given.values()]
+    of_piece = np.repeat(np.arange(len(given)), [len(piece) for piece in pieces])
+    names = (*SIDES, *(list(given)[k] for k in of_piece))
+    lines = _inside(width, height, np.concatenate(pieces), names)
+    for name in given:
+        if not any(names[k] == name for k in lines.line):
+            raise GeometryError(f"the fault {name!r} lies outside the block (0, {width:g}) x (0, {height:g})")
+    shape = CutRectangle(cells, width, height, min(width, height), names, lines, seams, "BLOCK")
+    _require_apart(shape, "faults", "let them meet, draw them farther apart, or use smaller cells")
+    return shape
+
+
+def _points(given: Any, what: str) -> FloatArray:
+    """(n, 2) points; raises GeometryError."""
+    try:
+        x = np.array(given, np.float64)
+    except (TypeError, ValueError):
+        x = np.empty(0)
+    if x.ndim != 2 or x.shape[1] != 2 or len(x) < 2 or not np.isfinite(x).all():
+        raise GeometryError(f"{what} is {given!r}; it must be two points (x, y) or more")
+    return x
+
+
+def _path(name: str, points: Any) -> FloatArray:
+    """(n, 2) points of a fault; raises GeometryError."""
+    x = _points(points, f"the fault {name!r}")
+    if not np.diff(x, axis=0).any(axis=1).all():
+        raise GeometryError(f"two points of the fault {name!r} that follow each other are the same")
+    return x
+
+
+def _left(name: str, x: FloatArray) -> tuple[float, float]:
+    """The vector to the left of a fault, seen from its first to its last point; raises GeometryError if it turns back."""
+    way, whole = np.diff(x, axis=0), x[-1] - x[0]
+    back = way @ whole <= LEAST_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
+    if back.any():
+        raise GeometryError(
+            f"the fault {name!r} turns back at {place(x[back.argmax()])}, so that its left side cannot be told by one "
+            "vector; give its parts names of their own"
+        )
+    return (-float(whole[1]), float(whole[0]))
+
+
+def _inside(width: float, height: float, cuts: FloatArray, names: Sequence[str]) -> Lines:
+    """The sides and the parts of lines (n, 2, 2) inside; raises GeometryError for lines that lie on each other."""
+    corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+    sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    tolerance = SAME_PLACE * max(width, height)
+    lines = Lines.of(np.concatenate([sides, cuts]), tolerance)
+    x = lines.middles
+    outside = (x < -tolerance) | (x > np.array([width, height]) + tolerance)
+    lines = lines.where(np.asarray(~outside.any(axis=1)))
+    double = lines.doubles()
+    if len(double):
+        one, other = (names[lines.line[k]] for k in double[0])
+        raise GeometryError(f"{one!r} and {other!r} lie on each other at {place(lines.middles[double[0, 0]])}")
+    return lines
+
+
+def _require_apart(shape: CutRectangle, what: str, remedy: str) -> None:
+    """Raise GeometryError for lines that nearly touch."""
+    size = shape.sizes[2]
+    distance, at = shape.lines.nearest()
+    if distance < NEAR * size:
+        raise GeometryError(
+            f"{what} nearly touch each other or a side, or are as short, at {place(at)}: {distance:.3g}, less than "
+            f"{NEAR:g} cells of size {size:g}; {remedy}"
+        )
+    angle, at = shape.lines.sharpest()
+    if angle < SHARP:
+        raise GeometryError(
+            f"{what} meet each other or a side at {degrees(angle):.3g} degrees at {place(at)}; allowed: at least "
+            f"{degrees(SHARP):.3g}"
+        )
+
+
+def grained(
+    cells: Cells,
+    width: float,
+    height: float,
+    grains: int | Any,
+    seed: int,
+    seams: Callable[[int, int], str] | None,
+) -> CutRectangle:
+    """Voronoi grains of given points, or of random ones. Raises GeometryError, see `builders.grains`."""
+    require_sides(width, height, cells)
+    size = max(width, height)
+    box = np.array([width, height]) / size
+    if np.ndim(grains) == 0:
+        if not is_finite(grains) or grains != int(grains) or grains < 2:
+            raise GeometryError(f"grains is {grains!r}; it must be a whole number >= 2, or points (x, y)")
+        if not is_finite(seed) or seed != int(seed) or seed < 0:
+            raise GeometryError(f"seed is {seed!r}; it must be a whole number >= 0")
+        points = _relaxed(np.random.default_rng(int(seed)).random((int(grains), 2)) * box, box)
+    else:
+        points = np.asarray(_seeds(grains, width, height) / size, float)
+    ridges, pairs = _ridges(points, box)
+    named = [seams(int(a), int(b)) for a, b in pairs + 1] if seams else ["S"] * len(pairs)
+    for name in dict.fromkeys(named):
+        if name in SIDES or not isinstance(name, str):
+            raise GeometryError(f"{name!r} cannot be the name of a seam; not allowed: {', '.join(SIDES)}")
+    names = (*SIDES, *named)
+    lines = _inside(width, height, ridges * size, names)
+    grain = size * float(np.sqrt(box.prod() / len(points)))
+    shape = CutRectangle(
+        cells, width, height, grain, names, lines, {name: Seam() for name in sorted(set(named))}, "GRAIN", points * size
+    )
+    _require_apart(shape, "boundaries of grains", "use smaller cells, another seed or other points")
+    return shape
+
+
+def _seeds(given: Any, width: float, height: float) -> FloatArray:
+    """(n, 2) points of grains; raises GeometryError."""
+    x = _points(given, "grains")
+    outside = ~((x > 0) & (x < (width, height))).all(axis=1)
+    if outside.any():
+        raise GeometryError(
+            f"the point {place(x[outside][0])} of a grain is not inside the rectangle (0, {width:g}) x (0, {height:g})"
+        )
+    same = cKDTree(x).query_pairs(SAME_PLACE * max(width, height), output_type="ndarray")
+    if len(same):
+        raise GeometryError(f"two points of grains are the same, {place(x[same[0, 0]])}")
+    return x
+
+
+def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
+    """(m, 2, 2) sides between the Voronoi cells of points in the box (0, box), and (m, 2) the cells they are between."""
+    cells = _voronoi(points, box)
+    pairs = np.sort(cells.ridge_points, axis=1)
+    inner = pairs[:, 1] < len(points)
+    ends = np.array([cells.ridge_vertices[k] for k in np.flatnonzero(inner)])
+    x = cells.vertices[ends]
+    long = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) > SAME_PLACE
+    order = np.lexsort(pairs[inner][long].T[::-1])
+    return x[long][order], pairs[inner][long][order]
+
+
+def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
+    """Voronoi cells of points and of their mirror images beyond the four sides, which the sides are between."""
+    images = [points]
+    for axis in (0, 1):
+        for side in (0.0, box[axis]):
+            image = points.copy()
+            image[:, axis] = 2 * side - image[:, axis]
+            images.append(image)
+    return Voronoi(np.concatenate(images))
+
+
+def _relaxed(points: FloatArray, box: FloatArray) -> FloatArray:
+    """Points moved to the centres of their cells a few times, then towards each other across short sides of their cells.
+
+    This makes such a side longer.
+    """
+    n, size = len(points), float(np.sqrt(box.prod() / len(points)))
+    for _ in range(EVEN):
+        points = _centres(points, box)
+    for _ in range(STEPS):
+        cells = _voronoi(points, box)
+        pairs, x = cells.ridge_points, cells.vertices[np.array(cells.ridge_vertices)]
+        short = (pairs.min(axis=1) < n) & (np.linalg.norm(x[:, 1] - x[:, 0], axis=1) < SHORT * size)
+        if not short.any():
+            break
+        one, other = pairs[short].T
+        way = cells.points[other] - cells.points[one]
+        way *= SHORT * size / 2 / np.linalg.norm(way, axis=1)[:, None]
+        moved = np.zeros_like(cells.points)
+        np.add.at(moved, one, way)
+        np.add.at(moved, other, -way)
+        points = points + moved[:n]
+    return points
+
+
+def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
+    """(n, 2) centres of the areas of the Voronoi cells of points."""
+    cells, n = _voronoi(points, box), len(points)
+    one, other = cells.ridge_points.T
+    ends = np.array(cells.ridge_vertices)
+    own, ends = np.concatenate([one, other]), np.concatenate([ends, ends])
+    kept = (own < n) & (ends >= 0).all(axis=1)
+    own, x = own[kept], cells.vertices[ends[kept]]
+    to = x - points[own][:, None]
+    area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice that of a triangle over the point
+    moment = area[:, None] * to.sum(axis=1) / 3
+    total = np.bincount(own, area, n)
+    return np.asarray(points + np.stack([np.bincount(own, m, n) for m in moment.T], axis=1) / total[:, None])
