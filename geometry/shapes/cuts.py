@@ -12,7 +12,9 @@ import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
 from forms.base import is_finite
-from geometry.joint import LEAST_COSINE, SAME_PLACE, GeometryError, Seam, place
+from geometry.errors import GeometryError, place
+from geometry.periods import SAME_PLACE
+from geometry.seam import LEAST_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Shape
 from geometry.shapes.lines import Lines
 from geometry.shapes.sizing import Cells, times

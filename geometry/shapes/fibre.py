@@ -9,7 +9,8 @@ from typing import Self
 
 import gmsh
 
-from geometry.joint import GeometryError, S
+from geometry.errors import GeometryError
+from geometry.seam import S
 from geometry.shapes.drawing import Drawing, Shape
 from geometry.shapes.polar import Web, curve_grid, surface
 from geometry.shapes.rounds import CORE, TURN
