@@ -9,20 +9,20 @@ from typing import TypeVar
 import numpy as np
 
 from forms.base import is_finite
-from geometry.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
-from geometry.blocks import fill
 from geometry.errors import GeometryError, place, unknown
-from geometry.faces import moved_facets
-from geometry.joint import Band, Joint, Profile
-from geometry.junctions import Corners, junction_posts, junctions_of, polyhedra_of
-from geometry.motion import (
+from geometry.inflating.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
+from geometry.inflating.blocks import fill
+from geometry.inflating.faces import moved_facets
+from geometry.inflating.junctions import Corners, junction_posts, junctions_of, polyhedra_of
+from geometry.inflating.motion import (
     NOT_KEPT,
     UNIFORM,
     extended_motion,
     face_motion,
     kept_motion,
 )
-from geometry.room import is_swept, require_apart, require_room
+from geometry.inflating.room import is_swept, require_apart, require_room
+from geometry.joint import Band, Joint, Profile
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import FloatArray, IntArray, node_jacobians
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import dolfinx
 import numpy as np
 
-from geometry.cells import Cells
 from geometry.errors import GeometryError, unknown
+from geometry.importing.cells import Cells
 
 if TYPE_CHECKING:
     import meshio

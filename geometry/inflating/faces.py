@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from geometry.bands import Copies
+from geometry.inflating.bands import Copies
 from geometry.joint import Joint
 from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.topology import BITS, BoolArray, FacetTable, IntArray

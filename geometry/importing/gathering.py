@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.cells import Cells
 from geometry.compat import cell_nodes
 from geometry.errors import GeometryError
 from geometry.facets import vertices_of_facets
+from geometry.importing.cells import Cells
+from geometry.importing.naming import Groups, Named, SeamsOf, Sides
 from geometry.joint import Joint
-from geometry.naming import Groups, Named, SeamsOf, Sides
 from geometry.parallel import on_root
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
 

@@ -9,8 +9,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
-from geometry.bands import Copies
 from geometry.errors import GeometryError, place
+from geometry.inflating.bands import Copies
 from geometry.joint import FLAT, Joint
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange
 

@@ -11,11 +11,11 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.base import is_finite
-from geometry.cells import Cells
 from geometry.errors import GeometryError, place
+from geometry.importing.cells import Cells
+from geometry.importing.meshfile import cells_of, load
+from geometry.importing.naming import Groups, Named, SeamsOf, Sides
 from geometry.joint import Joint
-from geometry.meshfile import cells_of, load
-from geometry.naming import Groups, Named, SeamsOf, Sides
 from geometry.parallel import on_root
 from geometry.topology import FACET_TYPES, IntArray, corner_count
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from geometry.bands import Footing, Posts
 from geometry.errors import GeometryError, place
+from geometry.inflating.bands import Footing, Posts
 from geometry.joint import Joint
 from geometry.topology import FACET_TYPES, IntArray, lagrange
 

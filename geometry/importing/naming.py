@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import is_finite
-from geometry.cells import Cells
 from geometry.errors import GeometryError, place, unknown
+from geometry.importing.cells import Cells
 from geometry.joint import Joint
 from geometry.seam import S, Seam
 from geometry.topology import IntArray

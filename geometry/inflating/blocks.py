@@ -14,10 +14,10 @@ from itertools import product
 
 import numpy as np
 
-from geometry.bands import Posts
 from geometry.errors import GeometryError, place
+from geometry.inflating.bands import Posts
+from geometry.inflating.junctions import Corners
 from geometry.joint import Joint
-from geometry.junctions import Corners
 from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geometry.errors import GeometryError, place
+from geometry.inflating.motion import SAME_GAP
 from geometry.joint import Joint
-from geometry.motion import SAME_GAP
 from geometry.topology import FloatArray, IntArray, is_tensor
 
 MANY = 3  # number of different motions of bodies in 2D up to which their ways are checked, pair by pair

@@ -1,0 +1,1 @@
+"""Joints from files and from meshes of DOLFINx."""
