@@ -70,7 +70,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         if not found:
             continue
         if not (model.linear or _of_jumps(_sublayers(one))):
-            _warn_of_overlap(max(found, key=lambda faces: faces.mean_closing))
+            _warn_of_overlap(one, max(found, key=lambda faces: faces.mean_closing))
         if one.law.traits.linear and not one.law.traits.phases:  # the strain of a phase brings about no pressure
             _warn_of_pressure(model, one, found, start)
 
@@ -374,7 +374,7 @@ class _Faces:
         return float(areas @ np.maximum(self.closing, 0).mean(axis=1) / areas.sum())
 
 
-def _warn_of_overlap(faces: _Faces) -> None:
+def _warn_of_overlap(one: SeamLayer, faces: _Faces) -> None:
     """Warn if the bodies overlap by more than the thickness on average, which laws of small strains do not prevent.
 
     The mean over S is tested, because at single places, such as ends, jumps are large in any case. The limit is not zero,
@@ -386,7 +386,7 @@ def _warn_of_overlap(faces: _Faces) -> None:
         worst = np.unravel_index(closing.argmax(), closing.shape)
         x = ", ".join(f"{c:.4g}" for c in state.model.joint.points[faces.sheet.vertices[worst]])
         warn(
-            f"at t = {state.t:.4g} the layer closes by {faces.mean_closing:.3g} times its thickness, on average over S "
+            f"at t = {state.t:.4g} {one} closes by {faces.mean_closing:.3g} times its thickness, on average over S "
             f"(most near ({x}), by {closing[worst]:.3g} times): the bodies overlap, and the law is for small strains; "
             "check loads, thickness and the law's parameters (per thickness?)",
             state.model.comm,
