@@ -121,6 +121,9 @@ def main() -> None:
     found |= {f"pushed {push}": square(pushed(three_bricks(8, "triangle"), push, BED)) for push in (0.6, -0.6)}
     state = pushed(three_bricks(4, "quadrilateral"), 0.6, {"BED": BED, "HEAD": HEAD})
     found["head force"] = ContactReport(state, "HEAD").force.tolist()
+    mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
+    last = march(panel("Q2", 0.25, HEAD=ThinLayer(mortar, 0.007)), [0.5, 1.0]).last
+    found["by name"] = [last.energies()["layer BED"], last.dissipated["HEAD"]]
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found))
 

@@ -58,7 +58,6 @@ class Audit:
         remainder: error of the time scheme (backward Euler: the energy of the increments; midpoint: zero for laws with a
             quadratic energy), and the effect of parameters that vary in time, at fixed strains.
         total: energy stored in all parts at the end of the step.
-        by_seam: what the layer of each seam dissipates, by name; empty if there is one seam only.
     """
 
     supplied: float = 0.0
@@ -66,7 +65,6 @@ class Audit:
     dissipated: float = 0.0
     remainder: float = 0.0
     total: float = 0.0
-    by_seam: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def imbalance(self) -> float:
@@ -105,11 +103,14 @@ class State(Configuration):
         model: the model; u is in model.V.
         report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
+        dissipated: name of a seam -> energy that its layer dissipated in this step, without what is lost in a snap; empty
+            if there is one seam only.
     """
 
     model: Model
     report: Report
     audit: Audit = Audit()
+    dissipated: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def p(self) -> fem.Function | None:

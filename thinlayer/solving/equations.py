@@ -201,9 +201,9 @@ class Equations(PartSum):
             sum(one.dissipated for one in every),
             sum(one.remainder for one in every),
             sum(one.after for one in every),
-            self.model.by_seam({key: one.dissipated for key, one in found.items()}),
         )
-        return State(**vars(end), model=self.model, report=report, audit=audit)
+        dissipated = self.model.by_seam({key: one.dissipated for key, one in found.items()})
+        return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of the strains that unknowns x cause in layers that yield, by the keys of parts."""

@@ -221,12 +221,11 @@ class Checkpoint:
         stored = {name.removeprefix(STORED): value for name, value in single.items()}
         numbers = {name: value for name, value in table.rows[row].items() if not isinstance(value, str)}
         found = {name: np.nan if value is None else float(value) for name, value in numbers.items()}
-        by_seam = dict.fromkeys(self.model.by_seam({}), 0.0)
-        by_seam |= {seam: found.get(column, np.nan) for column, seam in dissipated_columns(self.model).items()}
-        terms = {name: found[name] for name in ("supplied", "stored", "dissipated", "remainder")}
-        audit = Audit(**terms, by_seam=by_seam)
+        dissipated = dict.fromkeys(self.model.by_seam({}), 0.0)
+        dissipated |= {seam: found.get(column, np.nan) for column, seam in dissipated_columns(self.model).items()}
+        audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        return State(u, t, memory, fields, stored, model=self.model, report=report, audit=audit)
+        return State(u, t, memory, fields, stored, model=self.model, report=report, audit=audit, dissipated=dissipated)
 
     def _arrays(self, row: int, table: Table) -> dict[str, Array]:
         """The arrays of a state's file; on rank 0."""

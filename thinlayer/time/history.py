@@ -38,7 +38,10 @@ class Snap:
 
 
 def dissipated_columns(model: Model) -> dict[str, str]:
-    """Column of what the layer of a seam dissipates in a step -> its name; for layers that remember, of several seams."""
+    """Column of what the layer of a seam dissipates in a step -> its name; for layers that remember, of several seams.
+
+    What is lost in a snap, by layers and bodies together, is in the column "dissipated" alone.
+    """
     return {f"dissipated {name}": name for name in model.by_seam({}) if model.layers[name].remembers}
 
 

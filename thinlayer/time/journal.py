@@ -122,7 +122,7 @@ class Journal:
             value = getattr(state.report if hasattr(state.report, name) else state.audit, name)
             values[name] = None if math.isnan(value) else value
         for column, seam in dissipated_columns(self.model).items():
-            values[column] = None if math.isnan(state.audit.by_seam[seam]) else state.audit.by_seam[seam]
+            values[column] = None if math.isnan(state.dissipated[seam]) else state.dissipated[seam]
         if seams := seams_with_phases(self.model):
             values["energy"] = None if math.isnan(state.audit.total) else state.audit.total
         for seam in seams:

@@ -1,0 +1,241 @@
+"""What several layers remember, store, dissipate and switch is told by the names of their seams, in any order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import IncrementalCoulomb, LinearElastic, MohrCoulomb, NonMonotoneUnrelaxed, Stack
+from forms.traction import TractionLaw
+from geometry import sandwich
+from tests import ranges_told
+from tests.meshed_cases import mortar, panel, yielding
+from tests.network_cases import springs, three_bricks
+from tests.test_networks import cut_at, on
+from thinlayer import (
+    ContactReport,
+    LimitLoad,
+    ModelError,
+    PhaseReport,
+    Structure,
+    Surface,
+    ThinLayer,
+    UflPart,
+    compare,
+    march,
+    solve,
+)
+
+COLUMN = sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral")  # cut at two heights into three blocks
+BLOCKS = cut_at(COLUMN, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
+ROLLERS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+STEPS = [0.5, 1.0]
+
+
+def reversed_(layers: dict) -> dict:
+    return dict(reversed(layers.items()))
+
+
+def pulled(joint=BLOCKS, body: float = 5.0, **data) -> Structure:
+    data = {"supports": ROLLERS} | data
+    return Structure(joint, body=LinearElastic(0.0, body), element="Q1", **data)
+
+
+# ---------------------------------------------------------------- energies and memory
+@pytest.mark.parametrize("kind", ["interface", "full"])
+def test_energies_of_each_layer(kind):
+    """Springs of the beds and heads that yield; all layers together are the sum."""
+    model = getattr(panel("Q2", 0.25), kind)(yielding(0.01))
+    history = march(model, STEPS)
+    assert set(history.last.memory) == {"layer HEAD"}
+    found = history.last.energies()
+    assert list(found) == ["bodies", "layer", "layer BED", "layer HEAD", "loads"]
+    assert found["layer BED"] + found["layer HEAD"] == pytest.approx(found["layer"], rel=1e-14)
+    assert found["layer HEAD"] == pytest.approx(history.last.stored["layer HEAD"], rel=1e-14)
+    surface = Surface(panel("Q2", 0.25).interface(mortar(0.01)), "BED")
+    w = surface.frame(surface.jump(history.last))
+    by_hand = surface.integral(2.0 * w[1] ** 2 + 0.7 * w[0] ** 2) / 2
+    assert found["layer BED"] == pytest.approx(by_hand, rel=1e-12 if kind == "interface" else 0.02)
+    table = history.table
+    assert {"dissipated HEAD"} == {name for name in table.columns if name.startswith("dissipated ")}
+    assert table["dissipated HEAD"] == pytest.approx(table["dissipated"], rel=1e-12)
+    assert history.last.dissipated == {"BED": 0.0, "HEAD": history.last.audit.dissipated} != {"BED": 0.0, "HEAD": 0.0}
+
+
+def test_sublayers_of_one_of_several_layers():
+    """A seam's name and its sublayer's number cannot be taken for the name of another seam."""
+    yields = MohrCoulomb(3.0, 2.0, cohesion=0.4, friction_angle=20.0)
+    layers = {"LOW": ThinLayer(yields, 0.1), "HIGH": ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1)}
+    load = {"TOP": lambda x, t: (0.0, -0.5 * t)}
+    full, limit = (
+        march(model, [1.0]).last
+        for model in (pulled(tractions=load).full(layers), pulled(tractions=load).interface(layers))
+    )
+    assert set(full.memory) == {"layer LOW", "layer HIGH/1", "layer HIGH/2"}
+    assert set(limit.memory) == {"layer LOW", "layer HIGH"}
+    for name in ("layer LOW", "layer HIGH", "layer"):
+        assert full.energies()[name] == pytest.approx(limit.energies()[name], rel=1e-10)
+
+
+def test_one_seam_has_the_keys_of_old():
+    joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
+    structure = Structure(joint, body=LinearElastic(0.0, 5.0), supports={"BOTTOM": 0.0}, element="Q1")
+    yields = MohrCoulomb(3.0, 2.0, cohesion=0.4, friction_angle=20.0)
+    for model, keys in (
+        (structure.interface(ThinLayer(yields, 0.1)), {"layer"}),
+        (structure.full(ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1)), {"layer 1", "layer 2"}),
+        (structure.interface(IncrementalCoulomb(2.0, 1.0, 0.3)), {"contact"}),
+    ):
+        history = march(model, [1.0])
+        assert set(history.last.memory) == keys
+        assert list(history.last.energies()) == ["bodies", "layer", "loads"]
+        assert history.last.dissipated == {}
+        assert not [name for name in history.table.columns if " " in name]
+
+
+def test_contact_on_one_of_two_seams():
+    structure = Structure(
+        three_bricks(2, "quadrilateral"), body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",
+        tractions={"TOP": (0.0, -1.0), "LEFT": lambda x, t: (0.7 * t, 0.0)},
+    )  # fmt: skip
+    bed = IncrementalCoulomb(K_N=200.0, K_T=80.0, friction=0.2)
+    history = march(structure.interface({"BED": bed, "HEAD": springs(100.0, 40.0)}), STEPS)
+    assert set(history.last.memory) == {"contact BED"}
+    found = history.last.energies()
+    assert found["layer BED"] + found["layer HEAD"] == pytest.approx(found["layer"], rel=1e-14)
+    assert min(found["layer BED"], found["layer HEAD"]) > 0
+    assert history.table["dissipated BED"] == pytest.approx(history.table["dissipated"], rel=1e-12)
+    assert history.last.dissipated["BED"] > 0
+    report = ContactReport(history.last)
+    assert report.seam == "BED"
+    assert str(report).startswith("BED: ")
+
+
+def test_a_part_cannot_have_the_name_of_a_layer():
+    part = UflPart(energy=lambda u, model: ufl.inner(u, u) * model.dx, key="layer HIGH")
+    with pytest.raises(ModelError, match="two parts are called 'layer HIGH'"):
+        pulled(parts=[part]).interface(springs(4.0, 1.0))
+
+
+# ---------------------------------------------------------------- order
+def test_the_order_of_layers_makes_no_difference(tmp_path):
+    """Nor in a march that is resumed with another one; both layers remember, and are not alike."""
+    yields = {
+        "BED": ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=4e-4, friction_angle=30.0), 0.01),
+        "HEAD": ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=20.0), 0.007),
+    }
+    bricks, times = panel("Q2", 0.25), [0.5, 0.75, 1.0]
+    one, other = (march(bricks.interface(layers), times) for layers in (yields, reversed_(yields)))
+    assert np.array_equal(one.last.u.x.array, other.last.u.x.array)
+    assert min(one.last.dissipated.values()) > 0
+    march(bricks.interface(yields), times[:2], out=tmp_path)
+    resumed = march(bricks.interface(reversed_(yields)), times, out=tmp_path, resume=True)
+    assert resumed.last.report.method != "resumed" == resumed.at(0.75).report.method
+    assert resumed.last.u.x.array == pytest.approx(one.last.u.x.array, rel=1e-12)
+    for state in (resumed.at(0.75), resumed.last):
+        assert state.dissipated == pytest.approx(one.at(state.t).dissipated, rel=1e-10)
+        assert state.energies() == pytest.approx(one.at(state.t).energies(), rel=1e-10)
+    swapped = {"BED": yields["HEAD"], "HEAD": yields["BED"]}
+    with pytest.raises(ModelError, match="is of another march"):
+        march(bricks.interface(swapped), times, out=tmp_path, resume=True)
+
+
+def test_the_order_of_layers_does_not_choose_the_fill_of_junctions():
+    bricks, layers = panel("Q2", 0.25), mortar(0.02)
+    one, other, chosen = (
+        solve(bricks.full(given, **choice), 1.0).energies()["layer HEAD"]
+        for given, choice in ((layers, {}), (reversed_(layers), {}), (layers, {"junctions": "HEAD"}))
+    )
+    assert one == other
+    assert abs(chosen / one - 1) > 1e-4
+
+
+# ---------------------------------------------------------------- limits, snaps, what is told
+def test_a_limit_load_tells_which_layer_gives_way():
+    """Of two layers that yield the weaker one, though it is the later one; of one layer nothing is said."""
+    strong, weak = (MohrCoulomb(3.0, 2.0, cohesion=c, friction_angle=0.0) for c in (0.9, 0.4))
+    data = {"supports": {"BOTTOM": 0.0, "TOP": {"y": 0.0}}, "tractions": {"TOP": lambda x, t: (t, 0.0)}}
+    layers = {"LOW": ThinLayer(strong, 0.1), "HIGH": ThinLayer(weak, 0.1)}
+    with pytest.raises(LimitLoad, match=r"with strains in the layers 'HIGH' 100%\. The states before") as limit:
+        march(pulled(body=50.0, **data).interface(layers), [0.3, 0.6])
+    assert limit.value.t == pytest.approx(0.4, rel=1e-3)
+    assert list(limit.value.shares) == ["HIGH", "LOW"]
+    assert limit.value.shares["LOW"] < 1e-6
+    one = cut_at(COLUMN, {"LOW": (on(1, -1.0), (0, 1))})
+    with pytest.raises(LimitLoad, match=r"with an elastic layer\. The states before") as limit:
+        march(pulled(one, 50.0, **data).interface(ThinLayer(weak, 0.1)), [0.3, 0.6])
+    assert limit.value.shares == {}
+
+
+def test_snaps_of_each_layer():
+    """Both layers open at a traction of their own, one after the other."""
+    chi = [[0, 0], [0, 1]]
+    soon, late = (NonMonotoneUnrelaxed(0.0, 2.0, alpha=0.3, transformation_energy=c, chi=chi) for c in (0.05, 0.09))
+    move = {"TOP": {"y": lambda x, t: 2.0 * t}}
+    structure = pulled(supports=ROLLERS | move)
+    layers = {"LOW": ThinLayer(late, 0.1), "HIGH": ThinLayer(soon, 0.1)}
+    history = march(structure.interface(layers), [1.0])
+    assert {seam for snap in history.snaps for seam in snap.seams} == {"LOW", "HIGH"}
+    first, last = history.snaps[0], history.snaps[-1]
+    assert (first.seams, last.seams) == (("HIGH",), ("LOW",))
+    for seam in ("LOW", "HIGH"):
+        report = PhaseReport(history.last, seam)
+        assert report.plus == history.table[f"plus {seam}"][-1] == pytest.approx(1.0)
+        assert report.profile()[0][:, 1] == pytest.approx({"LOW": -1.0, "HIGH": 2.0}[seam])
+    half = PhaseReport(history.states[first.row], "HIGH"), PhaseReport(history.states[first.row], "LOW")
+    assert half[0].plus > half[1].plus == 0.0
+    with pytest.raises(ModelError, match="give seam=, one of LOW, HIGH"):
+        PhaseReport(history.last)
+    with pytest.raises(ModelError, match="seam is 'LO'; name one whose layer has phases: LOW, HIGH"):
+        PhaseReport(history.last, "LO")
+    with pytest.raises(ModelError, match="column 'minus LOW' is there already"):
+        march(structure.interface(layers), [0.5], observe={"minus LOW": lambda state: 0.0})
+
+
+@dataclass(frozen=True)
+class Fades(TractionLaw):
+    """k [u]/(1 + [u]^2/w_0^2), whose fall it does not declare."""
+
+    k: float
+    w_0: float
+
+    def traction(self, step):
+        return self.k * step.mid / (1 + ufl.inner(step.mid, step.mid) / self.w_0**2)
+
+    quadratic: ClassVar = False
+
+
+def test_a_layer_whose_stress_falls_is_named():
+    structure = pulled(supports=ROLLERS | {"TOP": {"y": lambda x, t: 0.8 * t}})
+    model = structure.interface({"LOW": springs(4.0, 1.0), "HIGH": Fades(0.9, 0.11)})
+    _, messages = ranges_told.told(lambda: march(model, [0.25, 0.5]))
+    assert any("the stress of Fades falls at 4 points of the layer HIGH as" in message for message in messages)
+
+
+# ---------------------------------------------------------------- comparisons
+def test_comparisons_by_name():
+    """Squares of errors and of norms on the seams add up to those on all of S."""
+    bricks, layers = panel("Q2", 0.25), mortar(0.02)
+    full, limit = (solve(model, 1.0) for model in (bricks.full(layers), bricks.interface(layers)))
+    whole = compare(full, limit)
+    parts = {name: compare(full, limit, seam=name) for name in layers}
+    assert whole["eps"] == parts["HEAD"]["eps"] == 0.02
+    for field in ("traction", "jump"):
+        norms = [one[field] for one in parts.values()]
+        errors = [one[field] * one[f"error_{field}"] for one in parts.values()]
+        assert np.linalg.norm(norms) == pytest.approx(whole[field], rel=1e-12)
+        assert np.linalg.norm(errors) == pytest.approx(whole[field] * whole[f"error_{field}"], rel=1e-12)
+        assert parts["BED"][f"error_{field}"] != pytest.approx(parts["HEAD"][f"error_{field}"], rel=0.1)
+    left = compare(full, limit, seam="HEAD", where=lambda x: x[1] < 0.5)  # one head of three
+    assert 0 < left["jump"] < parts["HEAD"]["jump"]
+    with pytest.raises(ModelError, match="where holds nowhere"):
+        compare(full, limit, seam="HEAD", where=lambda x: abs(x[0] - 0.25) < 0.1)
+    with pytest.raises(ModelError, match="unknown seam 'BEDS', did you mean 'BED'"):
+        compare(full, limit, seam="BEDS")
+    other = solve(bricks.interface(layers | {"HEAD": springs(1.2, 0.45, 0.02)}), 1.0)
+    with pytest.raises(ModelError, match=r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02"):
+        compare(full, other)
