@@ -11,9 +11,11 @@ from scipy.spatial import cKDTree
 
 from geometry import GeometryError, Joint, faults, fibre, grains, inflate
 from geometry.topology import node_jacobians
+from studies import junctions
 from tests.meshes import volumes
 from tests.network_cases import shifted, springs
 from tests.test_networks import counts, cut_at
+from thinlayer.running.cli import main
 
 SIDES = {"BOTTOM", "TOP", "LEFT", "RIGHT"}
 POINTS = [(0.4, 0.3), (1.9, 0.4), (2.6, 1.2), (1.1, 1.4), (0.3, 1.6)]
@@ -253,3 +255,12 @@ def test_refused_fibres():
     ):
         with pytest.raises(GeometryError, match=message):
             fibre(0.4, **given)
+
+
+# ---------------------------------------------------------------- study
+def test_study_of_junctions(tmp_path, monkeypatch):
+    """A star and grains converge to their interface laws away from junctions."""
+    monkeypatch.setattr(junctions, "CASES", {name: junctions.CASES[name] for name in ("star of five layers", "grains")})
+    assert main(["run", "junctions", "--quick", "--eps", "0.02", "0.01", "--out", str(tmp_path)]) == 0
+    names = {"jump", "inner_jump", "inner_traction", "star", "grains"}
+    assert {path.name for path in tmp_path.glob("*.png")} == {f"{name}.png" for name in names}
