@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from geometry import GeometryError, Joint, faults, fibre, grains, inflate
+from forms import LinearElastic
+from geometry import GeometryError, Joint, faults, fibre, grains, inflate, periodic
 from geometry.topology import node_jacobians
 from studies import junctions
 from tests.meshes import volumes
 from tests.network_cases import shifted, springs
 from tests.test_networks import counts, cut_at
+from thinlayer import Structure, homogenised_stiffness
 from thinlayer.running.cli import main
 
 SIDES = {"BOTTOM", "TOP", "LEFT", "RIGHT"}
@@ -243,6 +245,15 @@ def test_fibre(around, cell, degree):
     if degree == 1:
         for eps in (0.04, 4e-4):
             inflate(joint, eps, bodies="extended")
+
+
+def test_fibres_in_a_square_repeat():
+    """The sides of the square match; of one law with stiff springs the cell is homogeneous."""
+    cell = periodic(fibre(0.4, (1.0, 1.5), 0.15, degree=2), ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
+    law = LinearElastic.young(2.0, 0.3)
+    found = homogenised_stiffness(Structure(cell, body=law, supports={}).interface(springs(2e9, 1e9)))
+    exact = law.lmbda * np.array([[1, 1, 0], [1, 1, 0], [0, 0, 0]]) + law.mu * np.diag([2, 2, 1])
+    assert found == pytest.approx(exact, rel=1e-6, abs=1e-6)
 
 
 def test_refused_fibres():
