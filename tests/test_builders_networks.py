@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from geometry import GeometryError, Joint, faults, fibre, grains, inflate
+from forms import LinearElastic
+from geometry import GeometryError, Joint, faults, fibre, grains, inflate, periodic
 from geometry.topology import node_jacobians
+from studies import junctions
 from tests.meshes import volumes
 from tests.network_cases import shifted, springs
 from tests.test_networks import counts, cut_at
+from thinlayer import Structure, homogenised_stiffness
+from thinlayer.running.cli import main
 
 SIDES = {"BOTTOM", "TOP", "LEFT", "RIGHT"}
 POINTS = [(0.4, 0.3), (1.9, 0.4), (2.6, 1.2), (1.1, 1.4), (0.3, 1.6)]
@@ -243,6 +247,15 @@ def test_fibre(around, cell, degree):
             inflate(joint, eps, bodies="extended")
 
 
+def test_fibres_in_a_square_repeat():
+    """The sides of the square match; of one law with stiff springs the cell is homogeneous."""
+    cell = periodic(fibre(0.4, (1.0, 1.5), 0.15, degree=2), ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
+    law = LinearElastic.young(2.0, 0.3)
+    found = homogenised_stiffness(Structure(cell, body=law, supports={}).interface(springs(2e9, 1e9)))
+    exact = law.lmbda * np.array([[1, 1, 0], [1, 1, 0], [0, 0, 0]]) + law.mu * np.diag([2, 2, 1])
+    assert found == pytest.approx(exact, rel=1e-6, abs=1e-6)
+
+
 def test_refused_fibres():
     for given, message in (
         (dict(around=0.3), "radius is 0.4; it must be less than the radius of the matrix, 0.3"),
@@ -253,3 +266,12 @@ def test_refused_fibres():
     ):
         with pytest.raises(GeometryError, match=message):
             fibre(0.4, **given)
+
+
+# ---------------------------------------------------------------- study
+def test_study_of_junctions(tmp_path, monkeypatch):
+    """A star and grains converge to their interface laws away from junctions."""
+    monkeypatch.setattr(junctions, "CASES", {name: junctions.CASES[name] for name in ("star of five layers", "grains")})
+    assert main(["run", "junctions", "--quick", "--eps", "0.02", "0.01", "--out", str(tmp_path)]) == 0
+    names = {"jump", "inner_jump", "inner_traction", "star", "grains"}
+    assert {path.name for path in tmp_path.glob("*.png")} == {f"{name}.png" for name in names}

@@ -1,0 +1,249 @@
+"""Meshed networks of layers against their interface models: rates in eps, and what junctions do to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import cos, radians, sin
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from scipy.spatial import cKDTree
+
+from forms import LinearElastic
+from forms.kinematics import Expr
+from geometry import Joint, faults, grains, wall
+from geometry.joint import JUNCTIONS, LAYER
+from thinlayer import Model, State, Structure, Surface, ThinLayer, UflPart, observed_orders, plotting, solve
+from thinlayer.files.progress import track
+from thinlayer.running.record import Record
+
+EPS = (0.04, 0.02, 0.01, 0.005, 0.0025)
+BODY = LinearElastic.young(E=1.0, nu=0.2)
+BED, HEAD = LinearElastic(lmbda=0.6, mu=0.7), LinearElastic(lmbda=0.3, mu=0.45)  # per thickness
+MORTAR = {"BED": (BED, 1.0), "HEAD": (HEAD, 0.7)}  # seam -> law, thickness over eps
+H = 1 / 16  # cell size
+SHIFT = (0.01, -0.02, 0.005)  # of the top
+RAYS = (10, 95, 150, 200, 310)  # degrees, of the star's layers
+RATE = (0.9, 1.1)  # range of orders away from junctions and free ends
+STYLES = ("o-", "s-", "^-", "D-", "v-", "o--", "s--", "^--", "D--", "v--")  # of the cases' curves, in turn
+DRAWN = {
+    "jump": "jump on all of S",
+    "inner_jump": "jump away from junctions and free ends",
+    "inner_traction": "traction away from junctions and free ends",
+}
+PICTURED = {"star of five layers": "star.png", "grains": "grains.png"}
+ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A network whose bottom is held and whose top is shifted.
+
+    Attributes:
+        joint: eps -> the joint.
+        layers: name of a seam -> law per thickness, thickness over eps.
+        bodies: of the full model, "kept" or "extended".
+        distance: from junctions and free ends, of the inner part of S, a length.
+        stiff: whether junctions have the bodies' stiffness besides that of a layer.
+        refined: whether the cells of bodies at junctions are as small as eps.
+        coarsest: the largest eps.
+        quick: whether the case is one of a quick run.
+    """
+
+    joint: Callable[[float], Joint]
+    layers: Mapping[str, tuple[LinearElastic, float]] = field(
+        default_factory=lambda: {"BED": (BED, 1.0), "HEAD": (HEAD, 0.7)}
+    )
+    bodies: str = "kept"
+    distance: float = 0.15
+    stiff: bool = False
+    refined: bool = False
+    coarsest: float = EPS[0]
+    quick: bool = False
+
+    def thin(self, eps: float) -> dict[str, ThinLayer]:
+        """The layers."""
+        return {name: ThinLayer(law, share * eps) for name, (law, share) in self.layers.items()}
+
+    def structure(self, joint: Joint, *, meshed: bool) -> Structure:
+        """The structure; a stiff fill is in the meshed model alone."""
+        supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", SHIFT[: joint.dim], strict=False))}
+        parts = [UflPart(energy=stiff_fill)] if meshed and self.stiff else []
+        return Structure(joint, body=BODY, supports=supports, parts=parts)
+
+
+def bond(cell: str) -> Callable[[float], Joint]:
+    """Two courses of a running bond, two bricks long."""
+    return lambda eps: wall(2, 2, (1.0, 0.5), H, cell=cell)
+
+
+def refined_bond(eps: float) -> Joint:
+    """The same, with cells of 2 eps at junctions and free ends."""
+    lines = {
+        "BED": ((0.0, 0.5), (2.0, 0.5)),
+        "HEAD 1": ((1.0, 0.0), (1.0, 0.5)),
+        "HEAD 2": ((0.5, 0.5), (0.5, 1.0)),
+        "HEAD 3": ((1.5, 0.5), (1.5, 1.0)),
+    }
+    return faults(2.0, 1.0, lines, H, h_ends=min(2 * eps, H))
+
+
+def star(eps: float) -> Joint:
+    """Five layers that meet at the centre of a square."""
+    ends = {f"L{k}": (1 + 2 * cos(radians(a)), 1 + 2 * sin(radians(a))) for k, a in enumerate(RAYS)}
+    return faults(2.0, 2.0, {name: ((1.0, 1.0), end) for name, end in ends.items()}, h=0.15, h_S=0.1)
+
+
+def polycrystal(eps: float) -> Joint:
+    """Seven grains in a square."""
+    return grains(1.0, 1.0, 7, H, seed=1)
+
+
+REFINED = {"BED": (BED, 1.0)} | {f"HEAD {k}": (HEAD, 0.7) for k in (1, 2, 3)}
+STAR = {f"L{k}": (LinearElastic(0.6 - 0.1 * k, 0.7 - 0.05 * k), 1 + 0.1 * k) for k in range(len(RAYS))}
+CASES = {
+    "bond, kept": Case(bond("triangle"), quick=True),
+    "bond, extended": Case(bond("triangle"), bodies="extended"),
+    "bond of quadrilaterals, kept": Case(bond("quadrilateral")),
+    "bond of quadrilaterals, extended": Case(bond("quadrilateral"), bodies="extended"),
+    "star of five layers": Case(star, STAR, bodies="extended", distance=0.2, quick=True),
+    "grains": Case(polycrystal, {"S": (BED, 1.0)}, bodies="extended", distance=0.1, coarsest=0.02, quick=True),
+    "bond, refined": Case(refined_bond, REFINED, refined=True, coarsest=0.02, quick=True),
+    "bond, stiff junctions": Case(bond("triangle"), stiff=True, quick=True),
+    "bond, stiff junctions, refined": Case(refined_bond, REFINED, stiff=True, refined=True, coarsest=0.02),
+}
+
+
+def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
+    """Relative differences of both models for networks whose layers become thinner.
+
+    They are O(eps) away from junctions and free ends, and on all of S where the cells of the bodies there are as small as
+    eps; on other meshes jumps on all of S, and energies, have a lower order until eps is much smaller than the cells. Where
+    junctions are as stiff as the bodies, nothing converges: they tie the corners of the bodies together; with cells as
+    small as eps the tie fades as 1 / (c - log eps).
+
+    Args:
+        record: where to write.
+        eps: thicknesses; the networks are 1 to 2 wide.
+        quick: fewer networks.
+    """
+    record.parameters = {"bodies": str(BODY), "bed": str(BED), "head": str(HEAD), "shift": SHIFT, "rays_deg": RAYS}
+    table = record.table("table.csv")
+    for name in track([name for name, case in CASES.items() if case.quick or not quick], "junctions", "{}"):
+        sizes = [e for e in sorted(eps, reverse=True) if e <= CASES[name].coarsest]
+        rows = compared(record, name, sizes) if sizes else []
+        for row in rows:
+            table.append(row)
+        if len(rows) > 1:
+            check(record, name, rows)
+    record.say(table)
+
+
+def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str, Any]]:
+    """Rows of the table for one case, with observed orders."""
+    case, rows = CASES[name], list[dict[str, Any]]()
+    for eps in sizes:
+        joint = case.joint(eps)
+        full = record.solved(solve(case.structure(joint, meshed=True).full(case.thin(eps), bodies=case.bodies)))
+        by_law = record.solved(solve(case.structure(joint, meshed=False).interface(case.thin(eps))))
+        rows.append({"case": name, "eps": eps} | differences(case, full, by_law))
+        if eps == max(sizes) and name in PICTURED:
+            states = {f"meshed layers, eps = {eps:g}": full, "interface laws": by_law}
+            plotting.deformed(states, save=record.path(PICTURED[name]), title=name)
+    for error in ERRORS:
+        for row, order in zip(rows, observed_orders(sizes, [row[error] for row in rows]), strict=True):
+            row[f"order_{error}"] = order
+    return rows
+
+
+def differences(case: Case, full: State, by_law: State) -> dict[str, float]:
+    """Relative L2 differences on S, relative difference of the energies, and the share of junctions in the energy."""
+    surface, found = Surface(by_law.model), {}
+    inner = far_from_junctions(surface, case.distance)
+    for name, field_of, part in (
+        ("jump", surface.jump, 1), ("inner_jump", surface.jump, inner), ("inner_traction", surface.traction, inner)
+    ):  # fmt: skip
+        wanted = field_of(by_law)
+        found[name] = surface.norm(field_of(full) - wanted, part) / surface.norm(wanted, part)
+    whole, limit = (sum(e for name, e in state.energies().items() if name != "loads") for state in (full, by_law))
+    return found | {"energy": abs(whole / limit - 1), "in_junctions": in_junctions(case, full) / whole}
+
+
+def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Check the orders of one case."""
+    orders = {error: [row[f"order_{error}"] for row in rows[1:]] for error in ERRORS}
+    case = CASES[name]
+    if case.stiff and case.refined:
+        growth = np.diff([1 / row["energy"] for row in rows]) / -np.diff(np.log([row["eps"] for row in rows]))
+        if len(growth) > 1:
+            what = "growth of 1 / error of the energy with -log eps, the last over the one before"
+            record.check(f"{name}: {what}", growth[-1] / growth[-2], low=0.8, high=1.25)
+        return
+    if case.stiff:
+        record.check(f"{name}: last order of the inner jump", orders["inner_jump"][-1], high=0.3)
+        record.check(f"{name}: error of the inner jump that is left", rows[-1]["inner_jump"], low=0.025)
+        return
+    for error in ("inner_jump", "inner_traction"):
+        what = f"order of the {error.replace('_', ' ')}"
+        record.check(f"{name}: least {what}", min(orders[error]), low=RATE[0])
+        record.check(f"{name}: largest {what}", max(orders[error]), high=RATE[1])
+    low = RATE[0] if case.refined else 0.8
+    record.check(f"{name}: least order of the jump on all of S", min(orders["jump"]), low=low)
+
+
+def far_from_junctions(surface: Surface, distance: float) -> Expr:
+    """1 on the facets of S whose middles are farther than a distance from junctions and from where S ends, else 0."""
+    domain = surface.model.domain
+    joint = domain.joint
+    on_s = np.unique(joint.table.vertices[joint.surface_rows])
+    outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
+    special = on_s[(joint.splitting.valence[on_s] != 2) | np.isin(on_s, outer)]
+    middles = joint.points[joint.table.vertices[joint.surface_rows]].mean(axis=1)
+    far = np.zeros(len(joint.cells))
+    far[joint.surface_cells[cKDTree(joint.points[special]).query(middles)[0] > distance, 1]] = 1.0
+    mark = fem.Function(fem.functionspace(domain.mesh, ("DG", 0)))
+    mark.x.array[mark.function_space.dofmap.list.ravel()] = domain.on_cells(far)
+    return surface.sides.upper(mark)
+
+
+def stored(law: LinearElastic, u: Expr) -> Expr:
+    """Energy per volume."""
+    e = ufl.sym(ufl.grad(u))
+    return law.lmbda / 2 * ufl.tr(e) ** 2 + law.mu * ufl.inner(e, e)
+
+
+def stiff_fill(u: Expr, model: Model) -> Expr:
+    """The energy of bodies in the junctions."""
+    return stored(BODY, u) * model.dx(model.domain.cell_values(f"{LAYER}/{JUNCTIONS}"))
+
+
+def in_junctions(case: Case, state: State) -> float:
+    """The energy of the layers' law in the junctions."""
+    model, total = state.model, 0.0
+    band = model.domain.joint.band
+    assert band is not None, "of a full model"
+    for region, seam in band.junctions.items():
+        (law, _), eps = case.layers[seam], band.eps[seam]
+        real = LinearElastic(eps * law.lmbda, eps * law.mu)
+        total += state.integral(stored(real, state.u) * model.dx(model.domain.cell_values(region)))
+    return total
+
+
+def draw(record: Record) -> None:
+    """Draw the errors from table.csv, but for quadrilaterals, whose errors are those of triangles."""
+    rows = [row for row in record.load("table.csv").rows if "quadrilaterals" not in str(row["case"])]
+    for error, title in DRAWN.items():
+        lines: dict[str, Any] = {}
+        for name in dict.fromkeys(str(row["case"]) for row in rows):
+            lines[name] = tuple(np.array([(row["eps"], row[error]) for row in rows if row["case"] == name], float).T)
+        eps, least = min(lines.values(), key=lambda line: line[1][-1])
+        most = max(line[1].max() for line in lines.values())
+        lines["slope 1"] = (eps, 0.7 * least[-1] * eps / eps[-1])
+        plotting.curves(
+            lines, xlabel="layer thickness eps", ylabel="relative difference, L2", title=title, logarithmic=True,
+            styles=dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}, save=record.path(f"{error}.png"),
+            ylim=(least[-1] / 2, 25 * most),
+        )  # fmt: skip
