@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from forms import LinearElastic
 from forms.kinematics import Expr
 from geometry import Joint, faults, grains, wall
-from geometry.joint import JUNCTIONS, LAYER
+from geometry.seam import JUNCTIONS, LAYER
 from thinlayer import Model, State, Structure, Surface, ThinLayer, UflPart, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
