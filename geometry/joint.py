@@ -46,10 +46,10 @@ class Band:
     """Result of inflating: the layers' thickness, their regions, and how the bodies made room for them.
 
     Attributes:
-        eps: name of a seam -> thickness of its layer, a length; where it varies, times the profile.
+        eps: name of a seam -> thickness of its layer or gap, a length; where it varies, times the profile.
         bodies: "kept" or "extended".
         regions: names of all cell regions of the layers, those of junctions last.
-        of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face.
+        of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face; without gaps.
         junctions: region of junctions -> the seam that its cells belong to.
         faces: names of the facets between bodies and layers.
         base: the joint before inflating.

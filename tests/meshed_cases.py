@@ -13,13 +13,13 @@ from forms import LinearElastic, MohrCoulomb
 from geometry import Joint, Seam, wall
 from geometry.topology import FacetTable
 from tests.network_cases import cell_of, springs
-from thinlayer import Structure, Surface, ThinLayer, march, solve
+from thinlayer import Gap, Structure, Surface, ThinLayer, march, solve
 
 SHARES = {"BED": 1.0, "HEAD": 0.7}  # thickness of the layers of the panel over eps
 DISTANCE = 0.15  # from junctions and free ends, of the inner part of S
 
 
-def mortar(eps: float, **layers: ThinLayer) -> dict[str, ThinLayer]:
+def mortar(eps: float, **layers: ThinLayer | Gap | None) -> dict[str, ThinLayer | Gap | None]:
     """The layers of the panel."""
     return {"BED": springs(2.0, 0.7, eps), "HEAD": springs(1.2, 0.45, SHARES["HEAD"] * eps)} | layers
 

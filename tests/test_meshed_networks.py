@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, Incompressible, LinearElastic, Stack
+from forms import Anisotropic, Incompressible, LawError, LinearElastic, Stack
 from geometry import GeometryError, Joint, Seam, inflate, wall
 from geometry.topology import node_jacobians
-from tests.meshed_cases import jump_errors, mortar, panel, star, yielded, yielding
+from tests.meshed_cases import SHARES, jump_errors, mortar, panel, star, yielded, yielding
 from tests.meshes import grid, volumes
 from tests.network_cases import springs
 from tests.ranks import mpirun
 from tests.test_networks import SQUARE, cut_at, on
-from thinlayer import ModelError, Structure, Surface, ThinLayer, UflPart, compare, solve
+from thinlayer import Gap, ModelError, Structure, Surface, ThinLayer, UflPart, compare, solve
 
 RATIOS = (1e-1, 1e-2, 1e-3, 1e-4)
 BRICK = (1.0, 0.5)
@@ -211,6 +211,33 @@ def test_cells_of_junctions_go_to_the_first_seam():
     assert areas(named)["LAYER/JUNCTIONS/WEST"] == pytest.approx(1e-4)
 
 
+@pytest.mark.parametrize("bodies", WAYS)
+@pytest.mark.parametrize("cell", CELLS)
+def test_open_joints_are_gaps(cell, bodies):
+    """Beds go on below and above open heads; heads end at open beds, where bricks would touch a fill at a corner only."""
+    base = wall(2, 3, BRICK, 0.125, cell=cell)
+    eps, length, free = {"BED": 0.02, "HEAD": 0.01}, lengths(base), {}
+    n_T = int((base.splitting.valence == 3).sum())
+    for gap in eps:
+        opened = inflate(base, eps, bodies=bodies, gaps=[gap])
+        found = areas(opened)
+        (layer,) = set(eps) - {gap}
+        cut = eps["BED"] * eps["HEAD"] / 2 * n_T if bodies == "extended" else 0.0
+        assert found.pop(f"LAYER/{layer}") == pytest.approx(eps[layer] * length[layer] - cut, rel=1e-10)
+        assert list(found.values()) == pytest.approx([n_T * 0.02 * 0.01 / 2] if gap == "HEAD" else [])
+        assert opened.band.of_seam == {layer: (f"LAYER/{layer}",)}
+        assert opened.band.faces == (f"{layer}/UPPER_FACE", f"{layer}/LOWER_FACE")
+        assert np.array_equal(np.unique(opened.cells), np.arange(len(opened.points)))
+        sides = opened.table.index(np.concatenate([opened.facets[f"{gap}/{face}_FACE"] for face in ("UPPER", "LOWER")]))
+        assert (opened.table.cells[sides, 1] < 0).all()
+        outer = np.flatnonzero(opened.table.cells[:, 1] < 0)
+        free[gap] = len(np.setdiff1d(outer, opened.table.index(np.concatenate(list(opened.facets.values())))))
+    assert free == {
+        "HEAD": 4 * n_T,
+        "BED": 4 * n_T,
+    }  # across the end of a gap or a layer, 4 cells through the thickness
+
+
 # ---------------------------------------------------------------- models
 SIZES = (0.02, 0.01, 0.005)
 
@@ -243,6 +270,24 @@ def test_jumps_converge_on_a_rigid_base(bodies):
         errors.append([one.norm(u - v) / one.norm(v) for one, (u, v) in zip(surfaces, jumps, strict=True)])
     orders = np.log2(np.array(errors[0]) / errors[1])
     assert ((orders > 0.8) & (orders < 1.1)).all()
+
+
+@pytest.mark.parametrize("bodies", WAYS)
+def test_jumps_converge_beside_gaps(bodies):
+    """Open heads have a width in the meshed model, none in the interface model."""
+    structure, errors = panel("Q2", 0.25), []
+    assert structure.interface(mortar(0.01, HEAD=Gap(0.01))).layers.keys() == {"BED"}
+    for eps in SIZES[1:]:
+        limit = solve(structure.interface(mortar(eps, HEAD=None)), 1.0)
+        full = solve(structure.full(mortar(eps, HEAD=Gap(SHARES["HEAD"] * eps)), bodies=bodies), 1.0)
+        row, surface = compare(full, limit), Surface(limit.model)
+        w = surface.jump(limit)
+        errors.append([row["error_traction"], surface.norm(surface.jump(full) - w) / surface.norm(w)])
+    orders = np.log2(np.array(errors[0]) / errors[1])
+    assert ((orders > 0.8) & (orders < 1.1)).all()
+    assert (np.array(errors[1]) < 0.01).all()
+    with pytest.raises(ModelError, match="compare needs the same open joints, not HEAD and none"):
+        compare(full, solve(structure.interface(mortar(eps)), 1.0))
 
 
 def test_the_fill_makes_no_difference_if_it_scales_as_a_layer():
@@ -356,6 +401,7 @@ def test_refused_meshes():
         (dict(eps={"BED": 0.01}), "eps: the seam 'HEAD' has none"),
         (dict(eps=both | {"BEDS": 0.01}), "eps: unknown seam 'BEDS', did you mean 'BED'"),
         (dict(eps=both | {"HEAD": -1.0}), "eps of 'HEAD' is -1.0; it must be > 0"),
+        (dict(eps=both, gaps=["HAED"]), "gaps: unknown seam 'HAED', did you mean 'HEAD'"),
         (dict(eps=both, junctions=["HAED"]), "junctions: unknown seam 'HAED', did you mean 'HEAD'"),
         (dict(eps=both, cells_through=3), r"cells_through is 3: layers meet at \(.*, 0.5\) and need an even number"),
         (
@@ -437,10 +483,14 @@ def test_refused_models():
     bricks, eps = panel("Q2", 0.25), 0.01
     elastic = springs(2.0, 0.7, eps)
     tilted = ThinLayer(Anisotropic(np.eye(6), "layer"), eps)
-    with pytest.raises(
-        ModelError, match=r"the seam 'HEAD' is open: an open joint has no thickness.*use structure\.interface"
-    ):
+    with pytest.raises(ModelError, match=r"the seam 'HEAD' is open, and its width is not known: give it a Gap\(eps\)"):
         bricks.full({"BED": elastic, "HEAD": None})
+    with pytest.raises(ModelError, match="junctions: the seam 'HEAD' is a gap and has no law"):
+        bricks.full({"BED": elastic, "HEAD": Gap(eps)}, junctions="HEAD")
+    with pytest.raises(LawError, match=r"the gap's width eps is 0.0; allowed: > 0"):
+        Gap(0.0)
+    with pytest.raises(GeometryError, match="all seams are gaps"):
+        bricks.full({"BED": Gap(eps), "HEAD": Gap(eps)})
     with pytest.raises(ModelError, match="the seam 'HEAD' has no layer"):
         bricks.full({"BED": elastic})
     with pytest.raises(

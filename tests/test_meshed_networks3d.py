@@ -93,6 +93,20 @@ def test_junctions_on_the_outer_boundary(cell, collar):
         assert volumes(opened)[at_axis].sum() == pytest.approx(2 * eps**2 / 2, rel=1e-10)
 
 
+@pytest.mark.parametrize("cell", CELLS)
+def test_gaps(cell):
+    """Open X: Y and Z go on, and all junctions stay. Open Y and Z: X ends at Y and goes on where it crosses Z alone."""
+    base, a, b, c = cube("T x collar", cell), 0.014, 0.02, 0.026
+    whole = inflate(base, thickness(base, 0.02), bodies="extended", cells_through=2)
+    opened = inflate(base, thickness(base, 0.02), bodies="extended", cells_through=2, gaps=["X"])
+    assert opened.band.junctions == {"LAYER/JUNCTIONS/Y": "Y", "LAYER/JUNCTIONS/Z": "Z"}
+    assert volumes(opened).sum() == pytest.approx(volumes(whole).sum() - areas(whole)["LAYER/X"], rel=1e-12)
+    assert areas(opened)["LAYER/JUNCTIONS/Z"] == pytest.approx(a * c * (1 - b / 2))
+    alone = inflate(base, thickness(base, 0.02), bodies="extended", cells_through=2, gaps=["Y", "Z"])
+    wanted = {"LAYER/X": 2 * a * (1 - b / 2) * (1 - c / 2), "LAYER/JUNCTIONS": a * c * (1 - b / 2)}
+    assert areas(alone) == pytest.approx(wanted)
+
+
 def test_hexahedra_need_three_layers_around_a_corner():
     with pytest.raises(GeometryError, match=r"S branches at \(0, 0, 0\), .*need three layers.*not 2; use tetrahedra"):
         inflate(cube("staggered", "hexahedron"), 0.01, bodies="extended")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
-    from thinlayer.discretisation.layer import ThinLayer
+    from thinlayer.discretisation.layer import Gap, ThinLayer
     from thinlayer.discretisation.loads import piecewise
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.state import State
@@ -41,7 +41,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
 __version__ = "0.1.0"
 _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
-    "discretisation.layer": ["ThinLayer"],
+    "discretisation.layer": ["Gap", "ThinLayer"],
     "discretisation.loads": ["piecewise"],
     "discretisation.model": ["Model"],
     "discretisation.state": ["State"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -13,7 +14,7 @@ from geometry.topology import BITS, BoolArray, FacetTable, IntArray
 
 
 def moved_facets(
-    joint: Joint, copies: Copies, layers: IntArray, n_bands: int, footprint: IntArray
+    joint: Joint, copies: Copies, layers: IntArray, n_bands: int, footprint: IntArray, gaps: Sequence[str]
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
     """Facet sets of the inflated joint, and the names of those between bodies and layers.
 
@@ -23,21 +24,23 @@ def moved_facets(
         layers: vertices of the layers' cells, those of bands first.
         n_bands: number of the latter.
         footprint: node of S below or above each node.
+        gaps: names of seams without cells.
     """
     vertices = joint.table.vertices[joint.surface_rows]
     order = np.argsort(joint.surface[:, : vertices.shape[1]], axis=1)
     above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
     on_base = joint.surface_cells[:, 0] < 0
+    filled = ~np.isin(joint.seam_numbers, [list(joint.seams).index(name) for name in gaps])
     out: dict[str, IntArray] = {}
     for number, seam in enumerate(joint.seams):
         here, prefix = joint.seam_numbers == number, "" if len(joint.seams) == 1 else f"{seam}/"
         out[f"{prefix}{UPPER_FACE}"] = above[here]
         if not on_base[here].any():
             out[f"{prefix}{LOWER_FACE}"] = below[here]
-    faces = tuple(out)
+    faces = tuple(name for name in out if name.split("/")[0] not in gaps)
     if on_base.any():
         out[BASE] = below[on_base]
-    sides, of_band = _side_faces(layers, n_bands, joint.cell_type, np.concatenate([above, below]))
+    sides, of_band = _side_faces(layers, n_bands, joint.cell_type, np.concatenate([above[filled], below[filled]]))
     stands = footprint[sides]
     ridges, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)
     for name, facets in joint.facets.items():

@@ -13,7 +13,7 @@ from geometry.errors import GeometryError, place, unknown
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
 from geometry.inflating.blocks import fill
 from geometry.inflating.faces import moved_facets
-from geometry.inflating.junctions import Corners, junction_posts, junctions_of, polyhedra_of
+from geometry.inflating.junctions import Corners, are_filled, junction_posts, junctions_of, polyhedra_of
 from geometry.inflating.motion import (
     NOT_KEPT,
     UNIFORM,
@@ -24,7 +24,7 @@ from geometry.inflating.motion import (
 from geometry.inflating.room import is_swept, require_apart, require_room
 from geometry.joint import Band, Joint, Profile
 from geometry.seam import JUNCTIONS, LAYER
-from geometry.topology import FloatArray, IntArray, node_jacobians
+from geometry.topology import BoolArray, FloatArray, IntArray, node_jacobians
 
 WAYS = ("kept", "extended")
 Given = TypeVar("Given")
@@ -39,6 +39,7 @@ def inflate(
     fractions: Sequence[float] | Mapping[str, Sequence[float]] = (),
     bodies: str = "kept",
     junctions: Sequence[str] = (),
+    gaps: Sequence[str] = (),
 ) -> Joint:
     """Open S into meshed layers.
 
@@ -58,7 +59,10 @@ def inflate(
             of the thickness (on a rigid base the body gives up all of it), its nodes move by a harmonic motion that slides
             along the outer faces.
         junctions: names of the seams in the order of their claims to the cells of junctions; others follow in the joint's
-            order. A junction's cells belong to the first seam that ends there.
+            order. A junction's cells belong to the first seam that ends there and is no gap.
+        gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the end
+            of a gap go on: the junction there is filled as others are. It is empty where two neighbouring seams are gaps:
+            the body between them would touch its cells at a corner only.
 
     Returns:
         A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
@@ -81,9 +85,13 @@ def inflate(
         raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    for name in junctions:
-        if name not in joint.seams:
-            raise GeometryError(f"junctions: {unknown('seam', name, joint.seams)}")
+    for what, given in (("junctions", junctions), ("gaps", gaps)):
+        for name in given:
+            if name not in joint.seams:
+                raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
+    claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
+    if not claims:
+        raise GeometryError("all seams are gaps: there is no layer to mesh; use the interface model")
     layers = _Layers.of(joint, eps, profile, cells_through, fractions)
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
@@ -99,23 +107,29 @@ def inflate(
     footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
     motion[nodes], footprint[nodes] = moved, below
 
-    bands, names = _bands(joint, posts, footing, layers)
+    bands, names = _bands(joint, posts, footing, layers, claims)
     between = _Cells.empty(joint)
     if len(meetings.of):
         filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
         motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
-        owners = np.concatenate([_owners(joint, of, footing, junctions) for of in (meetings, around)])
-        between = _Cells.of_junctions(filled.cells, owners[filled.corners], joint.dim)
+        owners = np.concatenate([_owners(joint, of, footing, claims) for of in (meetings, around)])
+        gap = np.ones(len(posts.nodes), bool)  # the sides that close a polygon are open, too
+        gap[: len(footing.seam)] = np.isin(list(joint.seams), gaps)[footing.seam]
+        owners = np.where(are_filled(meetings, around, gap), owners, -1)[filled.corners]
+        between = _Cells.of_junctions(filled.cells[owners >= 0], owners[owners >= 0], joint.dim)
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
     first = len(joint.regions) + sum(map(len, names.values()))
 
+    cells, used = _without_gaps(np.concatenate([copies.cells, bands.cells, between.cells]), len(footprint))
+    footprint, motion = footprint[used], motion[used]
     points = joint.points[footprint] + motion
-    in_layers = np.concatenate([bands.cells, between.cells])
-    cells = np.concatenate([copies.cells, in_layers])
+    in_layers = cells[len(joint.cells) :]
     _check_cells(joint, points, cells, len(bands.cells))
-    facets, faces = moved_facets(joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint)
+    facets, faces = moved_facets(
+        joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint, gaps
+    )
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
         points,
@@ -293,22 +307,39 @@ def _check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntAr
         )
 
 
-def _owners(joint: Joint, corners: Corners, footing: Footing, junctions: Sequence[str]) -> IntArray:
-    """(n,) number of the seam to which the cells at each corner belong; it is one for each junction."""
-    order = list(dict.fromkeys([*junctions, *joint.seams]))
-    rank = np.array([order.index(name) for name in joint.seams])
-    of_posts = np.append(rank[footing.seam], len(order))  # the sides that close a polygon have no seam
-    first = np.full(int(corners.of.max(initial=-1)) + 1, len(order))
+def _owners(joint: Joint, corners: Corners, footing: Footing, claims: Sequence[str]) -> IntArray:
+    """(n,) number of the seam to which the cells at each corner belong, one for each junction; -1: all seams are gaps.
+
+    Args:
+        joint: the joint before inflating.
+        corners: of junctions.
+        footing: where the facets of S have their posts.
+        claims: names of the seams with cells, the first one first.
+    """
+    seams, last = list(joint.seams), len(claims)
+    rank = np.array([claims.index(name) if name in claims else last for name in seams])
+    of_posts = np.append(rank[footing.seam], last)  # the sides that close a polygon have no seam
+    first = np.full(int(corners.of.max(initial=-1)) + 1, last)
     np.minimum.at(first, corners.of, of_posts[np.minimum(corners.sides, len(footing.seam))].min(axis=(1, 2)))
-    return np.asarray(np.argsort(rank)[first[corners.of]])
+    return np.array([*map(seams.index, claims), -1])[first[corners.of]]
 
 
-def _bands(joint: Joint, posts: Posts, footing: Footing, layers: _Layers) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
-    """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face."""
+def _without_gaps(cells: IntArray, n: int) -> tuple[IntArray, BoolArray]:
+    """Cells whose nodes are numbered without those that no cell has, and (n,) which nodes these have been."""
+    used = np.zeros(n, bool)
+    used[cells] = True
+    return (np.cumsum(used) - 1)[cells], used
+
+
+def _bands(
+    joint: Joint, posts: Posts, footing: Footing, layers: _Layers, claims: Sequence[str]
+) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
+    """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face; not of gaps."""
     found: list[_Cells] = []
     names: dict[str, tuple[str, ...]] = {}
     first = len(joint.regions)
-    for number, seam in enumerate(joint.seams):
+    for seam in [name for name in joint.seams if name in claims]:
+        number = list(joint.seams).index(seam)
         rows, fractions = np.flatnonzero(joint.seam_numbers == number), layers.fractions[seam]
         cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
         whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"

@@ -16,7 +16,7 @@ import numpy as np
 from geometry.errors import GeometryError, place
 from geometry.inflating.bands import Footing, Posts
 from geometry.joint import Joint
-from geometry.topology import FACET_TYPES, IntArray, lagrange
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, lagrange
 
 
 @dataclass(frozen=True)
@@ -209,3 +209,24 @@ def _outer_polygons(posts: Posts, rim: IntArray, first: int) -> Corners:
     of = posts.nodes[sides[:, 0, 0]]
     _, number = np.unique(of, return_inverse=True)
     return Corners(copies[twice][:, None], sides, first + number.reshape(-1, 1), of)
+
+
+def are_filled(junctions: Corners, around: Corners, gap: BoolArray) -> BoolArray:
+    """(n,) whether the junction, or polyhedron, of each corner gets cells, for the corners of junctions and of polyhedra.
+
+    It gets none if a body has a corner between two gaps there, or in a polyhedron between junctions without cells: the body
+    would touch the cells at a vertex or along an edge only.
+
+    Args:
+        junctions: corners of junctions.
+        around: corners of the polygons around polyhedra.
+        gap: (n_posts,) whether each post is that of a gap, or closes a polygon on the outer boundary.
+    """
+    apart = gap[junctions.sides[:, 0]].all(axis=1)
+    filled = ~(np.bincount(junctions.of, apart) > 0)[junctions.of]
+    full = np.zeros(int(max(junctions.polygons.max(), around.polygons.max(initial=0))) + 1, bool)
+    full[junctions.polygons[filled]] = True
+    _, copy = np.unique(around.copies[:, 0], return_inverse=True)
+    held = np.bincount(copy.ravel(), full[around.polygons[:, 0]])[copy.ravel()] > 0
+    empty = np.bincount(around.of, ~held, 1) > 0
+    return np.concatenate([filled, ~empty[around.of]])

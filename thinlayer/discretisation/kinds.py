@@ -16,7 +16,7 @@ from geometry.inflating.inflation import check_layering, inflate
 from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.joint_fields import director, relative_thickness
-from thinlayer.discretisation.layer import LawOnS, Layers, constants, real_law
+from thinlayer.discretisation.layer import LawOnS, Layers, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
@@ -48,24 +48,31 @@ class FullModel(Model):
 
     def _checked(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
+        gaps = gaps_of(self.layer)
         for name in self.joint.seams:
-            if name not in self.layers:
+            if name not in self.layers and name not in gaps:
                 raise ModelError(
-                    f"the seam {name!r} is open: an open joint has no thickness, so layers that end at it cannot be "
-                    "meshed; give it a weak layer, or use structure.interface"
+                    f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
+                    "structure.interface"
                 )
         for one in self.layers.values():
             self._check(one)
+        if self._junctions in gaps:
+            raise ModelError(f"junctions: the seam {self._junctions!r} is a gap and has no law")
         first = () if self._junctions is None else (self._junctions,)
         thin = {name: one.thin for name, one in self.layers.items() if one.thin}
+        eps = {name: layer.eps for given in (thin, gaps) for name, layer in given.items()}
+        for thickness in eps.values():
+            self._check_size(thickness)
         inflated = inflate(
             self.joint,
-            {name: layer.eps for name, layer in thin.items()},
+            eps,
             profile={name: layer.profile for name, layer in thin.items()},
             cells_through=self._cells_through,
             fractions={name: layer.fractions for name, layer in thin.items()},
             bodies=self._bodies,
             junctions=(*first, *thin),
+            gaps=tuple(gaps),
         )
         assert inflated.band is not None
         for name in inflated.band.junctions.values():
@@ -85,9 +92,12 @@ class FullModel(Model):
                 f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
                 "of cells; take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
             )
-        if layer.eps > LARGEST_EPS * self.structure.size:
+
+    def _check_size(self, eps: float) -> None:
+        """Raise ModelError if a thickness is out of proportion."""
+        if eps > LARGEST_EPS * self.structure.size:
             raise ModelError(
-                f"the layer's thickness eps is {layer.eps:g}, the bodies measure {self.structure.size:g}: next to such a "
+                f"the layer's thickness eps is {eps:g}, the bodies measure {self.structure.size:g}: next to such a "
                 "layer their shape is lost in rounding; is eps in the unit of the mesh?"
             )
 

@@ -61,8 +61,7 @@ class ThinLayer:
         if not isinstance(self.law, BulkLaw):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
         require_declarations(self.law)
-        if not (is_number(self.eps) and math.isfinite(self.eps) and self.eps > 0):
-            raise LawError(f"the layer's thickness eps is {self.eps!r}; allowed: > 0")
+        _check_thickness("layer's thickness", self.eps)
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and len(self.law.sublayers) > 1:
@@ -88,12 +87,36 @@ class ThinLayer:
         return fractions if len(fractions) > 1 else ()
 
 
+@dataclass(frozen=True)
+class Gap:
+    """An open joint of some width: nothing acts between its sides, and nothing keeps them from overlapping.
+
+    A meshed model leaves the gap empty, an interface model knows no width: `Gap(eps)` is the same as None there.
+
+    Attributes:
+        eps: width, a length > 0.
+
+    Raises:
+        LawError: eps out of range.
+    """
+
+    eps: float
+
+    def __post_init__(self) -> None:
+        _check_thickness("gap's width", self.eps)
+
+
 Layer = ThinLayer | LawOnS
-Layers = Layer | Mapping[str, Layer | None]
+Layers = Layer | Mapping[str, Layer | Gap | None]
+
+
+def _check_thickness(what: str, eps: Any) -> None:
+    if not (is_number(eps) and math.isfinite(eps) and eps > 0):
+        raise LawError(f"the {what} eps is {eps!r}; allowed: > 0")
 
 
 def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
-    """The layer of each seam that is not open: one for all, or {name of a seam: layer, or None for an open joint}.
+    """The layer of each seam that is not open: one for all, or {name of a seam: layer; None or a `Gap` for an open joint}.
 
     They are in the order of the joint's seams, so that the order in which they are given makes no difference.
 
@@ -108,7 +131,13 @@ def layers_of(joint: Joint, given: Any) -> dict[str, Any]:
     for name in joint.seams:
         if name not in given:
             raise ModelError(f"the seam {name!r} has no layer; give layer={{{name!r}: ..., ...}}")
-    return {name: given[name] for name in joint.seams if given[name] is not None}
+    layers = {name: given[name] for name in joint.seams}
+    return {name: one for name, one in layers.items() if one is not None and not isinstance(one, Gap)}
+
+
+def gaps_of(given: Layers) -> dict[str, Gap]:
+    """The gap of each seam that has one."""
+    return {name: one for name, one in given.items() if isinstance(one, Gap)} if isinstance(given, Mapping) else {}
 
 
 def real_law(layer: Layer, plane: str) -> BulkLaw:

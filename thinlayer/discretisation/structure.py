@@ -40,7 +40,8 @@ class Structure(Setup):
 
         Args:
             layer: law and thickness of the layer; S is inflated by the thickness. Of a joint with several seams {name of a
-                seam: its layer}, or one layer for all.
+                seam: its layer, or a `Gap` for an open joint}, or one layer for all. Layers that pass the end of a gap go
+                on there. Where bodies are extended, tractions do not act on what they gave up to gaps.
             bodies: "kept" or "extended", see `geometry.inflate`.
             cells_through: number of cells through the layer's thickness; even, where layers meet.
             junctions: name of the seam whose law holds in the cells where it meets others; elsewhere, and by default
@@ -58,7 +59,7 @@ class Structure(Setup):
 
         Args:
             layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; of a joint with several seams,
-                {name of a seam: its layer, or None for an open joint}, or one layer for all.
+                {name of a seam: its layer; None or a `Gap` for an open joint}, or one layer for all.
 
         Raises:
             ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.

@@ -68,6 +68,11 @@ def compare(
         raise ModelError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     if full.model.element != interface.model.element:
         raise ModelError(f"compare needs one element, not {full.model.element} and {interface.model.element}")
+    is_open = [
+        ", ".join(name for name in one.joint.seams if name not in one.layers) or "none" for one in (meshed, limit)
+    ]
+    if is_open[0] != is_open[1]:
+        raise ModelError(f"compare needs the same open joints, not {is_open[0]} and {is_open[1]}")
     for name, layer in limit.layers.items():
         thin, other = meshed.layers[name].thin, layer.thin
         if thin and other and thin.eps != other.eps:
