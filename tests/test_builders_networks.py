@@ -270,8 +270,9 @@ def test_refused_fibres():
 
 # ---------------------------------------------------------------- study
 def test_study_of_junctions(tmp_path, monkeypatch):
-    """A star and grains converge to their interface laws away from junctions."""
-    monkeypatch.setattr(junctions, "CASES", {name: junctions.CASES[name] for name in ("star of five layers", "grains")})
+    """A star and grains converge to their interface laws away from junctions, a refined bond on all of S."""
+    names = ("star of five layers", "grains", "bond, refined")
+    monkeypatch.setattr(junctions, "CASES", {name: junctions.CASES[name] for name in names})
     assert main(["run", "junctions", "--quick", "--eps", "0.02", "0.01", "--out", str(tmp_path)]) == 0
-    names = {"jump", "inner_jump", "inner_traction", "star", "grains"}
-    assert {path.name for path in tmp_path.glob("*.png")} == {f"{name}.png" for name in names}
+    drawn = {"jump", "inner_jump", "inner_traction", "star", "grains"}
+    assert {path.name for path in tmp_path.glob("*.png")} == {f"{name}.png" for name in drawn}
