@@ -158,6 +158,10 @@ class ContactLaw(Law):
         stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
+    def eased(self, share: float) -> EasedContact:
+        """This law in parallel with springs that neither open nor slide, for continuation."""
+        return EasedContact(self, share)
+
     @property
     def numbers(self) -> tuple[float, float, float, float] | None:
         """K_N, K_T, friction and cohesion, for the compiled Gauss-Seidel sweeps; None: no sweeps for this law."""
@@ -179,6 +183,35 @@ class ContactLaw(Law):
                 )
         LinearElastic(lmbda, mu)
         return cls(K_N=lmbda + 2 * mu, K_T=mu, **others)
+
+
+@dataclass(frozen=True)
+class EasedContact:
+    """t = (1 - share) t_law + share K (w - slip), K = diag(K_T, ..., K_N): its equilibrium is easier to find.
+
+    Every jump is resisted, so that an equilibrium exists under all loads.
+
+    Attributes:
+        law: the law.
+        share: of the springs; 0: the law itself, 1: bonded.
+    """
+
+    law: ContactLaw
+    share: float
+
+    def bonded(self, n: int, d: int) -> Array:
+        """As in `ContactLaw`."""
+        return self.law.bonded(n, d)
+
+    def traction(self, w: Array, slip: Array | None = None) -> Array:
+        """As in `ContactLaw`."""
+        along = w[:, :-1] if slip is None else w[:, :-1] - slip
+        elastic = np.column_stack([self.law.K_T * along, self.law.K_N * w[:, -1]])
+        return (1 - self.share) * self.law.traction(w, slip) + self.share * elastic
+
+    def tangent(self, w: Array, slip: Array | None = None) -> Array:
+        """As in `ContactLaw`."""
+        return (1 - self.share) * self.law.tangent(w, slip) + self.share * self.bonded(*w.shape)
 
 
 @dataclass(frozen=True)

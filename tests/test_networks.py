@@ -237,10 +237,10 @@ def test_refused_layers():
         bricks.interface({"BED": ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1), "HEAD": layer})
     with pytest.raises(ModelError, match="unknown seam 'BEDS'"):
         Surface(bricks.interface(layer), "BEDS")
-    with pytest.raises(ModelError, match="method='condensed' is for one seam without branches"):
+    with pytest.raises(ModelError, match="method='multigrid' is for one seam without branches"):
         solve(
             Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, element="Q1").interface({"BED": BED, "HEAD": HEAD}),
-            method="condensed",
+            method="multigrid",
         )
 
 

@@ -48,6 +48,18 @@ class SolveError(ThinlayerError, RuntimeError):
         self.reason, self.history, self.residuals = reason, history, residuals
 
 
+class LooseBody(SolveError):
+    """A body can move freely: neither supports nor the layer resist its motion.
+
+    Attributes:
+        motion: which body can move how.
+    """
+
+    def __init__(self, reason: str, motion: str, advice: str, residuals: tuple[float, ...] = ()) -> None:
+        super().__init__(reason, residuals=residuals, advice=advice)
+        self.motion = motion
+
+
 class NoEquilibrium(SolveError):
     """A step without an equilibrium: its displacements run away as weak springs soften, see `thinlayer.solving.restraint`.
 

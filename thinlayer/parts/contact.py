@@ -7,11 +7,13 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.contact import ContactLaw
+from forms.contact import ContactLaw, EasedContact
 from forms.law import LawError
 from thinlayer.discretisation.contact_nodes import NONE, Array, ContactNodes, ContactSurface
 from thinlayer.discretisation.layer import CONTACT
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
+
+LEAST_SHARE = 1e-8  # share of the springs of an eased law as its ease tends to zero
 
 
 class ContactPart(Part):
@@ -26,9 +28,11 @@ class ContactPart(Part):
     Attributes:
         law: the law.
         nodes: the nodes of S on this rank.
+        now: the law that acts: the law itself or an eased one.
+        slip: (n, d - 1) slip at the beginning of the step.
     """
 
-    traits = PartTraits(releases=True)
+    traits = PartTraits(releases=True, eases=True)
 
     def __init__(
         self, law: ContactLaw, surface: ContactSurface, held: npt.NDArray[np.int32] = NONE, key: str = CONTACT
@@ -37,6 +41,8 @@ class ContactPart(Part):
             raise LawError(f"{law!r} is no contact law")
         law.check_threshold()
         self.key, self.law, self.nodes = key, law, ContactNodes(surface, held)
+        self.now: ContactLaw | EasedContact = law
+        self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
         if self.nodes.lower is not None:
             areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
@@ -47,31 +53,34 @@ class ContactPart(Part):
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        self._slip = interval.old.memory[self.key]
+        self.slip = interval.old.memory[self.key]
+
+    def ease(self, ease: float) -> None:
+        self.now = self.law.eased(LEAST_SHARE ** (1 - ease)) if ease else self.law
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._w = self.nodes.jump(u.x.petsc_vec)
 
     def add_forces(self, out: PETSc.Vec) -> float:
-        self.nodes.add_forces(self.law.traction(self._w, self._slip), out)
+        self.nodes.add_forces(self.now.traction(self._w, self.slip), out)
         return 0.0
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. At rest the law has no tangent; the tangent of bonded springs is used instead."""
         w = self._w
         moved = self.nodes.comm.allreduce(int(w.any()))
-        C = self.law.tangent(w, self._slip) if moved else self.law.bonded(len(w), self.nodes.dim)
+        C = self.now.tangent(w, self.slip) if moved else self.law.bonded(len(w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
     def commit(self) -> Outcome:
         w, law, nodes = self._w, self.law, self.nodes
         old = self.interval.old
-        stored, dissipated = law.energies(w, self._slip)
-        worked = (law.traction(w, self._slip) * (w - nodes.jump(old.u.x.petsc_vec))).sum(axis=1)
+        stored, dissipated = law.energies(w, self.slip)
+        worked = (law.traction(w, self.slip) * (w - nodes.jump(old.u.x.petsc_vec))).sum(axis=1)
         sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked)]))
         after, lost, work = map(float, sums if law.traits.has_energy else np.full(3, np.nan))
         before = old.stored.get(self.key, 0.0)
-        return Outcome(before, after, lost, work - (after - before) - lost, law.slip_after(w, self._slip))
+        return Outcome(before, after, lost, work - (after - before) - lost, law.slip_after(w, self.slip))
 
     def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
         return (self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]).ravel()

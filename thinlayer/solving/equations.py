@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
+from thinlayer.errors import LooseBody
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.making import parts_of
 from thinlayer.parts.part import DISPLACEMENTS, Interval
@@ -92,7 +93,7 @@ class Equations(PartSum):
         return RigidMotions(self.model, self.held, self.scale.stiffness)
 
     def require_unique(self) -> None:
-        """Raise SolveError if a connected piece of the bodies can move freely.
+        """Raise LooseBody if a connected piece of the bodies can move freely.
 
         The test uses the last tangent or, if parts can release bodies, the tangent at the last u of the parts that resist
         rigid motions. There is no test if a part may resist less than its tangent does.
@@ -106,6 +107,19 @@ class Equations(PartSum):
         resisting = TangentMatrix(self.comm, {DISPLACEMENTS: self.n_displacements})
         self._rigid.require_resisted(resisting.fill(self.blocks(self._relative_residual, rigid=True)))
         resisting.destroy()
+
+    def loose_body(self, x: PETSc.Vec) -> LooseBody | None:
+        """Which body parts have released at the unknowns x, of which the search for an equilibrium knows no better ones."""
+        if not self.traits.releases:
+            return None
+        out = self.vector()
+        self.residual(x, out)
+        out.destroy()
+        try:
+            self.require_unique()
+        except LooseBody as loose:
+            return loose
+        return None
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
@@ -180,7 +194,7 @@ class Equations(PartSum):
         """The state at the end of the step, for its solution x.
 
         Raises:
-            SolveError: x is no equilibrium, even if the solver converged; or parts released a body and it can move freely.
+            SolveError: x is no equilibrium, even if the solver converged. LooseBody: parts released a body.
         """
         out, change = self.vector(), self.u.x.petsc_vec.duplicate()
         self.residual(x, out)

@@ -31,6 +31,8 @@ class Equilibrium:
         reused: whether the last step used the factor of an earlier one.
     """
 
+    eases = True
+
     def __init__(self, equations: Equations, *, nonlinear: bool, own_test: bool, yields: bool, advice: str) -> None:
         self.equations, self.nonlinear = equations, nonlinear
         self._own_test, self._yields, self._advice = own_test, yields, advice

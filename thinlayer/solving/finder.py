@@ -30,9 +30,11 @@ class Finder(Protocol):
     """Finds the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
 
     Attributes:
+        eases: whether it finds equilibria of eased laws.
         reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
     """
 
+    eases: bool
     reused: bool
 
     def find(self, start: PETSc.Vec | None = None) -> Found:

@@ -14,18 +14,18 @@ from petsc4py import PETSc
 from forms.base import is_number
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
-from thinlayer.errors import ModelError, SolveError, warn
+from thinlayer.errors import LooseBody, ModelError, SolveError, warn
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.parallel.log import logger
 from thinlayer.parts.part import Interval
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
-from thinlayer.solving.contact.solver import METHODS, ContactFinder, check_method, default_method
+from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.finder import Attempt, Finder, Found
 from thinlayer.solving.linear_solvers import failed_in_petsc, linear_solvers
-from thinlayer.solving.newton import NEWTON, SINGULAR, YIELDING
+from thinlayer.solving.newton import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING
 from thinlayer.solving.options import (
     PREFIX,
     OptionError,
@@ -159,7 +159,7 @@ class Solver:
         self._log = logger("solve", model.comm)
         self.equations = Equations(model)
         self._finder: Finder = (
-            ContactFinder(self.equations, self.method, like) if self.method in METHODS else self._equilibrium()
+            contact_finder(self.equations, self.method, like) if self.method in METHODS else self._equilibrium()
         )
         self._warned = False  # whether the user was warned of a law that softens
 
@@ -273,8 +273,9 @@ class Solver:
             for linear in self._linear:
                 words = [self.method, f"line search {search}" if search else "", str(linear.get("pc_type", ""))]
                 attempts.append(Attempt(", ".join(filter(None, words)), linear, options))
-        if self.equations.traits.eases:
-            attempts.append(Attempt("eased laws", self._linear[-1], attempts[-1].options, eased=True))
+        if self.equations.traits.eases and self._finder.eases:
+            options = {**attempts[-1].options, **(EASED_CONTACT if self.model.contact else {})}
+            attempts.append(Attempt("eased laws", self._linear[-1], options, eased=True))
         return attempts
 
     def _work_through(self, attempts: list[Attempt], start: PETSc.Vec | None = None) -> tuple[Found, int]:
@@ -283,7 +284,8 @@ class Solver:
         A linear solver that fails is dropped for this and all later steps, unless it is the last one.
 
         Raises:
-            SolveError: all attempts failed; the error of the first attempt with the last linear solver.
+            SolveError: all attempts failed; the error of the first attempt with the last linear solver, or of eased laws if
+                it names a body that nothing holds.
         """
         spent, failed = 0, ""
         first: SolveError | None = None
@@ -301,6 +303,9 @@ class Solver:
                     self._linear = [one for one in self._linear if one != attempt.linear]
                 else:
                     spent += len(error.residuals)
+                    if first and isinstance(error, LooseBody):
+                        error.residuals = (*first.residuals, *error.residuals)
+                        first = error
                     first = first or error
                     last = error
             else:
@@ -332,6 +337,7 @@ class Solver:
     def _through_eased_laws(self, attempt: Attempt) -> tuple[Found, int]:
         """Result of `Continuation`, and its number of solves. All solves begin with the strains and memory of the step."""
         continuation, spent, residual = Continuation(), 0, math.nan
+        reached = self.equations.vector()
 
         def solve(ease: float, begin: PETSc.Vec | None) -> PETSc.Vec:
             nonlocal spent, residual
@@ -342,12 +348,24 @@ class Solver:
                 spent += len(error.residuals)
                 raise
             spent, residual = spent + found.iterations, found.residual
+            found.x.copy(reached)
             return found.x
 
         try:
             return Found(continuation.follow(solve), spent, residual), continuation.solves
+        except SolveError as error:
+            self.equations.ease(0.0)
+            if loose := self.equations.loose_body(reached):
+                raise LooseBody(
+                    f"no equilibrium found ({error.reason}): where the search ended, {loose.motion}",
+                    loose.motion,
+                    "is a body pulled off, or pushed harder than friction holds? Give it supports or a smaller load",
+                    error.residuals,
+                ) from error
+            raise
         finally:
             self.equations.ease(0.0)
+            reached.destroy()
 
     def _with_options(self, attempt: Attempt, start: PETSc.Vec | None) -> Found:
         """Result of the finder with our PETSc options and the user's. All options of the user must be read."""
@@ -377,9 +395,9 @@ class Solver:
     def _newton_options(self, search: str | None) -> dict[str, OptionValue]:
         if self.method != "newton":
             return {}
-        if self.model.contact:
-            search = "basic"
         options = NEWTON | YIELDING if self.yields else NEWTON | SINGULAR if self.equations.traits.singular else NEWTON
+        if self.model.contact:
+            return options | CONTACT
         return options | ({"snes_linesearch_type": search} if search else {})
 
     @property

@@ -12,7 +12,7 @@ from geometry.errors import place
 from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
-from thinlayer.errors import SolveError
+from thinlayer.errors import LooseBody
 
 # Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
 # supports.
@@ -20,6 +20,8 @@ ALLOWED_MOTION = 1e-10
 # Least stiffness against a rigid motion, relative to that of the bodies. Rounding of the forces moves a body by eps over
 # this ratio, relative to the displacements: here by a thousandth.
 RESISTED_MOTION = 1e3 * np.finfo(float).eps
+
+SEVERAL = 1e-6  # least singular value of motions of a piece that are independent of each other
 
 Array = npt.NDArray[np.float64]
 
@@ -59,9 +61,10 @@ class RigidMotions:
         """At each displacement of this rank, its translations and rotations (n, per), of order 1; its piece (n,)."""
         model, joint = self.model, self.model.domain.joint
         V, number = model.V, model.splitting.pieces
-        _, first = np.unique(number, return_index=True)
+        _, first, cells = np.unique(number, return_index=True, return_counts=True)
         self._names = [joint.regions[joint.region[cell]] for cell in first]
-        self._places = joint.points[joint.corners[first]].mean(axis=1)
+        middles = joint.points[joint.corners].mean(axis=1)
+        self._places = np.column_stack([np.bincount(number, along) / cells for along in middles.T])
         owned, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
@@ -70,7 +73,7 @@ class RigidMotions:
         return np.column_stack(rigid), of[:owned].repeat(bs)
 
     def require_resisted(self, A: PETSc.Mat) -> None:
-        """Raise SolveError if a tangent, with or without supports, does not resist a motion that supports allow."""
+        """Raise LooseBody if a tangent, with or without supports, does not resist a motion that supports allow."""
         motions, columns, allowed = self._free
         if not allowed.shape[1]:
             return
@@ -88,20 +91,25 @@ class RigidMotions:
         _, sizes, motions = np.linalg.svd(allowed.T @ self.model.comm.allreduce(stiffness) @ allowed)
         if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return
-        raise SolveError(
-            f"no unique solution: {self._described(allowed @ motions[-1])}, and neither supports nor the layer resist it "
-            "(to rounding)",
+        least = np.flatnonzero(sizes <= max(RESISTED_MOTION * self._stiffness, sizes[-1]))
+        motion = self._described(allowed @ motions[least].T)
+        raise LooseBody(
+            f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)",
+            motion,
             advice="add supports, or give the layer's law a stiffness in this direction",
         )
 
-    def _described(self, motion: Array) -> str:
-        """Words for the motion of the piece that moves most."""
+    def _described(self, motions: Array) -> str:
+        """Words for the motions (pieces times per, k) of the piece that moves most in the last one."""
         d = self.model.joint.dim
-        of_pieces = motion.reshape(len(self._names), -1)
+        each = motions.reshape(len(self._names), -1, motions.shape[1])
+        of_pieces = each[..., -1]
         k = int(np.abs(of_pieces).max(axis=1).argmax())
         shift, turn = of_pieces[k, :d], of_pieces[k, d:]
         where = f" at {place(self._places[k])}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
+        if np.linalg.matrix_rank(each[k], tol=SEVERAL) == len(each[k]):
+            return f"{body} can move and turn freely"
         if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:
                 return f"{body} can turn about the period"

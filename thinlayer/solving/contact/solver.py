@@ -7,16 +7,18 @@ from typing import Any, Protocol
 import numpy as np
 from petsc4py import PETSc
 
+from geometry.joint import Joint
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
 from thinlayer.solving.contact.condensed import Condensed
 from thinlayer.solving.contact.multigrid import MultigridContact
+from thinlayer.solving.contact.network import NetworkFinder
 from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.relaxation import ContactRelaxation
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.finder import Found
+from thinlayer.solving.finder import Finder, Found
 
 SCHEMES: dict[str, type[Scheme]] = {
     "condensed": Condensed,
@@ -52,15 +54,28 @@ class Scheme(Protocol):
 def default_method(model: Model) -> str:
     """The default method for a contact model.
 
-    "newton" for bodies that are not linear and laws without sweeps; "condensed" on one rank if S has few displacements;
-    else "multigrid".
+    "newton" for bodies that are not linear and laws without sweeps; "condensed" on one rank if S has few displacements, in
+    networks at each body; else "multigrid", in networks "newton".
     """
-    if model.contact is None or model.contact.numbers is None or not _linear_bodies(model) or _is_network(model):
+    if any(law.numbers is None for law in model.contacts.values()) or not _linear_bodies(model) or model.joint.periods:
         return "newton"
-    vertices = len(np.unique(model.joint.surface))
-    sides = 1 if model.joint.rigid_base else 2
-    narrow = vertices * sides * model.joint.dim <= CONDENSED_UP_TO[model.joint.dim]
-    return "condensed" if narrow and model.comm.size == 1 else "multigrid"
+    network = _is_network(model)
+    narrow = (_most_vertices if network else _vertices)(model.joint) * model.joint.dim <= CONDENSED_UP_TO[
+        model.joint.dim
+    ]
+    return "condensed" if narrow and model.comm.size == 1 else "newton" if network else "multigrid"
+
+
+def _vertices(joint: Joint) -> int:
+    """Number of displaced vertices on S."""
+    return len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
+
+
+def _most_vertices(joint: Joint) -> int:
+    """Largest number of vertices on S of one body of a network."""
+    cell, corner = np.nonzero(np.isin(joint.corners, joint.surface))
+    pairs = np.unique(np.column_stack([joint.splitting.pieces[cell], joint.corners[cell, corner]]), axis=0)
+    return int(np.bincount(pairs[:, 0]).max())
 
 
 def _is_network(model: Model) -> bool:
@@ -86,6 +101,8 @@ class ContactFinder:
         method: one of METHODS.
         like: a state of a model of the same joint with a similar contact status.
     """
+
+    eases = False
 
     def __init__(self, equations: Equations, method: str, like: State | None) -> None:
         self.problem = ContactProblem(equations)
@@ -124,21 +141,26 @@ class ContactFinder:
         self.problem.destroy()
 
 
+def contact_finder(equations: Equations, method: str, like: State | None) -> Finder:
+    """The finder of one of METHODS; arguments as in `ContactFinder`."""
+    return NetworkFinder(equations) if _is_network(equations.model) else ContactFinder(equations, method, like)
+
+
 def check_method(model: Model, method: Any) -> None:
     """Raise ModelError if a method is for contact and does not suit the model."""
     if method in METHODS and model.contact is None:
         raise ModelError(f"method={method!r} is for contact laws; the model has none")
     if method in ("condensed", "relaxation") and model.comm.size > 1:
         raise ModelError(f"method={method!r} is for one rank, not {model.comm.size}; use method='multigrid'")
-    if method in METHODS and _is_network(model):
+    if method in METHODS and _is_network(model) and (method != "condensed" or model.joint.periods):
         raise ModelError(
             f"method={method!r} is for one seam without branches, not periodic, whose jumps are independent of each other; "
-            "use method='newton'"
+            "use method='newton'" + (" or, on one rank, 'condensed'" if not model.joint.periods else "")
         )
     if method in METHODS and not _linear_bodies(model):
         raise ModelError(
             f"method={method!r} needs linear bodies without eigenstrains, and linear, symmetric parts; use method='newton'"
         )
-    if method in METHODS and model.contact and model.contact.numbers is None:
-        name = type(model.contact).__name__
-        raise ModelError(f"method={method!r} needs one of the laws of forms.contact, not {name}; use method='newton'")
+    own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
+    if method in METHODS and own:
+        raise ModelError(f"method={method!r} needs one of the laws of forms.contact, not {own[0]}; use method='newton'")

@@ -1,0 +1,232 @@
+"""Contact in networks, condensed: Newton's method with Gauss-Seidel sweeps for the displacements of nodes in contact.
+
+Jumps are no unknowns here: around a junction they depend on each other, and so their condensed stiffness is singular.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse
+from petsc4py import PETSc
+
+from thinlayer.discretisation.contact_nodes import Array
+from thinlayer.errors import SolveError
+from thinlayer.parts.contact import ContactPart
+from thinlayer.solving.balance import free_norm
+from thinlayer.solving.contact.gauss_seidel import BlockRows
+from thinlayer.solving.contact.pair_nodes import PairNodes
+from thinlayer.solving.contact.pieces import Condensation
+from thinlayer.solving.contact.schur import FactorError
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.finder import Found
+from thinlayer.solving.force_scale import ALLOWED, TINY, ForceScale
+from thinlayer.solving.linear_solvers import DIRECT
+from thinlayer.solving.options import PREFIX, defaults
+
+TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
+STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
+SUMMATION = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
+SWEEPS = 2  # number of sweeps before a Newton step
+MOST_STEPS = 40
+TRIALS = 12  # largest number of trials of a step's length
+FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
+
+
+class NetworkFinder:
+    """Steps of a contact model with linear bodies, any number of which meet: a `Finder`. On one rank.
+
+    The bodies are condensed to the displacements of all nodes in contact, body by body, once. Newton's method then solves
+    the small sparse system; two Gauss-Seidel sweeps, node by node with all pairs of a node, precede each of its steps, and
+    the length of a step is at most 1 and such that the forces do no more work along it.
+
+    Args:
+        equations: the equations of the model.
+    """
+
+    eases = True
+
+    def __init__(self, equations: Equations) -> None:
+        self.equations = equations
+        self.reused = False
+        self._x, self._r = equations.vector(), equations.vector()
+        held = np.zeros(self._x.getLocalSize(), bool)
+        held[equations.held] = True
+        self.pairs = PairNodes(equations.of_kind(ContactPart), held)
+        dofs = (self.pairs.nodes[:, None] * self.pairs.d + np.arange(self.pairs.d)).ravel()
+        inner = np.setdiff1d(np.flatnonzero(~held), dofs)
+        self._free = self.pairs.free.ravel()
+        self._dofs, self._kept, self._inner = dofs, dofs[self._free], inner
+
+    @cached_property
+    def _K(self) -> scipy.sparse.csr_matrix:
+        indptr, indices, values = self.equations.K.getValuesCSR()
+        return scipy.sparse.csr_matrix((values, indices, indptr))
+
+    @cached_property
+    def condensation(self) -> Condensation:
+        """The bodies, condensed to the free displacements of nodes in contact."""
+        return Condensation(self._K, self._kept, self._inner)
+
+    @cached_property
+    def _system(self) -> _System:
+        """With a row for each displacement of nodes in contact; held ones are decoupled."""
+        free, stiffness = np.flatnonzero(self._free), self.condensation.stiffness.tocoo()
+        rows, columns = free[stiffness.row], free[stiffness.col]
+        size = len(self._free)
+        rest = np.flatnonzero(~self._free)
+        fixed = np.full(len(rest), stiffness.data.max(initial=1.0))
+        entries = np.concatenate([stiffness.data, fixed])
+        places = np.concatenate([rows, rest]), np.concatenate([columns, rest])
+        return _System(self.pairs, scipy.sparse.csr_matrix((entries, places), shape=(size, size)))
+
+    def find(self, start: PETSc.Vec | None = None) -> Found:
+        """Displacements at the end of the step, from those of `start` or from those before the step.
+
+        Raises:
+            SolveError: no convergence.
+        """
+        equations, x = self.equations, self._x
+        self.reused = "_system" in vars(self)
+        try:
+            system, condensation = self._system, self.condensation
+        except FactorError as error:
+            raise SolveError(
+                f"contact: {error}; is every body supported, or does it meet S in more than a point?"
+            ) from error
+        if start is None:
+            equations.put_state(equations.interval.old, x)
+        else:
+            start.copy(x)
+        known = bool(x.array_r[self._dofs].any())
+        x.array[equations.held] = equations.prescribed
+        u = x.array_r[self._dofs].copy()
+        b = equations.loads.array_r - self._K[:, equations.held] @ equations.prescribed
+        g = np.where(self._free, 0.0, system.stiffness.diagonal() * u)
+        g[self._free] = condensation.condense(b)
+        u, residuals = system.solve(u if known else system.bonded(g), g, max(equations.scale.least, TINY))
+        condensation.expand(b, u[self._free], x.array)
+        equations.residual(x, self._r)
+        relative = equations.scale.relative(free_norm(equations, self._r))
+        if not relative <= ALLOWED:
+            raise SolveError(
+                f"contact: the residual of the whole problem is {relative:.1e} of the forces", residuals=residuals
+            )
+        return Found(x, len(residuals) - 1, relative)
+
+    def forget(self) -> bool:
+        """False: the condensed bodies do not depend on the step, so nothing is dropped."""
+        return False
+
+    def close(self) -> None:
+        """Free the factor and vectors."""
+        for vector in (self._x, self._r):
+            vector.destroy()
+        if "condensation" in vars(self):
+            self.condensation.close()
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """stiffness u + forces of the pairs = g, for displacements u (n d,) of the nodes in contact."""
+
+    pairs: PairNodes
+    stiffness: scipy.sparse.csr_matrix
+
+    @cached_property
+    def _blocks(self) -> BlockRows:
+        blocks = self.stiffness.tobsr((self.pairs.d,) * 2)
+        blocks.sort_indices()
+        return BlockRows(blocks.indptr.astype(np.int32), blocks.indices.astype(np.int32), blocks.data)
+
+    @cached_property
+    def _scale(self) -> ForceScale:
+        return ForceScale(
+            SUMMATION * math.sqrt(len(self.pairs.nodes)) * float(self.stiffness.diagonal().max(initial=0.0))
+        )
+
+    def residual(self, u: Array, g: Array) -> Array:
+        """Forces of bodies and pairs, less g; zero at held displacements."""
+        return np.asarray(self.stiffness @ u + self.pairs.forces(u) - g)
+
+    def bonded(self, g: Array) -> Array:
+        """Displacements with bonded springs, which neither open nor slide."""
+        springs, forces = self.pairs.bonded()
+        return self._linear(self.stiffness + springs, g - forces)
+
+    def solve(self, u: Array, g: Array, size: float) -> tuple[Array, tuple[float, ...]]:
+        """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces.
+
+        Raises:
+            SolveError: no convergence.
+        """
+        residuals: list[float] = []
+        while True:
+            r = self.residual(u, g)
+            residuals.append(float(np.linalg.norm(r)) / max(size, float(np.linalg.norm(self.pairs.forces(u)))))
+            if self._ends(residuals, u, size):
+                return u, tuple(residuals)
+            if len(residuals) > MOST_STEPS or not math.isfinite(residuals[-1]):
+                raise SolveError(
+                    f"contact: no equilibrium found, residual {residuals[-1]:.1e} of the forces after {len(residuals) - 1} "
+                    "Newton steps; is every body supported, or pressed against S rather than pulled off it? Else try "
+                    "smaller load steps",
+                    residuals=tuple(residuals),
+                )
+            u = u.copy()
+            self.pairs.sweep(self._blocks, g, u, SWEEPS)
+            step = self._linear(self.stiffness + self.pairs.tangent(u), -self.residual(u, g))
+            u = u + self._length(u, step, g) * step
+
+    def _ends(self, residuals: list[float], u: Array, size: float) -> bool:
+        """Whether the residual is small enough, or as small as rounding lets it be."""
+        if residuals[-1] <= TOLERANCE:
+            return True
+        if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
+            return False
+        share = self._scale.rounding(float(np.abs(u).max(initial=0.0))) / size
+        return residuals[-1] <= max(STALLED, min(share, ALLOWED))
+
+    def _length(self, u: Array, step: Array, g: Array) -> float:
+        """Length of a step, at most 1, at which the work of the residual along it vanishes; by regula falsi."""
+
+        def work(a: float) -> float:
+            return float(step @ self.residual(u + a * step, g))
+
+        first, last = work(0.0), work(1.0)
+        if not (first < 0 and last > FLAT * abs(first)):
+            return 1.0
+        low, high, below, above = 0.0, 1.0, first, last
+        for _ in range(TRIALS):
+            a = low - below * (high - low) / (above - below)
+            a = min(max(a, low + 0.1 * (high - low)), high - 0.1 * (high - low))
+            now = work(a)
+            if abs(now) <= FLAT * abs(first):
+                break
+            if now < 0:
+                low, below = a, now
+            else:
+                high, above = a, now
+        return a
+
+    def _linear(self, A: scipy.sparse.csr_matrix, b: Array) -> Array:
+        """A^-1 b by a factorisation; not finite if A is singular."""
+        A = A.tocsr()
+        A.sort_indices()
+        csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
+        matrix = PETSc.Mat().createAIJ(A.shape, csr=csr, comm=PETSc.COMM_SELF)
+        given, found = matrix.createVecs()
+        given.array[:] = b
+        ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+        ksp.setOptionsPrefix(PREFIX)
+        ksp.setOperators(matrix)
+        with defaults({**DIRECT, "pc_type": "lu"}):
+            ksp.setFromOptions()
+            ksp.solve(given, found)
+        out = found.array_r.copy() if ksp.getConvergedReason() > 0 else np.full(len(b), np.nan)
+        for thing in (ksp, matrix, given, found):
+            thing.destroy()
+        return out
