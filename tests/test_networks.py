@@ -256,7 +256,7 @@ def test_order_one_beside_a_seam_that_ends():
     ends = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
     bodies = lambda joint: Structure(joint, body=ROCK, supports=ends, element="Q2")
     total = lambda model: sum(solve(model).energies()[part] for part in ("bodies", "layer"))
-    closed = ThinLayer(LinearElastic(1e8, 1e8), 1e-7)
+    closed = ThinLayer(LinearElastic(1e8, 1e8), 1e-8)
     found = []
     for order in (0, 1):
         layer = ThinLayer(law.per_thickness(0.2), 0.2, order=order)

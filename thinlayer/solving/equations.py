@@ -14,7 +14,6 @@ from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.making import parts_of
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
@@ -220,11 +219,10 @@ class Equations(PartSum):
         return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
-        """Integrals of the squares of the strains that unknowns x cause in layers that yield, by the keys of parts."""
+        """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""
         self._layout.put(x)
         nothing = self._forces.duplicate()
-        yielding = [part for part in self.of_kind(CompiledPart) if part.law.traits.bounded]
-        local = {part.key: float((part.error_measure(self.u, nothing) ** 2).sum()) for part in yielding}
+        local = {part.key: float((part.error_measure(self.u, nothing) ** 2).sum()) for part in self.parts}
         nothing.destroy()
         return {key: self.comm.allreduce(value) for key, value in local.items()}
 

@@ -144,7 +144,9 @@ class Restraint:
         """Shares of the seams in the squares of the strains since the beginning, in layers that yield."""
         self.x.copy(self._d)
         self._d.axpy(-1.0, self._begin)
-        squares = self.equations.model.by_seam(self.equations.squares_of_strains(self._d))
+        model = self.equations.model
+        found = model.by_seam(self.equations.squares_of_strains(self._d))
+        squares = {name: value for name, value in found.items() if model.layers[name].law.traits.bounded}
         whole = sum(squares.values())
         order = sorted(squares, key=lambda name: -squares[name])
         return {name: squares[name] / whole for name in order} if whole else {}
