@@ -12,8 +12,9 @@ from forms import work as forms
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.tangent import needs_director
-from geometry.inflation import check_layering, inflate
+from geometry.inflation import inflate
 from geometry.joint import BASE, Joint, S
+from geometry.layering import check_layering
 from thinlayer.discretisation.joint_fields import director, relative_thickness
 from thinlayer.discretisation.layer import LawOnS, Layers, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
