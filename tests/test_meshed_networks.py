@@ -15,7 +15,7 @@ from tests.meshes import grid, volumes
 from tests.network_cases import springs
 from tests.ranks import mpirun
 from tests.test_networks import SQUARE, cut_at, on
-from thinlayer import Gap, ModelError, Structure, Surface, ThinLayer, UflPart, compare, solve
+from thinlayer import Gap, ModelError, RangeWarning, Structure, Surface, ThinLayer, UflPart, compare, solve
 
 RATIOS = (1e-1, 1e-2, 1e-3, 1e-4)
 BRICK = (1.0, 0.5)
@@ -370,6 +370,24 @@ def test_loads_add_up():
         state = solve(structure.full(mortar(0.02), bodies=bodies))
         force = [state.integral(state.model.external_work(ufl.as_vector(way), 0.0)) for way in ([1.0, 0.0], [0.0, 1.0])]
         assert force == pytest.approx(whole, rel=1e-12)
+
+
+def test_gaps_carry_no_loads(recwarn):
+    """Kept bodies keep their loaded faces; what extended ones give up to gaps is told."""
+    joint = wall(3, 4, BRICK, 0.25)
+    structure = Structure(
+        joint, body=LinearElastic.young(1.0, 0.2), supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -2.0)}
+    )
+    layers = mortar(0.02, HEAD=Gap(0.03))
+    kept = solve(structure.full(layers))
+    assert not recwarn.list
+    with pytest.warns(
+        RangeWarning, match=r"traction on 'TOP': the gap 'HEAD' ends there.* smaller than.*bodies='kept'"
+    ):
+        extended = solve(structure.full(layers, bodies="extended"))
+    for state, width in ((kept, 3.0), (extended, 3.0 - 3 * 0.03)):
+        found = state.integral(state.model.external_work(ufl.as_vector([0.0, 1.0]), 0.0))
+        assert found == pytest.approx(-2.0 * width, rel=1e-12)
 
 
 def test_two_layers_in_series():

@@ -4,30 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
-from forms.base import is_finite
-from geometry.errors import GeometryError, place, unknown
-from geometry.inflating.bands import Copies, Footing, Posts, band_cells, level_heights, posts_of
+from geometry.errors import GeometryError, place
+from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
 from geometry.inflating.blocks import fill
 from geometry.inflating.faces import moved_facets
 from geometry.inflating.junctions import Corners, are_filled, junction_posts, junctions_of, polyhedra_of
-from geometry.inflating.motion import (
-    NOT_KEPT,
-    UNIFORM,
-    extended_motion,
-    face_motion,
-    kept_motion,
-)
+from geometry.inflating.layering import Layering, check_junctions, check_layering, claims_of
+from geometry.inflating.motion import NOT_KEPT, UNIFORM, extended_motion, face_motion, kept_motion
 from geometry.inflating.room import is_swept, require_apart, require_room
 from geometry.joint import Band, Joint, Profile
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import BoolArray, FloatArray, IntArray, node_jacobians
-
-WAYS = ("kept", "extended")
-Given = TypeVar("Given")
 
 
 def inflate(
@@ -77,26 +67,20 @@ def inflate(
             thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that touch S and are nearly
             parallel to it, layers of different thickness that meet in line (extended); cells turned inside out, layers
             that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, of an odd number of
-            cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three
-            layers there; bodies that touch at a vertex, or along an edge, only.
+            cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three layers there;
+            bodies that touch at a vertex, or along an edge, only; gaps alone.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
         raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
-    for what, given in (("junctions", junctions), ("gaps", gaps)):
-        for name in given:
-            if name not in joint.seams:
-                raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
-    claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
-    if not claims:
-        raise GeometryError("all seams are gaps: there is no layer to mesh; use the interface model")
-    layers = _Layers.of(joint, eps, profile, cells_through, fractions)
+    claims = claims_of(joint, junctions, gaps)
+    layers = Layering.of(joint, eps, profile, cells_through, fractions)
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
     meeting = junction_posts(posts)
-    _check_junctions(joint, posts, footing.seam[meeting], meeting, layers)
+    check_junctions(joint, posts, footing.seam[meeting], meeting, layers)
     posts, meetings = junctions_of(joint, posts, footing)
     around = polyhedra_of(joint, posts, meetings)
 
@@ -112,10 +96,7 @@ def inflate(
     if len(meetings.of):
         filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
         motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
-        owners = np.concatenate([_owners(joint, of, footing, claims) for of in (meetings, around)])
-        gap = np.ones(len(posts.nodes), bool)  # the sides that close a polygon are open, too
-        gap[: len(footing.seam)] = np.isin(list(joint.seams), gaps)[footing.seam]
-        owners = np.where(are_filled(meetings, around, gap), owners, -1)[filled.corners]
+        owners = _owners(joint, posts, footing, (meetings, around), claims)[filled.corners]
         between = _Cells.of_junctions(filled.cells[owners >= 0], owners[owners >= 0], joint.dim)
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
@@ -156,94 +137,6 @@ def inflate(
     return opened
 
 
-def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
-    """A value for each seam, from one for all, or from {name of a seam: value}; others get the default, if one is given.
-
-    Raises:
-        GeometryError: a value for an unknown seam, or none for a seam.
-    """
-    if not isinstance(given, Mapping):
-        return dict.fromkeys(joint.seams, given)
-    for name in given:
-        if name not in joint.seams:
-            raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
-    missing = [name for name in joint.seams if name not in given]
-    if missing and not default:
-        raise GeometryError(f"{what}: the seam {missing[0]!r} has none; give {what}={{{missing[0]!r}: ..., ...}}")
-    return {name: given[name] if name in given else default[0] for name in joint.seams}
-
-
-def check_layering(cells_through: int, bodies: str) -> None:
-    """Raise GeometryError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
-    if bodies not in WAYS:
-        raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
-    if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
-        raise GeometryError(
-            f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells through its thickness"
-        )
-
-
-@dataclass(frozen=True)
-class _Layers:
-    """What is given of the layers, by the names of their seams.
-
-    Attributes:
-        eps: thickness.
-        fractions: of the sublayers.
-        heights: of the levels of nodes.
-        thickness: (n_S, k) at the nodes of each facet of S.
-        varying: names of the seams with a profile.
-    """
-
-    eps: dict[str, float]
-    fractions: dict[str, Sequence[float]]
-    heights: list[FloatArray]
-    thickness: FloatArray
-    varying: tuple[str, ...]
-
-    @classmethod
-    def of(
-        cls,
-        joint: Joint,
-        eps: float | Mapping[str, float],
-        profile: Profile | Mapping[str, Profile | None] | None,
-        cells_through: int,
-        fractions: Sequence[float] | Mapping[str, Sequence[float]],
-    ) -> _Layers:
-        sizes, shares = by_seam(joint, eps, "eps"), by_seam(joint, fractions, "fractions", ())
-        profiles = by_seam(joint, profile, "profile", None)
-        for name in joint.seams:
-            one, some = sizes[name], shares[name]
-            which = "" if len(joint.seams) == 1 else f" of {name!r}"
-            if not is_finite(one) or one <= 0:
-                raise GeometryError(f"the layer's thickness eps{which} is {one!r}; it must be > 0")
-            if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
-                raise GeometryError(
-                    f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
-                )
-        if joint.periods:
-            raise GeometryError(
-                "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
-                "inflate a large piece that is not periodic"
-            )
-        if joint.tip is not None:
-            raise GeometryError(
-                f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
-                "meshed; use the interface model"
-            )
-        thickness = np.empty(joint.surface.shape)
-        for number, name in enumerate(joint.seams):
-            here = joint.seam_numbers == number
-            thickness[here] = float(sizes[name]) * joint.relative_thickness(profiles[name], name)[joint.surface[here]]
-        return cls(
-            {name: float(one) for name, one in sizes.items()},
-            shares,
-            [level_heights(joint.degree, cells_through, shares[name]) for name in joint.seams],
-            thickness,
-            tuple(name for name in joint.seams if profiles[name] is not None),
-        )
-
-
 @dataclass(frozen=True)
 class _Cells:
     """Cells of layers.
@@ -274,54 +167,29 @@ class _Cells:
         return cls(*(np.concatenate([getattr(one, of) for one in several]) for of in ("cells", "region", "director")))
 
 
-def _check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArray, layers: _Layers) -> None:
-    """Raise GeometryError where layers meet that cannot be meshed there.
+def _owners(
+    joint: Joint, posts: Posts, footing: Footing, corners: tuple[Corners, Corners], claims: Sequence[str]
+) -> IntArray:
+    """(n,) number of the seam to which the cells at each corner belong, one for each junction; -1: it has no cells.
 
     Args:
         joint: the joint before inflating.
-        posts: all posts at the nodes of S.
-        seams: numbers of the seams of the posts at junctions.
-        meeting: these posts.
-        layers: the layers.
-    """
-    names = np.array(list(joint.seams))[seams]
-    reasons = {
-        "the sublayers of one layer have no place in the others": np.array(
-            [len(layers.fractions[n]) > 0 for n in names], bool
-        ),
-        "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
-        "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
-    }
-    for reason, holds in reasons.items():
-        if holds.any():
-            x = joint.points[posts.nodes[meeting[holds][0]]]
-            raise GeometryError(
-                f"S branches at {place(x)}, where three or more bodies meet: {reason}; use the interface model"
-            )
-    odd = posts.top[meeting] % 2 > 0
-    if odd.any():
-        first = meeting[odd][0]
-        x = joint.points[posts.nodes[first]]
-        raise GeometryError(
-            f"cells_through is {posts.top[first]}: layers meet at {place(x)} and need an even number of cells there"
-        )
-
-
-def _owners(joint: Joint, corners: Corners, footing: Footing, claims: Sequence[str]) -> IntArray:
-    """(n,) number of the seam to which the cells at each corner belong, one for each junction; -1: all seams are gaps.
-
-    Args:
-        joint: the joint before inflating.
-        corners: of junctions.
-        footing: where the facets of S have their posts.
+        posts: all posts.
+        footing: where the facets of S have theirs.
+        corners: of junctions, and of the polygons around polyhedra.
         claims: names of the seams with cells, the first one first.
     """
     seams, last = list(joint.seams), len(claims)
     rank = np.array([claims.index(name) if name in claims else last for name in seams])
-    of_posts = np.append(rank[footing.seam], last)  # the sides that close a polygon have no seam
-    first = np.full(int(corners.of.max(initial=-1)) + 1, last)
-    np.minimum.at(first, corners.of, of_posts[np.minimum(corners.sides, len(footing.seam))].min(axis=(1, 2)))
-    return np.array([*map(seams.index, claims), -1])[first[corners.of]]
+    of_posts = np.full(len(posts.nodes), last)  # the sides that close a polygon have no seam
+    of_posts[: len(footing.seam)] = rank[footing.seam]
+    numbers = np.array([*map(seams.index, claims), -1])
+    found = []
+    for some in corners:
+        first = np.full(int(some.of.max(initial=-1)) + 1, last)
+        np.minimum.at(first, some.of, of_posts[some.sides].min(axis=(1, 2)))
+        found.append(numbers[first[some.of]])
+    return np.where(are_filled(*corners, of_posts == last), np.concatenate(found), -1)
 
 
 def _without_gaps(cells: IntArray, n: int) -> tuple[IntArray, BoolArray]:
@@ -332,7 +200,7 @@ def _without_gaps(cells: IntArray, n: int) -> tuple[IntArray, BoolArray]:
 
 
 def _bands(
-    joint: Joint, posts: Posts, footing: Footing, layers: _Layers, claims: Sequence[str]
+    joint: Joint, posts: Posts, footing: Footing, layers: Layering, claims: Sequence[str]
 ) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
     """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face; not of gaps."""
     found: list[_Cells] = []

@@ -164,23 +164,23 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
     """
     if joint.dim == 2:
         return Corners.none(1)
-    n, several_posts = len(joint.points), np.bincount(posts.nodes, minlength=len(joint.points)) > 1
-    each = _once(corners, posts)
+    n, each = len(joint.points), _once(corners, posts)
     polygons, first = np.unique(each.polygons, return_index=True)
-    faces = np.bincount(each.of[first], minlength=n)
+    several = (np.bincount(each.of[first], minlength=n) > 1)[posts.nodes]  # posts at vertices with several polygons
     uses = np.bincount(each.sides.ravel(), minlength=len(posts.nodes))  # two for each polygon
-    loose = several_posts[posts.nodes] & (faces[posts.nodes] <= 1) & (uses != 2)
-
-    around = each.at(np.flatnonzero(faces[each.of] > 1))
-    rim = np.flatnonzero((faces[posts.nodes] > 1) & (uses == 2))
-    outer = _outer_polygons(posts, rim, len(polygons))
-    faces[np.unique(outer.of)] += 1
+    around = each.at(np.flatnonzero(np.isin(each.of, posts.nodes[several])))
+    outer = _outer_polygons(posts, np.flatnonzero(several & (uses == 2)), len(polygons))
     around = Corners.joined(around, outer)
+
+    count = np.bincount(posts.nodes, minlength=n)
+    loose = ~several & (count[posts.nodes] > 1) & (uses != 2)
     uses = np.bincount(around.sides.ravel(), minlength=len(posts.nodes))
-    loose |= (faces[posts.nodes] > 1) & (uses != 4)
-    first = np.unique(around.copies, return_index=True)[1]
-    euler = np.bincount(around.of[first], minlength=n) - np.bincount(posts.nodes, minlength=n) + faces
-    loose |= (faces[posts.nodes] > 1) & (euler[posts.nodes] != 2)
+    of_copies, of_polygons = (
+        np.bincount(around.of[np.unique(rows, return_index=True)[1]], minlength=n)
+        for rows in (around.copies, around.polygons)
+    )
+    closed = (uses == 4) & (of_copies - count + of_polygons == 2)[posts.nodes]  # Euler's formula: all in one piece
+    loose |= several & ~closed
     if loose.any():
         raise _loose(joint, posts.nodes[loose][:1])
     return around

@@ -51,6 +51,7 @@ class Forces:
             load = tractions[name]
             values = self._outer(name)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
+            self._warn_of_gaps(name)
             side = f"{name.split('/')[0]}/{LAYER}"
             if side not in tractions and (share := self._share(name)):
                 what, loaded, _ = self._loads[-1]
@@ -81,6 +82,19 @@ class Forces:
         if not values and not name.endswith(f"/{LAYER}"):
             raise ModelError(f"traction on {name!r}: this facet set is empty")
         return values
+
+    def _warn_of_gaps(self, name: str) -> None:
+        """Warn where a gap ends that bodies gave up a part of their loaded faces to."""
+        band, whole = self.domain.joint.band, name.split("/")[0]
+        if band is None or band.bodies == "kept" or whole not in band.base.facets:
+            return
+        for seam in band.eps.keys() - band.of_seam.keys():
+            if Sheet(band.base, seam).rim.on(band.base.facets[whole]).any():
+                warn(
+                    f"traction on {name!r}: the gap {seam!r} ends there, and bodies gave up a part of their faces to it; "
+                    "the load is smaller than the interface model's. Use bodies='kept'",
+                    self.domain.comm,
+                )
 
     def _share(self, name: str) -> float:
         """Share of a traction on bodies that also acts on the layer's side: the room that these bodies gave up.

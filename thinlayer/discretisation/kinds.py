@@ -12,7 +12,8 @@ from forms import work as forms
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.tangent import needs_director
-from geometry.inflating.inflation import check_layering, inflate
+from geometry.inflating.inflation import inflate
+from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.joint_fields import director, relative_thickness

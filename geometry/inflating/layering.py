@@ -1,0 +1,156 @@
+"""What is given of layers that are to be meshed, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from forms.base import is_finite
+from geometry.errors import GeometryError, place, unknown
+from geometry.inflating.bands import Posts, level_heights
+from geometry.joint import Joint, Profile
+from geometry.topology import FloatArray, IntArray
+
+WAYS = ("kept", "extended")
+Given = TypeVar("Given")
+
+
+def claims_of(joint: Joint, junctions: Sequence[str], gaps: Sequence[str]) -> list[str]:
+    """Names of the seams with cells, in the order of their claims to those of junctions."""
+    for what, names in (("junctions", junctions), ("gaps", gaps)):
+        for name in names:
+            if name not in joint.seams:
+                raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
+    claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
+    if not claims:
+        raise GeometryError("all seams are gaps: there is no layer to mesh; use the interface model")
+    return claims
+
+
+def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
+    """A value for each seam, from one for all, or from {name of a seam: value}; others get the default, if one is given.
+
+    Raises:
+        GeometryError: a value for an unknown seam, or none for a seam.
+    """
+    if not isinstance(given, Mapping):
+        return dict.fromkeys(joint.seams, given)
+    for name in given:
+        if name not in joint.seams:
+            raise GeometryError(f"{what}: {unknown('seam', name, joint.seams)}")
+    missing = [name for name in joint.seams if name not in given]
+    if missing and not default:
+        raise GeometryError(f"{what}: the seam {missing[0]!r} has none; give {what}={{{missing[0]!r}: ..., ...}}")
+    return {name: given[name] if name in given else default[0] for name in joint.seams}
+
+
+def check_layering(cells_through: int, bodies: str) -> None:
+    """Raise GeometryError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
+    if bodies not in WAYS:
+        raise GeometryError(unknown("way to make room for the layer (bodies=...)", bodies, WAYS))
+    if not is_finite(cells_through) or int(cells_through) != cells_through or cells_through < 1:
+        raise GeometryError(
+            f"cells_through is {cells_through!r}; the layer needs a whole number >= 1 of cells through its thickness"
+        )
+
+
+@dataclass(frozen=True)
+class Layering:
+    """What is given of the layers, by the names of their seams.
+
+    Attributes:
+        eps: thickness.
+        fractions: of the sublayers.
+        heights: of the levels of nodes.
+        thickness: (n_S, k) at the nodes of each facet of S.
+        varying: names of the seams with a profile.
+    """
+
+    eps: dict[str, float]
+    fractions: dict[str, Sequence[float]]
+    heights: list[FloatArray]
+    thickness: FloatArray
+    varying: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        joint: Joint,
+        eps: float | Mapping[str, float],
+        profile: Profile | Mapping[str, Profile | None] | None,
+        cells_through: int,
+        fractions: Sequence[float] | Mapping[str, Sequence[float]],
+    ) -> Layering:
+        """From the arguments of `inflate`.
+
+        Raises:
+            GeometryError: a size or fractions out of range; the joint is periodic; S ends inside the bodies.
+        """
+        sizes, shares = by_seam(joint, eps, "eps"), by_seam(joint, fractions, "fractions", ())
+        profiles = by_seam(joint, profile, "profile", None)
+        for name in joint.seams:
+            one, some = sizes[name], shares[name]
+            which = "" if len(joint.seams) == 1 else f" of {name!r}"
+            if not is_finite(one) or one <= 0:
+                raise GeometryError(f"the layer's thickness eps{which} is {one!r}; it must be > 0")
+            if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
+                raise GeometryError(
+                    f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
+                )
+        if joint.periods:
+            raise GeometryError(
+                "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
+                "inflate a large piece that is not periodic"
+            )
+        if joint.tip is not None:
+            raise GeometryError(
+                f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "
+                "meshed; use the interface model"
+            )
+        thickness = np.empty(joint.surface.shape)
+        for number, name in enumerate(joint.seams):
+            here = joint.seam_numbers == number
+            thickness[here] = float(sizes[name]) * joint.relative_thickness(profiles[name], name)[joint.surface[here]]
+        return cls(
+            {name: float(one) for name, one in sizes.items()},
+            shares,
+            [level_heights(joint.degree, cells_through, shares[name]) for name in joint.seams],
+            thickness,
+            tuple(name for name in joint.seams if profiles[name] is not None),
+        )
+
+
+def check_junctions(joint: Joint, posts: Posts, seams: IntArray, meeting: IntArray, layers: Layering) -> None:
+    """Raise GeometryError where layers meet that cannot be meshed there.
+
+    Args:
+        joint: the joint before inflating.
+        posts: all posts at the nodes of S.
+        seams: numbers of the seams of the posts at junctions.
+        meeting: these posts.
+        layers: the layers.
+    """
+    names = np.array(list(joint.seams))[seams]
+    reasons = {
+        "the sublayers of one layer have no place in the others": np.array(
+            [len(layers.fractions[n]) > 0 for n in names], bool
+        ),
+        "junctions are meshed between layers of uniform thickness only": np.isin(names, layers.varying),
+        "junctions are meshed between straight-sided cells only": np.full(len(meeting), joint.degree == 2),
+    }
+    for reason, holds in reasons.items():
+        if holds.any():
+            x = joint.points[posts.nodes[meeting[holds][0]]]
+            raise GeometryError(
+                f"S branches at {place(x)}, where three or more bodies meet: {reason}; use the interface model"
+            )
+    odd = posts.top[meeting] % 2 > 0
+    if odd.any():
+        first = meeting[odd][0]
+        x = joint.points[posts.nodes[first]]
+        raise GeometryError(
+            f"cells_through is {posts.top[first]}: layers meet at {place(x)} and need an even number of cells there"
+        )
