@@ -234,3 +234,8 @@ def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model
     out.x.array.reshape(-1, bs)[V.dofmap.list[wanted].ravel()] = values.reshape(-1, bs)
     out.x.scatter_forward()
     return out
+
+
+def displacements_of(state: State, model: Model) -> fem.Function:
+    """The displacements of a state on a model of the same joint, with the same element. Collective."""
+    return state.u if state.model is model else transfer(state.u, state.model, model.V, model)

@@ -91,11 +91,12 @@ class Equations(PartSum):
     def _rigid(self) -> RigidMotions:
         return RigidMotions(self.model, self.held, self.scale.stiffness)
 
-    def require_unique(self) -> None:
+    def require_unique(self, unbalanced: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 
         The test uses the last tangent or, if parts can release bodies, the tangent at the last u of the parts that resist
-        rigid motions. There is no test if a part may resist less than its tangent does.
+        rigid motions. There is no test if a part may resist less than its tangent does. The error tells where `unbalanced`
+        forces lead.
         """
         if self.traits.weakens:
             return
@@ -104,7 +105,7 @@ class Equations(PartSum):
                 self._rigid.require_resisted(self._tangent)
             return
         resisting = TangentMatrix(self.comm, {DISPLACEMENTS: self.n_displacements})
-        self._rigid.require_resisted(resisting.fill(self.blocks(self._relative_residual, rigid=True)))
+        self._rigid.require_resisted(resisting.fill(self.blocks(self._relative_residual, rigid=True)), unbalanced)
         resisting.destroy()
 
     def loose_body(self, x: PETSc.Vec) -> LooseBody | None:
@@ -113,11 +114,13 @@ class Equations(PartSum):
             return None
         out = self.vector()
         self.residual(x, out)
-        out.destroy()
+        out.scale(-1.0)
         try:
-            self.require_unique()
+            self.require_unique(out)
         except LooseBody as loose:
             return loose
+        finally:
+            out.destroy()
         return None
 
     # ---------------------------------------------------------------- a step

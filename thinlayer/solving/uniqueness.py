@@ -72,8 +72,13 @@ class RigidMotions:
         rigid = [f.x.array[: owned * bs] for f in rigid_motions(V, joint).values()]
         return np.column_stack(rigid), of[:owned].repeat(bs)
 
-    def require_resisted(self, A: PETSc.Mat) -> None:
-        """Raise LooseBody if a tangent, with or without supports, does not resist a motion that supports allow."""
+    def require_resisted(self, A: PETSc.Mat, unbalanced: PETSc.Vec | None = None) -> None:
+        """Raise LooseBody if a tangent, with or without supports, does not resist a motion that supports allow.
+
+        Args:
+            A: the tangent.
+            unbalanced: forces that nothing balances, whose direction the error tells; None: any motion that is free.
+        """
         motions, columns, allowed = self._free
         if not allowed.shape[1]:
             return
@@ -92,12 +97,24 @@ class RigidMotions:
         if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return
         least = np.flatnonzero(sizes <= max(RESISTED_MOTION * self._stiffness, sizes[-1]))
-        motion = self._described(allowed @ motions[least].T)
+        free = allowed @ motions[least].T
+        if unbalanced is not None:
+            free = self._led(free, unbalanced)
+        motion = self._described(free)
         raise LooseBody(
             f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)",
             motion,
             advice="add supports, or give the layer's law a stiffness in this direction",
         )
+
+    def _led(self, free: Array, forces: PETSc.Vec) -> Array:
+        """Free motions (pieces times per, k), and as a further one that to which forces on the displacements lead."""
+        motions, columns, _ = self._free
+        along = np.zeros(len(free))
+        np.add.at(along, columns, motions * forces.array_r[: len(motions), None])
+        led = free @ (free.T @ self.model.comm.allreduce(along))
+        size = float(np.linalg.norm(led))
+        return np.column_stack([free, led / size]) if size else free
 
     def _described(self, motions: Array) -> str:
         """Words for the motions (pieces times per, k) of the piece that moves most in the last one."""

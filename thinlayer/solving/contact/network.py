@@ -14,6 +14,7 @@ import scipy.sparse
 from petsc4py import PETSc
 
 from thinlayer.discretisation.contact_nodes import Array
+from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.parts.contact import ContactPart
 from thinlayer.solving.balance import free_norm
@@ -45,12 +46,13 @@ class NetworkFinder:
 
     Args:
         equations: the equations of the model.
+        like: a state of a model of the same joint, from which the first step begins; None: that before the step.
     """
 
     eases = True
 
-    def __init__(self, equations: Equations) -> None:
-        self.equations = equations
+    def __init__(self, equations: Equations, like: State | None) -> None:
+        self.equations, self._like = equations, like
         self.reused = False
         self._x, self._r = equations.vector(), equations.vector()
         held = np.zeros(self._x.getLocalSize(), bool)
@@ -101,6 +103,9 @@ class NetworkFinder:
             equations.put_state(equations.interval.old, x)
         else:
             start.copy(x)
+        if start is None and self._like is not None:
+            displacements_of(self._like, equations.model).x.petsc_vec.copy(x)
+        self._like = None
         known = bool(x.array_r[self._dofs].any())
         x.array[equations.held] = equations.prescribed
         u = x.array_r[self._dofs].copy()

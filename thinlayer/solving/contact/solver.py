@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from geometry.joint import Joint
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import State, transfer
+from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.errors import ModelError
 from thinlayer.solving.contact.condensed import Condensed
 from thinlayer.solving.contact.multigrid import MultigridContact
@@ -54,10 +54,11 @@ class Scheme(Protocol):
 def default_method(model: Model) -> str:
     """The default method for a contact model.
 
-    "newton" for bodies that are not linear and laws without sweeps; "condensed" on one rank if S has few displacements, in
-    networks at each body; else "multigrid", in networks "newton".
+    "newton" for bodies that are not linear, laws without sweeps, and seams without contact between others; "condensed" on
+    one rank if S has few displacements, in networks at each body; else "multigrid", in networks "newton".
     """
-    if any(law.numbers is None for law in model.contacts.values()) or not _linear_bodies(model) or model.joint.periods:
+    own = any(law.numbers is None for law in model.contacts.values())
+    if own or not _is_linear(model) or model.joint.periods or model.layer_terms:
         return "newton"
     network = _is_network(model)
     narrow = (_most_vertices if network else _vertices)(model.joint) * model.joint.dim <= CONDENSED_UP_TO[
@@ -87,10 +88,10 @@ def _is_network(model: Model) -> bool:
     return several or model.joint.periods is not None
 
 
-def _linear_bodies(model: Model) -> bool:
-    """Whether bodies and additions have a constant, symmetric stiffness matrix."""
+def _is_linear(model: Model) -> bool:
+    """Whether bodies, seams without contact, and additions have a constant, symmetric stiffness matrix."""
     added = all(part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
-    return added and all(p.proportional for p in model.bodies)
+    return added and all(p.proportional for p in model.terms) and all(p.law.traits.symmetric for p in model.terms)
 
 
 class ContactFinder:
@@ -111,9 +112,7 @@ class ContactFinder:
         self._has_solved = self.reused = False
 
     def _jumps(self, state: State) -> Array:
-        model = self.problem.equations.model
-        u = state.u if state.model is model else transfer(state.u, state.model, model.V, model)
-        return self.problem.nodes.jump(u.x.petsc_vec)
+        return self.problem.nodes.jump(displacements_of(state, self.problem.equations.model).x.petsc_vec)
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
         """Displacements at the end of the step; only the jumps of `start` are used."""
@@ -143,7 +142,7 @@ class ContactFinder:
 
 def contact_finder(equations: Equations, method: str, like: State | None) -> Finder:
     """The finder of one of METHODS; arguments as in `ContactFinder`."""
-    return NetworkFinder(equations) if _is_network(equations.model) else ContactFinder(equations, method, like)
+    return NetworkFinder(equations, like) if _is_network(equations.model) else ContactFinder(equations, method, like)
 
 
 def check_method(model: Model, method: Any) -> None:
@@ -157,9 +156,10 @@ def check_method(model: Model, method: Any) -> None:
             f"method={method!r} is for one seam without branches, not periodic, whose jumps are independent of each other; "
             "use method='newton'" + (" or, on one rank, 'condensed'" if not model.joint.periods else "")
         )
-    if method in METHODS and not _linear_bodies(model):
+    if method in METHODS and not _is_linear(model):
         raise ModelError(
-            f"method={method!r} needs linear bodies without eigenstrains, and linear, symmetric parts; use method='newton'"
+            f"method={method!r} needs linear bodies without eigenstrains, and linear, symmetric parts and layers; "
+            "use method='newton'"
         )
     own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if method in METHODS and own:

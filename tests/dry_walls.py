@@ -1,0 +1,95 @@
+"""mpirun -n N python3 -m tests.dry_walls: dry walls, pushed forth and back, and the balance of their bricks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+
+from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
+from forms.contact import ContactLaw, Status
+from geometry import wall
+from thinlayer import History, State, Structure, march, piecewise
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.output.surface_mass import contact_forces, nodal_forces
+
+PUSHES = [0.2, 0.3, 0.1, -0.2, 0.0]  # shear stress, over the pressure
+DRY = {"BED": (200.0, 80.0, 0.5), "HEAD": (100.0, 40.0, 0.3)}  # K_N, K_T, friction
+
+
+def dry_wall(
+    push: Callable[[Any, Any], Any] = lambda x, t: t,
+    *,
+    bricks: int = 3,
+    courses: int = 4,
+    stiffer: float = 1.0,
+    kind: type[ContactLaw] = HolonomicCoulomb,
+    cell: str = "quadrilateral",
+    **sizes,
+) -> InterfaceModel:
+    """A wall under a pressure of 1, and the shear stress push(x, t) on its top; 14 bricks if not told."""
+    joint = wall(bricks, courses, (1.0, 0.5), sizes.pop("h", 0.125), cell=cell, **sizes)
+    structure = Structure(
+        joint,
+        body=LinearElastic.young(50.0, 0.2),
+        supports={"BOTTOM": 0.0},
+        tractions={"TOP": lambda x, t: (push(x, t), -1.0, *([0.0] * (joint.dim - 2)))},
+        element="P1" if cell in ("triangle", "tetrahedron") else "Q1",
+    )
+    laws = {name: kind(K_N=stiffer * K_N, K_T=stiffer * K_T, friction=f) for name, (K_N, K_T, f) in DRY.items()}
+    return structure.interface(laws)
+
+
+def imbalance(state: State) -> float:
+    """Largest sum of the forces, or of their moments, on a brick that no support holds, over the sum of all loads."""
+    model, d = state.model, state.model.joint.dim
+    loads = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), state.t))
+    size = float(np.abs(loads.x.array).sum())
+    forces = (loads.x.array + contact_forces(state).x.array).reshape(-1, d)
+    x = model.V.tabulate_dof_coordinates()[:, :d]
+    bricks = model.splitting.pieces
+    of = np.zeros(len(x), np.int64)
+    cells = np.asarray(model.V.dofmap.list)
+    of[cells] = model.domain.on_cells(bricks)[: len(cells), None]
+    moments = [x[:, i] * forces[:, j] - x[:, j] * forces[:, i] for i in range(d) for j in range(i + 1, d)]
+    sums = np.array([np.bincount(of, part) for part in (*forces.T, *moments)])
+    held = np.unique(of[model.supports.held(model.V) // d])
+    return float(np.abs(np.delete(sums, held, axis=1)).max()) / size
+
+
+def pair_values(state: State, seam: str) -> tuple[np.ndarray, np.ndarray]:
+    """Status (n,) and nodal forces (n, d), on the lower side, of the pairs of a seam."""
+    model, law = state.model, state.model.contacts[seam]
+    nodes = ContactNodes(ContactSurface.of(model, seam))
+    slip = state.memory.get(contact_key(model, seam))
+    w = nodes.jump(state.u.x.petsc_vec)
+    t, bound = law.traction(w, slip), law.threshold(law.pressure(w))
+    forces = t * nodes.weights[:, None]
+    status = law.status(w, slip)
+    status[(status > 0) & (np.linalg.norm(t[:, :-1], axis=1) > (1 - 1e-7) * bound)] = Status.SLIDING  # ties
+    nodes.destroy()
+    return status, forces
+
+
+def forth_and_back(method: str) -> History:
+    """A wall with friction that remembers, pushed to the right, to the left, and released."""
+    times = list(map(float, range(1, len(PUSHES) + 1)))
+    push = piecewise({0.0: 0.0, **dict(zip(times, PUSHES, strict=True))})
+    return march(dry_wall(push, kind=IncrementalCoulomb), times, method=method)
+
+
+def main() -> None:
+    """Print energies of the march as JSON."""
+    history = forth_and_back("newton")
+    found = [[state.audit.total, state.audit.dissipated, state.audit.supplied] for state in history]
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

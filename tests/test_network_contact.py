@@ -1,0 +1,218 @@
+"""Dry walls: all solvers find the same equilibrium, bricks are balanced, loose ones are named, friction remembers."""
+
+import json
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import ufl
+
+from forms import LinearElastic
+from geometry import bond_cell
+from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
+from tests.network_cases import BED, HEAD, springs, three_bricks
+from tests.ranks import mpirun
+from thinlayer import ContactReport, ModelError, Structure, solve
+from thinlayer.errors import LooseBody
+from thinlayer.parts.part import Interval
+from thinlayer.solving.contact.pieces import Condensation
+from thinlayer.solving.solvers import Solver
+
+ROUNDED = 1e-8  # relative, of forces: solvers stop at 1e-10 of all forces
+
+
+def require_equal(one, other):
+    for seam in one.model.contacts:
+        (status, forces), (again, others) = pair_values(one, seam), pair_values(other, seam)
+        assert np.array_equal(status, again)
+        assert np.abs(forces - others).max() < ROUNDED * np.abs(forces).max()
+
+
+# ---------------------------------------------------------------- equilibrium
+@pytest.mark.parametrize(("push", "stiffer"), [(0.0, 1.0), (0.3, 1.0), (0.4, 1.0), (0.3, 100.0)])
+def test_solvers_agree_on_a_wall(push, stiffer):
+    """14 bricks, from pure pressure to beds that slide; forces and moments of each brick vanish."""
+    model = dry_wall(stiffer=stiffer)
+    one, other = (solve(model, push, method=method) for method in ("condensed", "newton"))
+    require_equal(one, other)
+    assert max(imbalance(one), imbalance(other)) < 1e-12
+    sliding = ContactReport(one, "BED").counts["sliding"]
+    assert sliding > 15 if push else sliding == 0
+    assert solve(model, push).report.method == "condensed"  # the default
+    assert one.report.iterations <= 9
+    assert not one.report.eased
+    assert bool(other.report.eased) == (push == 0.4 or stiffer > 1)  # plain Newton finds no equilibrium
+
+
+def test_a_wrong_wall_is_not_balanced():
+    """Bricks that another friction would hold."""
+    state = solve(dry_wall(), 0.3)
+    state.u.x.array[:] *= 1.001
+    assert imbalance(state) > 1e-6
+
+
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+def test_a_wall_in_space(cell):
+    model = dry_wall(lambda x, t: 0.3, bricks=2, courses=3, h=0.25, depth=0.3, cell=cell, stiffer=5.0)
+    one, other = (solve(model, method=method) for method in ("condensed", "newton"))
+    require_equal(one, other)
+    assert imbalance(one) < 1e-12
+    assert imbalance(other) < 1e-10  # where Newton's method may stop
+    assert {"sliding", "separated"} <= {name for name, n in ContactReport(one, "HEAD").counts.items() if n}
+
+
+def test_a_similar_state_to_start_from():
+    model = dry_wall()
+    near, state = solve(model, 0.39), solve(model, 0.4)
+    again = solve(model, 0.4, like=near)
+    assert again.report.iterations < state.report.iterations
+    require_equal(state, again)
+
+
+@pytest.mark.parametrize("head", [None, springs(3.0, 1.0)])
+def test_contact_on_one_seam_alone(head):
+    """Heads are open, or filled with mortar."""
+    bricks = Structure(
+        dry_wall().joint,
+        body=LinearElastic.young(50.0, 0.2),
+        supports={"BOTTOM": 0.0},
+        tractions={"TOP": (0.3, -1.0)},
+        element="Q1",
+    )
+    model = bricks.interface({"BED": BED, "HEAD": head})
+    require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))
+
+
+def test_a_support_that_moves():
+    """Held nodes in contact: the sole of the right brick is held along x, the left one is pushed by its side."""
+    joint = three_bricks(4, "quadrilateral")
+    structure = Structure(
+        joint, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0, "LEFT": {"x": 0.01}}, element="Q1",
+        tractions={"TOP": (0.0, -1.0)},
+    )  # fmt: skip
+    model = structure.interface({"BED": BED, "HEAD": HEAD})
+    require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))
+
+
+# ---------------------------------------------------------------- pieces of the solver
+@pytest.fixture
+def finder():
+    """The condensed solver of a wall, before its first step; stiff joints, some of them eased."""
+    with Solver(dry_wall(stiffer=30.0), method="condensed") as solver:
+        solver.equations.begin(Interval(solver.rest(0.3), 0.3, 0.0, 1.0))
+        yield solver._finder
+
+
+def test_a_sweep_solves_a_node(finder):
+    """After a sweep over one node alone its forces balance, whether two or more bodies meet there or one is held."""
+    pairs, system = finder.pairs, finder._system
+    rng = np.random.default_rng(1)
+    g = rng.normal(size=pairs.free.size) * pairs.free.ravel()
+    movable, counts = pairs.free.all(axis=1), np.diff(pairs._begins)
+    assert set(counts) == {1, 2}
+    for ease in (0.0, 0.7):
+        finder.equations.ease(ease)
+        for node in [*np.flatnonzero(movable & (counts == 2))[:9], *np.flatnonzero(movable & (counts == 1))[:9]]:
+            pairs.free[:] = False
+            pairs.free[node] = True
+            u = np.where(np.repeat(movable, 2), 0.01 * rng.normal(size=g.size), 0.0)
+            before = u.copy()
+            pairs.sweep(system._blocks, g, u, 1)
+            own = slice(2 * node, 2 * node + 2)
+            assert np.array_equal(
+                np.delete(u, range(2 * node, 2 * node + 2)), np.delete(before, [2 * node, 2 * node + 1])
+            )
+            terms = np.abs(g[own]).max() + np.abs(pairs.forces(u)[own]).max()
+            assert np.abs(system.residual(u, g)[own]).max() < 1e-10 * terms
+            assert np.abs(system.residual(before, g)[own]).max() > 1e-3 * terms
+
+
+def test_bodies_are_condensed_one_by_one():
+    """The same as the Schur complement of the whole; one right-hand side for each unknown of the largest body."""
+    rng = np.random.default_rng(2)
+    bodies = []
+    for n in (7, 4, 5):
+        root = rng.normal(size=(n, n - 2))
+        bodies.append(root @ root.T)  # floats: two motions without stiffness
+    K = sp.block_diag(bodies).toarray()
+    kept, inner = np.array([15, 1, 3, 8, 2, 9, 12, 11, 0]), np.array([4, 5, 6, 7, 10, 13, 14])
+    found = Condensation(sp.csr_matrix(K), kept, inner)
+    whole = K[np.ix_(kept, kept)] - K[np.ix_(kept, inner)] @ np.linalg.solve(
+        K[np.ix_(inner, inner)], K[np.ix_(inner, kept)]
+    )
+    np.testing.assert_allclose(found.stiffness.toarray(), whole, atol=1e-11 * np.abs(K).max())
+    assert found.solves == 4
+    b, out = K @ (u := rng.normal(size=len(K))), np.zeros(len(K))
+    np.testing.assert_allclose(found.condense(b), whole @ u[kept], atol=1e-10 * np.abs(K).max())
+    found.expand(b, u[kept], out)
+    np.testing.assert_allclose(out, u, atol=1e-9)
+    found.close()
+
+
+# ---------------------------------------------------------------- bricks that nothing holds
+def lifted(method, up, head):
+    """Three bricks, the left one under a pull along y."""
+    structure = Structure(
+        three_bricks(4, "quadrilateral"),
+        body=LinearElastic.young(50.0, 0.2),
+        supports={"BOTTOM": 0.0},
+        tractions={"TOP": lambda x, t: (0.0, ufl.conditional(ufl.lt(x[0], 1.0), up, -1.0))},
+        element="Q1",
+    )
+    return solve(structure.interface({"BED": BED, "HEAD": head}), method=method)
+
+
+@pytest.mark.parametrize("method", ["condensed", "newton"])
+def test_a_brick_that_is_lifted_is_named(method):
+    """Its neighbour, which the pressure makes wider, touches it at a dry head; an open one holds nothing."""
+    with pytest.raises(
+        LooseBody, match=r"no equilibrium found .*body 'LEFT BRICK' can move along \(-0.\d+, 1\)"
+    ) as error:
+        lifted(method, 0.3, HEAD)
+    assert "a body pulled off" in str(error.value)
+    assert len(error.value.residuals) > 1
+    with pytest.raises(LooseBody, match="'LEFT BRICK' can move and turn freely"):
+        lifted(method, 0.3, None)
+    assert imbalance(lifted(method, -0.3, HEAD)) < 1e-12
+
+
+@pytest.mark.parametrize("method", ["condensed", "newton"])
+def test_a_course_that_slides_away_is_named(method):
+    """More shear than friction carries: 0.5 of the pressure."""
+    with pytest.raises(LooseBody, match=r"body 'COURSE [234]' at \(.*\) can move along \(1, 0\)"):
+        solve(dry_wall(h=0.25), 0.55, method=method)
+
+
+# ---------------------------------------------------------------- friction that remembers
+def test_forth_and_back():
+    """The wall keeps a part of its slip; energies balance; both solvers go the same way."""
+    one, other = (list(forth_and_back(method)) for method in ("condensed", "newton"))
+    stored = one[-1].audit.total
+    assert len(one) == len(other) == len(PUSHES) + 1
+    for state, again in zip(one, other, strict=True):
+        require_equal(state, again)
+        assert imbalance(state) < 1e-11
+        assert abs(state.audit.imbalance) < 1e-11 * stored
+        assert state.audit.dissipated == pytest.approx(again.audit.dissipated, rel=1e-7, abs=1e-9 * stored)
+    assert all(state.audit.dissipated > 0 for state in one[2:])
+    there, back = one[2].u.x.array, one[-1].u.x.array  # under the same pressure without a push at rest
+    assert np.abs(back - one[0].u.x.array).max() > 0.02 * np.abs(there).max()
+
+
+def test_same_march_on_two_ranks():
+    history = forth_and_back("newton")
+    alone = [[state.audit.total, state.audit.dissipated, state.audit.supplied] for state in history]
+    found = json.loads(mpirun(2, "-m", "tests.dry_walls").stdout)
+    np.testing.assert_allclose(found, alone, rtol=1e-10, atol=1e-12 * np.abs(alone).max())
+
+
+# ---------------------------------------------------------------- what is refused
+def test_refused():
+    model = dry_wall(h=0.25)
+    for method in ("multigrid", "relaxation"):
+        with pytest.raises(ModelError, match=f"method='{method}' is for one seam without branches.*'condensed'"):
+            solve(model, method=method)
+    cell = Structure(bond_cell((1.0, 0.5), 0.125), body=LinearElastic.young(50.0, 0.2), supports={}, element="Q1",
+                     strain=((0.0, 0.0), (0.0, -0.01)))  # fmt: skip
+    with pytest.raises(ModelError, match="method='condensed' is for one seam without branches, not periodic"):
+        solve(cell.interface({"BED": BED, "HEAD": HEAD}), method="condensed")
