@@ -1,0 +1,132 @@
+"""Mechanics of masonry: shear tests of mortar, walls with open heads, and panels whose mortar yields, by both models."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import cos, radians, sin, tan
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
+from studies import triplet
+from tests import meshed_cases
+from tests.meshed_cases import SHARES, bricks, inner, mortar, panel
+from thinlayer import LimitLoad, Structure, Surface, ThinLayer, march, solve
+from thinlayer.running.cli import main
+
+FAR = 0.2  # from junctions and ends: a traction of degree 1 takes their values one cell (0.125) farther
+STEPS = 1 / 1024  # of the last planned step, to which a limit is found
+
+
+# ---------------------------------------------------------------- shear tests
+def strength(law: type, p: float) -> float:
+    angle = radians(triplet.ANGLE)
+    friction = sin(angle) if law is MohrCoulomb else tan(angle)
+    return triplet.COHESION * (cos(angle) if law is MohrCoulomb else 1.0) + friction * p
+
+
+def couplet(law: type, p: float, kind: str) -> Structure:
+    """Two bricks: the lower one is held at its right end, the upper one pushed at its left end."""
+    bed = ThinLayer(law(triplet.MORTAR.lmbda, triplet.MORTAR.mu, triplet.COHESION, triplet.ANGLE), triplet.EPS)
+    push = {"LEFT/BRICK 2": lambda x, t: (triplet.LENGTH / triplet.HEIGHT * t, 0.0), "TOP": (0.0, -p)}
+    held = {"BOTTOM": {"y": 0.0}, "RIGHT/BRICK 1": {"x": 0.0}}
+    structure = Structure(triplet.stack(2, 30.0), body=triplet.CLAY, supports=held, tractions=push, element="Q1")
+    return structure.interface(bed) if kind == "S" else structure.full(bed, cells_through=1)
+
+
+@pytest.mark.parametrize("kind", ["S", "meshed"])
+@pytest.mark.parametrize("law", [MohrCoulomb, MohrCoulombMonodirectional])
+def test_shear_strength(law, kind):
+    """C cos(Omega) + sin(Omega) p of the full law, C + tan(Omega) p of the one that slips along S; not the other one."""
+    limit = triplet.pushed(couplet(law, 0.5, kind), strength(law, 0.5))
+    assert limit.t <= strength(law, 0.5) * (1 + 1e-12)
+    assert limit.failed_at == pytest.approx(strength(law, 0.5), rel=STEPS)
+    other = MohrCoulombMonodirectional if law is MohrCoulomb else MohrCoulomb
+    assert abs(limit.t / strength(other, 0.5) - 1) > 0.15
+
+
+# ---------------------------------------------------------------- panels, meshed and not
+@pytest.fixture
+def far(monkeypatch):
+    monkeypatch.setattr(meshed_cases, "DISTANCE", FAR)
+
+
+@pytest.mark.parametrize(("element", "bodies"), [("P2", "kept"), ("Q2", "kept"), ("P2", "extended")])
+def test_tractions_of_a_panel(far, element, bodies):
+    """Away from junctions they differ by O(eps), as the numbers of an independent program for nodal reactions do."""
+    structure = panel(element)
+    surface = Surface(structure.interface(mortar(0.01)))
+    by_law, part, errors = surface.traction(solve(surface.model, 1.0)), inner(surface), []
+    for eps in (0.02, 0.01, 0.005):
+        t = surface.traction(solve(structure.full(mortar(eps), bodies=bodies), 1.0))
+        errors.append(surface.norm(t - by_law, part) / surface.norm(by_law, part))
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert ((orders > 0.9) & (orders < 1.1)).all()
+    if bodies == "kept":
+        assert errors == pytest.approx([4.3e-3, 2.2e-3, 1.15e-3], rel=0.1)  # theirs: 1.01, .98, .97 times a half
+
+
+def yielding(eps: float) -> dict[str, ThinLayer]:
+    """Mortar that yields in beds and heads, and keeps a fiftieth of its stiffness."""
+    bed = MohrCoulomb(0.6, 0.7, cohesion=0.012, friction_angle=30.0, elastic_fraction=0.02)
+    head = MohrCoulomb(0.3, 0.45, cohesion=0.006, friction_angle=30.0, elastic_fraction=0.02)
+    return {"BED": ThinLayer(bed, eps), "HEAD": ThinLayer(head, SHARES["HEAD"] * eps)}
+
+
+@cache
+def pressed() -> Structure:
+    """Two courses, pressed and held at this height, whose top is moved along."""
+    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t, "y": -0.03}}
+    return Structure(bricks("triangle", 0.125), body=LinearElastic.young(1.0, 0.2), supports=supports, element="P2")
+
+
+def test_a_panel_that_yields(far):
+    """Tractions, jumps and the force that shears it converge to those of S, before and after its bed has slipped."""
+    limit = march(pressed().interface(yielding(0.01)), [0.04, 0.08, 0.12])
+    surface, bed = Surface(limit.model), Surface(limit.model, "BED")
+    part, errors, forces = inner(surface), [], []
+    assert not limit.table["dissipated"][:2].any()
+    assert limit.table["dissipated BED"][-1] > 10 * limit.table["dissipated HEAD"][-1] > 0
+    by_law = [(surface.traction(state), surface.jump(state)) for state in limit if state.t > 0]
+    for eps in (0.02, 0.01):
+        full = march(pressed().full(yielding(eps), cells_through=2), [0.04, 0.08, 0.12])
+        found = [(surface.traction(state), surface.jump(state)) for state in full if state.t > 0]
+        pairs = [pair for both in zip(found, by_law, strict=True) for pair in zip(*both, strict=True)]
+        errors.append([surface.norm(a - b, part) / surface.norm(b, part) for a, b in pairs])
+        forces.append(bed.integral(bed.traction(full.last)[0]))
+    orders = np.log2(np.divide(*errors)).reshape(3, 2)
+    assert ((orders > 0.9) & (orders < 1.1))[:2].all()
+    assert ((orders > 0.9) & (orders < 1.5))[2].all()  # of the yielding bed faster: its traction is bounded
+    assert max(errors[1]) < 0.01
+    force = bed.integral(bed.traction(limit.last)[0])
+    off = np.abs(np.array(forces) / force - 1)
+    assert off[1] < off[0] / 1.8 < 3e-3
+
+
+def test_limits_of_a_panel():
+    """Of S that of its bed; open heads do not change it, but the way there; the bed gives way, not the heads."""
+    p, C, angle = 0.02, 0.02, radians(30.0)
+    want, found = C * cos(angle) + sin(angle) * p, {}
+    bed = MohrCoulomb(0.6, 0.7, cohesion=C, friction_angle=30.0)
+    head = MohrCoulomb(0.3, 0.45, cohesion=C / 2, friction_angle=30.0)
+    structure = Structure(
+        bricks("quadrilateral", 0.25), body=LinearElastic.young(1.0, 0.2), supports={"BOTTOM": 0.0},
+        tractions={"TOP": lambda x, t: (t, -p)},
+    )  # fmt: skip
+    for name, layer in (("mortar", ThinLayer(head, 0.01)), ("open", None)):
+        with pytest.raises(LimitLoad, match="strains in the layers 'BED' 100%") as limit:
+            march(
+                structure.interface({"BED": ThinLayer(bed, 0.01), "HEAD": layer}), [0.4 * want, 0.8 * want, 1.2 * want]
+            )
+        found[name] = limit.value
+    assert found["mortar"].t == pytest.approx(want, rel=STEPS)
+    assert found["open"].t <= want * (1 + STEPS)
+    strain = {name: one.history.at(0.8 * want).energies()["loads"] for name, one in found.items()}
+    assert strain["open"] > 1.05 * strain["mortar"]
+
+
+def test_triplet_study(tmp_path):
+    """Three bricks, two beds, two pressures."""
+    assert main(["run", "triplet", "--quick", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "strength.png").stat().st_size > 10_000
