@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from math import cos, radians, sin, tan
 
@@ -9,10 +10,13 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
+from geometry import sandwich
 from studies import triplet
 from tests import meshed_cases
 from tests.meshed_cases import SHARES, bricks, inner, mortar, panel
-from thinlayer import LimitLoad, Structure, Surface, ThinLayer, march, solve
+from tests.network_cases import BED, springs, three_bricks
+from tests.test_networks import cut_at, on
+from thinlayer import LayerReport, LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
 from thinlayer.running.cli import main
 
 FAR = 0.2  # from junctions and ends: a traction of degree 1 takes their values one cell (0.125) farther
@@ -124,6 +128,74 @@ def test_limits_of_a_panel():
     assert found["open"].t <= want * (1 + STEPS)
     strain = {name: one.history.at(0.8 * want).energies()["loads"] for name, one in found.items()}
     assert strain["open"] > 1.05 * strain["mortar"]
+
+
+# ---------------------------------------------------------------- what happens in each layer
+FULL = MohrCoulomb(0.0, 2.0, cohesion=0.1, friction_angle=30.0)
+SLIPS = MohrCoulombMonodirectional(1.0, 2.0, cohesion=0.1, friction_angle=30.0, unilateral=True)
+
+
+@pytest.mark.parametrize(
+    ("law", "move", "status"),
+    [
+        (FULL, (0.0, -0.05), "elastic"),
+        (FULL, (0.0, -0.2), "crushed"),  # yields where mu e > C cos(Omega) + mu e sin(Omega), e = 0.0866
+        (FULL, (0.0, 0.5), "torn"),
+        (FULL, (0.4, -0.05), "sliding"),
+        (SLIPS, (0.0, -0.2), "elastic"),
+        (SLIPS, (0.4, -0.1), "sliding"),
+        (SLIPS, (0.0, 0.2), "open"),
+        (LinearElastic(1.0, 2.0), (0.4, 0.2), "elastic"),
+        (None, (0.4, 0.2), "no layer"),
+    ],
+)
+def test_status(law, move, status):
+    """Of a layer between stiff blocks, one of which is moved; beside it an elastic one."""
+    joint = cut_at(
+        sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral"),
+        {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, -1))},
+    )
+    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: move[0] * t, "y": lambda x, t: move[1] * t}}
+    structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
+    given = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1)}
+    last = march(structure.interface(given), [0.5, 1.0]).last
+    report = LayerReport(last)
+    assert set(report.status[report.seams == "HIGH"]) == {status}
+    assert set(report.status[report.seams == "LOW"]) == {"elastic"}
+    assert LayerReport(last, "HIGH").shares == {status: pytest.approx(1.0)}
+    assert report.sizes == pytest.approx(1.0)
+
+
+def test_status_along_a_seam(tmp_path):
+    """A block that is tilted opens on the left of where it turns."""
+    joint = sandwich(4.0, 1.0, 1.0, 0.5, cell="triangle")
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: 0.1 * t * (1.2 - x[0])}}
+    structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="P1")
+    state = march(structure.interface(ThinLayer(replace(SLIPS, cohesion=0.6), 0.1)), [1.0]).last  # it does not slip
+    report = LayerReport(state)
+    x = joint.points[joint.table.vertices[report.rows]].mean(axis=1)[:, 0]
+    assert np.array_equal(report.status == "open", x < 1.0)
+    assert report.table.rows == [{"seam": "S", "size": pytest.approx(4.0), "elastic": pytest.approx(0.75), "sliding": 0.0,
+                                  "crushed": 0.0, "torn": 0.0, "open": pytest.approx(0.25), "no layer": 0.0}]  # fmt: skip
+    plotting.layers({"tilted": state, "again": state}, save=tmp_path / "layers.png", scale=1.0)
+    assert (tmp_path / "layers.png").stat().st_size > 10_000
+    with pytest.raises(ModelError, match="scale is 'x'"):
+        plotting.layers(state, save=tmp_path / "layers.png", scale="x")
+    with pytest.raises(ModelError, match="unknown seam 'BED'"):
+        LayerReport(state, "BED")
+    with pytest.raises(ModelError, match="needs a state of an interface model, not BondedModel"):
+        LayerReport(solve(structure.bonded(), 1.0))
+
+
+def test_no_status_of_contact():
+    structure = Structure(
+        three_bricks(2, "quadrilateral"), body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",
+        tractions={"TOP": (0.0, -1.0)},
+    )  # fmt: skip
+    state = solve(structure.interface({"BED": BED, "HEAD": springs(10.0, 4.0)}))
+    assert set(LayerReport(state, "HEAD").status) == {"elastic"}
+    with pytest.raises(ModelError, match="the seam 'BED' has a contact law"):
+        LayerReport(state)
 
 
 def test_triplet_study(tmp_path):
