@@ -10,7 +10,7 @@ from mpi4py import MPI
 from forms import HolonomicCoulomb, LinearElastic, MohrCoulomb
 from geometry import Joint, Seam, faults, grains, wall
 from geometry.topology import FacetTable
-from thinlayer import ContactReport, Structure, Surface, ThinLayer, march, solve
+from thinlayer import ContactReport, LayerReport, Structure, Surface, ThinLayer, march, solve
 
 WALL = {"P1": 0.011796375720487, "P2": 0.011640644960255, "Q1": 0.011718794213387, "Q2": 0.011631044498488}
 PANEL = {"P2": 0.00029830576641769, "Q2": 0.00029827111412196}
@@ -124,6 +124,7 @@ def main() -> None:
     mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
     last = march(panel("Q2", 0.25, HEAD=ThinLayer(mortar, 0.007)), [0.5, 1.0]).last
     found["by name"] = [last.energies()["layer BED"], last.dissipated["HEAD"]]
+    found["sliding heads"] = LayerReport(last, "HEAD").shares["sliding"]
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found))
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
     from thinlayer.output.homogenised import homogenised_stiffness
+    from thinlayer.output.layer_report import LayerReport
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.contact import ContactPart
@@ -51,6 +52,7 @@ _NAMES = {
     "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],
     "output.homogenised": ["homogenised_stiffness"],
+    "output.layer_report": ["LayerReport"],
     "output.surface": ["Surface"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],

@@ -25,6 +25,7 @@ from geometry.topology import FACET_TYPES
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all, require_same
+from thinlayer.parallel.exchange import carry
 from thinlayer.time.history import History
 
 VTK_LAGRANGE = {"interval": 68, "triangle": 69, "quadrilateral": 70}  # VTK's numbers of cells of any degree
@@ -140,6 +141,18 @@ def nodal_displacement(state: State) -> fem.Function:
     u.interpolate(state.u)
     u.x.scatter_forward()
     return u
+
+
+def at_corners(state: State) -> npt.NDArray[np.float64]:
+    """Displacements (cells, corners, d) of the bodies' cells of the joint, on rank 0 (other ranks: none). Collective."""
+    model, joint = state.model, state.model.joint
+    u, n = nodal_displacement(state), len(joint.cells)
+    original = model.domain.original_cells[: model.domain.mesh.topology.index_map(joint.dim).size_local]
+    own = np.flatnonzero(original < n)
+    nodes = np.asarray(u.function_space.dofmap.list)[own][:, : joint.corners.shape[1]]
+    values = u.x.array.reshape(-1, joint.dim)[nodes].reshape(len(own), nodes.shape[1] * joint.dim)
+    wanted = np.arange(n if model.comm.rank == 0 else 0)
+    return carry(model.comm, original[own], values, wanted).reshape(len(wanted), nodes.shape[1], joint.dim)
 
 
 def gather(state: State) -> Grid:

@@ -110,11 +110,11 @@ def _require_substitute(law: BulkLaw, other: Any) -> None:
         raise LawError(f"one of {name} and {kind}, its law otherwise, declares an energy; both must, or none")
 
 
-def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
-    """Fraction, law and index of the internal value of each sublayer with a scalar internal variable of this name."""
+def memory_slots(law: BulkLaw, name: str, shape: tuple[int, ...] = ()) -> list[tuple[float, BulkLaw, int]]:
+    """Fraction, law and first index of the values of each sublayer with an internal variable of this name and shape."""
     start, found = law.memory - sum(one.memory for _, one in law.sublayers), []
     for fraction, one in law.sublayers:
-        if one.internal.get(name) == ():
+        if one.internal.get(name) == shape:
             before = list(one.internal)[: list(one.internal).index(name)]
             found.append((fraction, one, start + sum(SIZES[one.internal[n]] for n in before)))
         start += one.memory

@@ -1,7 +1,8 @@
-"""Pictures: rates and curves from tables, deformed structures, contact on S."""
+"""Pictures: rates and curves from tables, deformed structures, contact on S, layers by status."""
 
 from thinlayer.output.plotting.contacts import contact
 from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, rates
+from thinlayer.output.plotting.layers import layers
 from thinlayer.output.plotting.structures import VIEWS, deformed
 
-__all__ = ["COLOURS", "ERRORS", "VIEWS", "contact", "curves", "deformed", "panels", "rates"]
+__all__ = ["COLOURS", "ERRORS", "VIEWS", "contact", "curves", "deformed", "layers", "panels", "rates"]

@@ -1,0 +1,204 @@
+"""Mechanics of masonry: shear tests of mortar, walls with open heads, and panels whose mortar yields, by both models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from math import cos, radians, sin, tan
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
+from geometry import sandwich
+from studies import triplet
+from tests import meshed_cases
+from tests.meshed_cases import SHARES, bricks, inner, mortar, panel
+from tests.network_cases import BED, springs, three_bricks
+from tests.test_networks import cut_at, on
+from thinlayer import LayerReport, LimitLoad, ModelError, Structure, Surface, ThinLayer, march, plotting, solve
+from thinlayer.running.cli import main
+
+FAR = 0.2  # from junctions and ends: a traction of degree 1 takes their values one cell (0.125) farther
+STEPS = 1 / 1024  # of the last planned step, to which a limit is found
+
+
+# ---------------------------------------------------------------- shear tests
+def strength(law: type, p: float) -> float:
+    angle = radians(triplet.ANGLE)
+    friction = sin(angle) if law is MohrCoulomb else tan(angle)
+    return triplet.COHESION * (cos(angle) if law is MohrCoulomb else 1.0) + friction * p
+
+
+def couplet(law: type, p: float, kind: str) -> Structure:
+    """Two bricks: the lower one is held at its right end, the upper one pushed at its left end."""
+    bed = ThinLayer(law(triplet.MORTAR.lmbda, triplet.MORTAR.mu, triplet.COHESION, triplet.ANGLE), triplet.EPS)
+    push = {"LEFT/BRICK 2": lambda x, t: (triplet.LENGTH / triplet.HEIGHT * t, 0.0), "TOP": (0.0, -p)}
+    held = {"BOTTOM": {"y": 0.0}, "RIGHT/BRICK 1": {"x": 0.0}}
+    structure = Structure(triplet.stack(2, 30.0), body=triplet.CLAY, supports=held, tractions=push, element="Q1")
+    return structure.interface(bed) if kind == "S" else structure.full(bed, cells_through=1)
+
+
+@pytest.mark.parametrize("kind", ["S", "meshed"])
+@pytest.mark.parametrize("law", [MohrCoulomb, MohrCoulombMonodirectional])
+def test_shear_strength(law, kind):
+    """C cos(Omega) + sin(Omega) p of the full law, C + tan(Omega) p of the one that slips along S; not the other one."""
+    limit = triplet.pushed(couplet(law, 0.5, kind), strength(law, 0.5))
+    assert limit.t <= strength(law, 0.5) * (1 + 1e-12)
+    assert limit.failed_at == pytest.approx(strength(law, 0.5), rel=STEPS)
+    other = MohrCoulombMonodirectional if law is MohrCoulomb else MohrCoulomb
+    assert abs(limit.t / strength(other, 0.5) - 1) > 0.15
+
+
+# ---------------------------------------------------------------- panels, meshed and not
+@pytest.fixture
+def far(monkeypatch):
+    monkeypatch.setattr(meshed_cases, "DISTANCE", FAR)
+
+
+@pytest.mark.parametrize(("element", "bodies"), [("P2", "kept"), ("Q2", "kept"), ("P2", "extended")])
+def test_tractions_of_a_panel(far, element, bodies):
+    """Away from junctions they differ by O(eps), as the numbers of an independent program for nodal reactions do."""
+    structure = panel(element)
+    surface = Surface(structure.interface(mortar(0.01)))
+    by_law, part, errors = surface.traction(solve(surface.model, 1.0)), inner(surface), []
+    for eps in (0.02, 0.01, 0.005):
+        t = surface.traction(solve(structure.full(mortar(eps), bodies=bodies), 1.0))
+        errors.append(surface.norm(t - by_law, part) / surface.norm(by_law, part))
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert ((orders > 0.9) & (orders < 1.1)).all()
+    if bodies == "kept":
+        assert errors == pytest.approx([4.3e-3, 2.2e-3, 1.15e-3], rel=0.1)  # theirs: 1.01, .98, .97 times a half
+
+
+def yielding(eps: float) -> dict[str, ThinLayer]:
+    """Mortar that yields in beds and heads, and keeps a fiftieth of its stiffness."""
+    bed = MohrCoulomb(0.6, 0.7, cohesion=0.012, friction_angle=30.0, elastic_fraction=0.02)
+    head = MohrCoulomb(0.3, 0.45, cohesion=0.006, friction_angle=30.0, elastic_fraction=0.02)
+    return {"BED": ThinLayer(bed, eps), "HEAD": ThinLayer(head, SHARES["HEAD"] * eps)}
+
+
+@cache
+def pressed() -> Structure:
+    """Two courses, pressed and held at this height, whose top is moved along."""
+    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t, "y": -0.03}}
+    return Structure(bricks("triangle", 0.125), body=LinearElastic.young(1.0, 0.2), supports=supports, element="P2")
+
+
+def test_a_panel_that_yields(far):
+    """Tractions, jumps and the force that shears it converge to those of S, before and after its bed has slipped."""
+    limit = march(pressed().interface(yielding(0.01)), [0.04, 0.08, 0.12])
+    surface, bed = Surface(limit.model), Surface(limit.model, "BED")
+    part, errors, forces = inner(surface), [], []
+    assert not limit.table["dissipated"][:2].any()
+    assert limit.table["dissipated BED"][-1] > 10 * limit.table["dissipated HEAD"][-1] > 0
+    by_law = [(surface.traction(state), surface.jump(state)) for state in limit if state.t > 0]
+    for eps in (0.02, 0.01):
+        full = march(pressed().full(yielding(eps), cells_through=2), [0.04, 0.08, 0.12])
+        found = [(surface.traction(state), surface.jump(state)) for state in full if state.t > 0]
+        pairs = [pair for both in zip(found, by_law, strict=True) for pair in zip(*both, strict=True)]
+        errors.append([surface.norm(a - b, part) / surface.norm(b, part) for a, b in pairs])
+        forces.append(bed.integral(bed.traction(full.last)[0]))
+    orders = np.log2(np.divide(*errors)).reshape(3, 2)
+    assert ((orders > 0.9) & (orders < 1.1))[:2].all()
+    assert ((orders > 0.9) & (orders < 1.5))[2].all()  # of the yielding bed faster: its traction is bounded
+    assert max(errors[1]) < 0.01
+    force = bed.integral(bed.traction(limit.last)[0])
+    off = np.abs(np.array(forces) / force - 1)
+    assert off[1] < off[0] / 1.8 < 3e-3
+
+
+def test_limits_of_a_panel():
+    """Of S that of its bed; open heads do not change it, but the way there; the bed gives way, not the heads."""
+    p, C, angle = 0.02, 0.02, radians(30.0)
+    want, found = C * cos(angle) + sin(angle) * p, {}
+    bed = MohrCoulomb(0.6, 0.7, cohesion=C, friction_angle=30.0)
+    head = MohrCoulomb(0.3, 0.45, cohesion=C / 2, friction_angle=30.0)
+    structure = Structure(
+        bricks("quadrilateral", 0.25), body=LinearElastic.young(1.0, 0.2), supports={"BOTTOM": 0.0},
+        tractions={"TOP": lambda x, t: (t, -p)},
+    )  # fmt: skip
+    for name, layer in (("mortar", ThinLayer(head, 0.01)), ("open", None)):
+        with pytest.raises(LimitLoad, match="strains in the layers 'BED' 100%") as limit:
+            march(
+                structure.interface({"BED": ThinLayer(bed, 0.01), "HEAD": layer}), [0.4 * want, 0.8 * want, 1.2 * want]
+            )
+        found[name] = limit.value
+    assert found["mortar"].t == pytest.approx(want, rel=STEPS)
+    assert found["open"].t <= want * (1 + STEPS)
+    strain = {name: one.history.at(0.8 * want).energies()["loads"] for name, one in found.items()}
+    assert strain["open"] > 1.05 * strain["mortar"]
+
+
+# ---------------------------------------------------------------- what happens in each layer
+FULL = MohrCoulomb(0.0, 2.0, cohesion=0.1, friction_angle=30.0)
+SLIPS = MohrCoulombMonodirectional(1.0, 2.0, cohesion=0.1, friction_angle=30.0, unilateral=True)
+
+
+@pytest.mark.parametrize(
+    ("law", "move", "status"),
+    [
+        (FULL, (0.0, -0.05), "elastic"),
+        (FULL, (0.0, -0.2), "crushed"),  # yields where mu e > C cos(Omega) + mu e sin(Omega), e = 0.0866
+        (FULL, (0.0, 0.5), "torn"),
+        (FULL, (0.4, -0.05), "sliding"),
+        (SLIPS, (0.0, -0.2), "elastic"),
+        (SLIPS, (0.4, -0.1), "sliding"),
+        (SLIPS, (0.0, 0.2), "open"),
+        (LinearElastic(1.0, 2.0), (0.4, 0.2), "elastic"),
+        (None, (0.4, 0.2), "no layer"),
+    ],
+)
+def test_status(law, move, status):
+    """Of a layer between stiff blocks, one of which is moved; beside it an elastic one."""
+    joint = cut_at(
+        sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral"),
+        {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, -1))},
+    )
+    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: move[0] * t, "y": lambda x, t: move[1] * t}}
+    structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
+    given = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1)}
+    last = march(structure.interface(given), [0.5, 1.0]).last
+    report = LayerReport(last)
+    assert set(report.status[report.seams == "HIGH"]) == {status}
+    assert set(report.status[report.seams == "LOW"]) == {"elastic"}
+    assert LayerReport(last, "HIGH").shares == {status: pytest.approx(1.0)}
+    assert report.sizes == pytest.approx(1.0)
+
+
+def test_status_along_a_seam(tmp_path):
+    """A block that is tilted opens on the left of where it turns."""
+    joint = sandwich(4.0, 1.0, 1.0, 0.5, cell="triangle")
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: 0.1 * t * (1.2 - x[0])}}
+    structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="P1")
+    state = march(structure.interface(ThinLayer(replace(SLIPS, cohesion=0.6), 0.1)), [1.0]).last  # it does not slip
+    report = LayerReport(state)
+    x = joint.points[joint.table.vertices[report.rows]].mean(axis=1)[:, 0]
+    assert np.array_equal(report.status == "open", x < 1.0)
+    assert report.table.rows == [{"seam": "S", "size": pytest.approx(4.0), "elastic": pytest.approx(0.75), "sliding": 0.0,
+                                  "crushed": 0.0, "torn": 0.0, "open": pytest.approx(0.25), "no layer": 0.0}]  # fmt: skip
+    plotting.layers({"tilted": state, "again": state}, save=tmp_path / "layers.png", scale=1.0)
+    assert (tmp_path / "layers.png").stat().st_size > 10_000
+    with pytest.raises(ModelError, match="scale is 'x'"):
+        plotting.layers(state, save=tmp_path / "layers.png", scale="x")
+    with pytest.raises(ModelError, match="unknown seam 'BED'"):
+        LayerReport(state, "BED")
+    with pytest.raises(ModelError, match="needs a state of an interface model, not BondedModel"):
+        LayerReport(solve(structure.bonded(), 1.0))
+
+
+def test_no_status_of_contact():
+    structure = Structure(
+        three_bricks(2, "quadrilateral"), body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",
+        tractions={"TOP": (0.0, -1.0)},
+    )  # fmt: skip
+    state = solve(structure.interface({"BED": BED, "HEAD": springs(10.0, 4.0)}))
+    assert set(LayerReport(state, "HEAD").status) == {"elastic"}
+    with pytest.raises(ModelError, match="the seam 'BED' has a contact law"):
+        LayerReport(state)
+
+
+def test_triplet_study(tmp_path):
+    """Three bricks, two beds, two pressures."""
+    assert main(["run", "triplet", "--quick", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "strength.png").stat().st_size > 10_000
