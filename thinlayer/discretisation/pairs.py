@@ -24,6 +24,15 @@ def component_at(joint: Joint, cells: IntArray, vertices: IntArray) -> IntArray:
     return np.where(cells[:, None] < 0, -1, found)
 
 
+def pair_numbers(joint: Joint) -> IntArray:
+    """(n_S, k) number of the pair of bodies at each vertex of each facet of S: of the vertex, its seam and components."""
+    vertices = joint.table.vertices[joint.surface_rows]
+    below, above = (component_at(joint, cells, vertices) for cells in joint.surface_cells.T)
+    count = int(max(below.max(), above.max())) + 2
+    codes = (joint.seam_numbers[:, None] * count + above) * count + below + 1
+    return np.asarray(joint.masters[vertices] * (codes.max() + 1) + codes, np.int64)
+
+
 class Pairs:
     """Vector functions of degree 1 on a mesh of the facets of S. Collective, as all methods are.
 
@@ -57,12 +66,9 @@ class Pairs:
 
         vertices = joint.table.vertices[joint.surface_rows]
         below, above = (component_at(joint, cells, vertices) for cells in joint.surface_cells.T)
-        count = int(max(below.max(), above.max())) + 2
-        codes = (joint.seam_numbers[:, None] * count + above) * count + below + 1
-        masters = joint.masters[vertices]
-        self.of_facets = masters * (codes.max() + 1) + codes
-        several, number = np.unique(self.of_facets, return_inverse=True)
-        _, times = np.unique(several // (codes.max() + 1), return_counts=True)
+        masters, self.of_facets = joint.masters[vertices], pair_numbers(joint)
+        _, first, number = np.unique(self.of_facets, return_index=True, return_inverse=True)
+        _, times = np.unique(masters.ravel()[first], return_counts=True)
         shared = np.repeat(times > 1, times)[number.ravel()].reshape(vertices.shape)
 
         # vertices of the cells of `mesh`, in their own order, among those of the joint's facets

@@ -10,13 +10,14 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import ufl
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from forms.contact import Status
 from forms.work import work
-from geometry.order import edges_of_s, order_on_s
+from geometry.joint import Joint
+from geometry.order import edges_of, order_on_s
+from geometry.splitting import connected
 from thinlayer.discretisation.contact_nodes import Array, ContactNodes, ContactSurface
+from thinlayer.discretisation.pairs import pair_numbers
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
@@ -59,7 +60,7 @@ class ContactReport:
     Attributes:
         joint: the joint.
         seam: name of the seam.
-        numbers: (n,) vertices of the joint.
+        numbers: (n,) vertices of the joint; where bodies branch there is a node for each pair of bodies at a vertex.
         x: (n, d) places.
         status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
         u_T: (n, d - 1) tangential jump in the frame of S (`Surface.frame`).
@@ -69,6 +70,8 @@ class ContactReport:
         threshold: (n,) largest |t_T| at this pressure.
         weights: (n,) area of S around each node.
         frames: (n, d, d), rows are the tangential axes and the normal of S.
+        facets: (m, k) positions among the nodes of the corners of each facet of the seam, in the order of the facet's own
+            element; without facets at tips, where a corner is no node.
         force: (d,) resultant of S on the upper body, without the forces of supports at pinned nodes.
         equilibrium: sum of the forces on the free nodes, over the sum of the absolute values of all nodal forces.
         clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
@@ -100,16 +103,22 @@ class ContactReport:
         kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
         pinned = nodes.held.all(axis=1)
         axes = nodes.frames.reshape(len(w), d * d)
-        columns = [nodes.numbers, nodes.x, kind, pinned, w, p, t[:, :-1], threshold, nodes.weights, axes]
+        facets, pairs = _numbered(model.joint, seam, nodes)
+        columns = [pairs, nodes.numbers, nodes.x, kind, pinned, w, p, t[:, :-1], threshold, nodes.weights, axes]
         rows: Array = np.concatenate(model.comm.allgather(np.column_stack(columns)))
-        numbers = rows[:, 0].astype(np.int64)
-        order = order_on_s(model.joint, numbers, rows[:, 1 : 1 + d])
+        of_pairs = rows[:, 0].astype(np.int64)
+        order = order_on_s(model.joint, of_pairs, rows[:, 2 : 2 + d], seam, facets)
         x, kinds, held_rows, jumps, pressure, friction, bound, weights, frames = np.split(
-            rows[order, 1:], np.cumsum([d, 1, 1, d, 1, d - 1, 1, 1]), axis=1
+            rows[order, 2:], np.cumsum([d, 1, 1, d, 1, d - 1, 1, 1]), axis=1
         )
         names = np.array([NAMES[Status(int(k))] for k in kinds.ravel()], dtype="<U9")
         names[held_rows.ravel() > 0] = PINNED
-        self.joint, self.seam, self.numbers, self.x, self.status = model.joint, seam, numbers[order], x, names
+        self.joint, self.seam, self.x, self.status = model.joint, seam, x, names
+        self.numbers = rows[order, 1].astype(np.int64)
+        self._edges = edges_of(facets, of_pairs[order])
+        place = np.argsort(of_pairs[order])
+        at = np.minimum(np.searchsorted(of_pairs[order][place], facets), len(place) - 1)
+        self.facets = place[at][(of_pairs[order][place][at] == facets).all(axis=1)]
         self.u_T, self.u_N, self.p, self.t_T = jumps[:, :-1], -jumps[:, -1], pressure.ravel(), friction
         self.threshold, self.weights, self.frames = bound.ravel(), weights.ravel(), frames.reshape(-1, d, d)
         force = -model.comm.allreduce(np.einsum("n,nki,nk->i", nodes.weights, nodes.frames, t))
@@ -134,14 +143,16 @@ class ContactReport:
 
     @cached_property
     def zones(self) -> list[Zone]:
-        """Connected parts of S with one status, in the order of their first nodes."""
-        a, b = edges_of_s(self.joint, self.numbers)
-        same = self.status[a] == self.status[b]
-        n = len(self.numbers)
-        graph = coo_array((np.ones(same.sum()), (a[same], b[same])), shape=(n, n))
-        found = connected_components(graph, directed=False)[1]
+        """Connected parts of S with one status, in the order of their first nodes; nodes at one place are connected."""
+        a, b = self._edges
+        same, n = self.status[a] == self.status[b], len(self.x)
+        _, kind = np.unique(self.status, return_inverse=True)
+        vertices = self.joint.masters[self.numbers] * n + kind.ravel()
+        _, shared = np.unique(vertices, return_inverse=True)
+        links = np.concatenate([b[same], n + shared.ravel()])
+        found: npt.NDArray[np.int64] = connected(np.concatenate([a[same], np.arange(n)]), links, 2 * n)[:n]
         zones = []
-        for label in dict.fromkeys(found.tolist()):
+        for label in dict.fromkeys(map(int, found)):
             at = np.flatnonzero(found == label)
             start, end = self.x[at].min(axis=0), self.x[at].max(axis=0)
             size = float(self.weights[at].sum())
@@ -156,10 +167,10 @@ class ContactReport:
     @cached_property
     def pieces(self) -> list[npt.NDArray[np.int64]]:
         """In 2D, the nodes of each piece of S, in order along it."""
-        a, b = edges_of_s(self.joint, self.numbers)
+        a, b = self._edges
         near = np.abs(a - b) == 1
-        joined = np.isin(np.arange(len(self.numbers) - 1), np.minimum(a, b)[near])
-        return np.split(np.arange(len(self.numbers)), np.flatnonzero(~joined) + 1)
+        joined = np.isin(np.arange(len(self.x) - 1), np.minimum(a, b)[near])
+        return np.split(np.arange(len(self.x)), np.flatnonzero(~joined) + 1)
 
     @property
     def table(self) -> Table:
@@ -190,6 +201,15 @@ class ContactReport:
         lines += [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]
         lines.append(f"normal force {self.normal_force:.6g}, equilibrium {self.equilibrium:.1e}")
         return "\n".join(lines)
+
+
+def _numbered(joint: Joint, seam: str, nodes: ContactNodes) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Numbers of the pairs of bodies at the corners (m, k) of a seam's facets, and of its nodes, see `pair_numbers`."""
+    here = joint.seam_numbers == list(joint.seams).index(seam)
+    rows, facets = joint.surface_rows[here], pair_numbers(joint)[here]
+    row, corner = np.divmod(nodes.file_numbers, facets.shape[1])
+    own = joint.surface[here, : facets.shape[1]].argsort(axis=1).argsort(axis=1)
+    return np.take_along_axis(facets, own, axis=1), facets[np.searchsorted(rows, row), corner]
 
 
 def _balance(state: State, held: npt.NDArray[np.int32]) -> tuple[float, float]:

@@ -136,18 +136,17 @@ class _Plan:
     def __init__(self, report: ContactReport) -> None:
         if np.abs(report.frames[:, -1] @ report.frames[0, :-1].T).max() > FLAT:
             raise ModelError("maps of contact in three dimensions are for a planar S")
+        if np.ptp(report.x @ report.frames[0, -1]) > FLAT * np.ptp(report.x, axis=0).max():
+            raise ModelError(
+                f"maps of contact in three dimensions are for one plane, and {report.seam!r} lies in several; give each a "
+                "seam of its own"
+            )
         axes = report.frames[0, :-1]
         self.x = report.x @ axes.T
         along = [np.flatnonzero(np.abs(axis - 1) < FLAT) for axis in axes]
         self.names = ["xyz"[k[0]] if len(k) else f"tangent {i + 1}" for i, k in enumerate(along)]
-        joint = report.joint
-        facets = joint.table.vertices[joint.surface_rows]
-        order = np.argsort(report.numbers)
-        at = np.minimum(np.searchsorted(report.numbers[order], facets), len(order) - 1)
-        inside = (report.numbers[order][at] == facets).all(axis=1)
-        self.facets = order[at[inside]]
-        corners = [0, 1, 2] if facets.shape[1] == 3 else [0, 1, 3, 2]
-        ring = self.facets[:, corners]
+        corners = [0, 1, 2] if report.facets.shape[1] == 3 else [0, 1, 3, 2]
+        ring = report.facets[:, corners]
         xs = self.x[ring]
         centre = xs.mean(axis=1)
         pieces, owners = [], []
