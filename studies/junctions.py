@@ -80,6 +80,11 @@ def bond(cell: str) -> Callable[[float], Joint]:
     return lambda eps: wall(2, 2, (1.0, 0.5), H, cell=cell)
 
 
+def bond_in_space(eps: float) -> Joint:
+    """The running bond, of bricks as deep as they are high: junctions are lines."""
+    return wall(2, 2, (1.0, 0.5), 1 / 8, depth=0.5, cell="hexahedron")
+
+
 def refined_bond(eps: float) -> Joint:
     """The same, with cells of 2 eps at junctions and free ends."""
     lines = {
@@ -112,6 +117,7 @@ CASES = {
     "star of five layers": Case(star, STAR, bodies="extended", distance=0.2, quick=True),
     "grains": Case(polycrystal, {"S": (BED, 1.0)}, bodies="extended", distance=0.1, coarsest=0.02, quick=True),
     "bond, refined": Case(refined_bond, REFINED, refined=True, coarsest=0.02, quick=True),
+    "bond in 3D": Case(bond_in_space, bodies="extended", coarsest=0.02),
     "bond, stiff junctions": Case(bond("triangle"), stiff=True, quick=True),
     "bond, stiff junctions, refined": Case(refined_bond, REFINED, stiff=True, refined=True, coarsest=0.02),
 }
