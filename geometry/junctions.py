@@ -14,9 +14,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from geometry.bands import Footing, Posts
-from geometry.joint import GeometryError, Joint, place
+from geometry.joint import FLAT, GeometryError, Joint, place
 from geometry.splitting import connected
-from geometry.topology import FACET_TYPES, BoolArray, IntArray, lagrange
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange
 
 
 @dataclass(frozen=True)
@@ -244,3 +244,24 @@ def are_filled(junctions: Corners, around: Corners, gap: BoolArray) -> BoolArray
     held = np.bincount(copy, full[around.polygons[:, 0]])[copy] > 0
     empty = np.bincount(around.of, ~held, 1) > 0
     return np.concatenate([filled, ~empty[around.of]])
+
+
+def common_normals(joint: Joint, footing: Footing, corners: Corners, gap: BoolArray) -> FloatArray:
+    """(n, d) unit normal of S of all layers that end at the junction or polyhedron of each corner; zero if they differ.
+
+    Args:
+        joint: the joint before inflating.
+        footing: where the facets of S have their posts.
+        corners: of junctions or of polyhedra.
+        gap: (n_posts,) whether each post is that of a gap, or closes a polygon on the outer boundary.
+    """
+    normals = np.zeros((len(gap), joint.dim))
+    np.add.at(normals, footing.posts, joint.node_normals)
+    normals[gap] = 0.0
+    normals[~gap] /= np.maximum(np.linalg.norm(normals[~gap], axis=1, keepdims=True), np.finfo(float).tiny)
+    total = np.zeros((int(corners.of.max(initial=-1)) + 1, joint.dim))
+    np.add.at(total, corners.of, normals[corners.sides].sum(axis=(1, 2)))
+    count = np.bincount(corners.of, (~gap[corners.sides]).sum(axis=(1, 2)))
+    length = np.linalg.norm(total, axis=1)
+    same = length >= (1 - FLAT**2) * np.maximum(count, 1)
+    return np.where(same, 1 / np.maximum(length, np.finfo(float).tiny), 0.0)[corners.of, None] * total[corners.of]

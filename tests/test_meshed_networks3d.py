@@ -30,6 +30,10 @@ def test_cubes_of_blocks(kind, cell):
         check(base, opened)
         assert volumes(opened).sum() == pytest.approx(8.0, rel=1e-12)
         counts.add((len(opened.points), len(opened.cells)))
+    kept = inflate(base, thickness(base, RATIOS[1]), cells_through=2)
+    check(base, kept)
+    assert volumes(kept)[: len(base.cells)] == pytest.approx(volumes(base), rel=1e-10)
+    counts.add((len(kept.points), len(kept.cells)))
     assert len(counts) == 1
 
 
