@@ -51,11 +51,12 @@ class Band:
         regions: names of all cell regions of the layers, those of junctions last.
         of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face; without gaps.
         junctions: region of junctions -> the seam that its cells belong to.
+        aligned: regions of junctions between layers of one normal each, as of a bed that passes open heads.
         faces: names of the facets between bodies and layers.
         base: the joint before inflating.
         reference: (n_points, d) place of each point before inflating (points of the layer: their place on S).
         director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layers' cells, from the
-            lower to the upper body; a fixed unit vector in junctions, which have none.
+            lower to the upper body; a fixed unit vector in junctions of layers with different normals.
     """
 
     eps: Mapping[str, float]
@@ -63,6 +64,7 @@ class Band:
     regions: tuple[str, ...]
     of_seam: Mapping[str, tuple[str, ...]]
     junctions: Mapping[str, str]
+    aligned: tuple[str, ...]
     faces: tuple[str, ...]
     base: Joint = field(repr=False)
     reference: FloatArray = field(repr=False)

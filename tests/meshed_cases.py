@@ -112,6 +112,8 @@ def main() -> None:
         state = solve(panel(element, 0.25).full(mortar(0.01), bodies=bodies), 1.0)
         surface = Surface(panel(element, 0.25).interface(mortar(0.01)))
         found[element] = [*list(state.energies().values())[:2], surface.norm(surface.jump(state))]
+    gaps = panel("Q2", 0.25).full(mortar(0.01, HEAD=Gap(0.01)))
+    found["gaps"] = list(solve(gaps, 1.0).energies().values())[:2]
     found["yielded"] = yielded(panel("P2", 0.25).full(yielding(0.01)))[:2]
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found))

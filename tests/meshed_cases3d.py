@@ -49,6 +49,16 @@ def cube(kind: str, cell: str, m: int = 4) -> Joint:
     return Joint(whole.points, whole.cells, cell, region, names, facets, seams)
 
 
+def parted(whole: Joint, region: np.ndarray) -> Joint:
+    """A mesh with S between all cells of different regions; the outer facets are OUT."""
+    table = whole.table
+    first, second = table.cells.T
+    cut = (second >= 0) & (region[first] != region[second])
+    facets = {"S": table.vertices[cut], "OUT": table.vertices[second < 0]}
+    names = tuple(f"B{k}" for k in range(region.max() + 1))
+    return Joint(whole.points, whole.cells, whole.cell_type, region, names, facets, {"S": Seam()})
+
+
 def half_star(cell: str, collar: bool) -> Joint:
     """Three wedges of a half-cylinder about the z axis, |z| < 1, that meet on the axis in its flat side x = 0.
 

@@ -201,7 +201,10 @@ def test_sublayers_and_profiles_away_from_junctions():
 
 def test_cells_of_junctions_go_to_the_first_seam():
     base = star((0, 120, 240), "triangle")
-    assert inflate(base, 0.01, bodies="extended").band.junctions == {"LAYER/JUNCTIONS": "L0"}
+    opened = inflate(base, 0.01, bodies="extended")
+    assert opened.band.junctions == {"LAYER/JUNCTIONS": "L0"}
+    assert opened.band.aligned == ()
+    assert np.linalg.norm(opened.band.director, axis=2) == pytest.approx(1.0)
     assert inflate(base, 0.01, bodies="extended", junctions=["L2"]).band.junctions == {"LAYER/JUNCTIONS": "L2"}
     square = grid([np.arange(9.0), np.arange(-4.0, 5.0)], lambda x: x[:, 1] > 0, "quadrilateral")
     cut = {"FLAT": (on(1, 0.0), (0, 1)), "WEST": (on(0, 2.0), (1, 0)), "EAST": (on(0, 6.0), (1, 0))}
@@ -505,6 +508,7 @@ def test_refused_models():
         bricks.full({"BED": elastic, "HEAD": None})
     with pytest.raises(ModelError, match="junctions: the seam 'HEAD' is a gap and has no law"):
         bricks.full({"BED": elastic, "HEAD": Gap(eps)}, junctions="HEAD")
+    assert bricks.full({"BED": tilted, "HEAD": Gap(eps)}).domain.joint.band.aligned == ("LAYER/JUNCTIONS",)
     with pytest.raises(LawError, match=r"the gap's width eps is 0.0; allowed: > 0"):
         Gap(0.0)
     with pytest.raises(GeometryError, match="all seams are gaps"):

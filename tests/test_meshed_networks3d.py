@@ -1,6 +1,7 @@
 """Meshed networks of layers in 3D: junction lines and the polyhedra where they meet, and what is refused."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +9,8 @@ import pytest
 import ufl
 
 from forms import LinearElastic
-from geometry import GeometryError, Seam, inflate, wall
-from tests.meshed_cases3d import BLOCKS, cube, half_star, jump_errors, thickness
+from geometry import GeometryError, Seam, inflate, inflation, wall
+from tests.meshed_cases3d import BLOCKS, cube, half_star, jump_errors, parted, thickness
 from tests.meshes import grid, renumbered, volumes
 from tests.ranks import mpirun
 from tests.test_meshed_networks import BRICK, RATIOS, WAYS, areas, check
@@ -29,6 +30,10 @@ def test_cubes_of_blocks(kind, cell):
         check(base, opened)
         assert volumes(opened).sum() == pytest.approx(8.0, rel=1e-12)
         counts.add((len(opened.points), len(opened.cells)))
+    kept = inflate(base, thickness(base, RATIOS[1]), cells_through=2)
+    check(base, kept)
+    assert volumes(kept)[: len(base.cells)] == pytest.approx(volumes(base), rel=1e-10)
+    counts.add((len(kept.points), len(kept.cells)))
     assert len(counts) == 1
 
 
@@ -112,12 +117,45 @@ def test_hexahedra_need_three_layers_around_a_corner():
         inflate(cube("staggered", "hexahedron"), 0.01, bodies="extended")
 
 
-def test_bodies_that_touch_at_a_vertex_only():
-    """Two pairs of blocks, glued each, touch along the line where their layers meet."""
+def test_bodies_that_touch_along_an_edge_only():
+    """Where layers end at the edge they enclose no polygon; layers that pass it beside one another do not meet."""
     axis = np.linspace(-1.0, 1.0, 5)
-    base = grid([axis] * 3, lambda x: x[:, 0] > 0, "hexahedron", keep=lambda x: x[:, 1] * x[:, 2] > 0)
-    with pytest.raises(GeometryError, match=r"at \(0, 0, 0\) bodies touch at a vertex or along an edge only"):
-        inflate(base, 0.01, bodies="extended")
+    base = grid([axis] * 3, lambda x: x[:, 0] > 0, "tetrahedron", keep=lambda x: x[:, 1] * x[:, 2] > 0)
+    opened = inflate(base, 0.01, bodies="extended", cells_through=2)
+    assert volumes(opened).sum() == pytest.approx(4.0, rel=1e-12)
+    assert opened.band.regions == ("LAYER",)
+    y, z = base.points[base.corners].mean(axis=1).T[1:]
+    with pytest.raises(GeometryError, match=r"at \(.*, 0, 0\) bodies touch at a vertex or along an edge only"):
+        inflate(parted(base, (y > z).astype(int)), 0.01, bodies="extended")
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_random_blocks(cell, monkeypatch):
+    """Whatever the shape of blocks, the mesh conforms and leaves nothing open between them, or tells what it cannot."""
+    monkeypatch.setattr(
+        inflation, "_motion", lambda joint, copies, *given: np.zeros((len(joint.points) + len(copies.new), 3))
+    )
+    monkeypatch.setattr(inflation, "_check_cells", lambda *given: None)
+    random, axis, meshed = np.random.default_rng(5), np.linspace(-1.0, 1.0, 4), 0
+    refused = []
+    whole = grid([axis] * 3, lambda x: x[:, 0] > 0, cell)
+    for count in (3, 4, 5) * 8:
+        seeds = random.uniform(-1.0, 1.0, (count, 3))
+        away = np.linalg.norm(whole.points[whole.corners].mean(axis=1)[:, None] - seeds, axis=2)
+        base = parted(whole, np.unique(away.argmin(axis=1), return_inverse=True)[1])
+        try:
+            opened = inflate(base, 1e-3, bodies="extended", cells_through=2)
+        except GeometryError as error:
+            refused.append(str(error))
+            continue
+        outer = np.flatnonzero(opened.table.cells[:, 1] < 0)
+        named = opened.table.index(np.concatenate([opened.facets["OUT"], opened.facets["OUT/LAYER"]]))
+        assert np.array_equal(np.sort(named), outer)
+        assert (np.diff(np.sort(opened.cells, axis=1), axis=1) > 0).all()
+        meshed += 1
+    assert meshed >= 4
+    reasons = r"S branches at \(|at \(.* bodies touch|at \(.* one body lies on both sides"
+    assert all(re.match(reasons, one) for one in refused)
 
 
 # ---------------------------------------------------------------- models

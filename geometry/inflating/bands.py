@@ -161,14 +161,21 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
         heights: of the levels, for each seam.
 
     Raises:
-        GeometryError: the levels of two seams differ where they continue one another, or those of one seam where its upper
-            side changes.
+        GeometryError: one body is on both sides of S at a vertex; the levels of two seams differ where they continue one
+            another, or those of one seam where its upper side changes.
     """
     below, above = copies.below.ravel(), copies.above.ravel()
     rows = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])
     _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     at = at.ravel()
     ends = np.column_stack([below, above])[first]
+    closed = first[ends[:, 0] == ends[:, 1]]
+    if len(closed):
+        x = joint.points[joint.surface.ravel()[closed[0]]]
+        raise GeometryError(
+            f"at {place(x)} one body lies on both sides of S: the layer has no room there and cannot be meshed; use the "
+            "interface model"
+        )
     turned = below != ends[at, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
     kinds: list[FloatArray] = []

@@ -46,32 +46,24 @@ class _Keys:
         start: number of the first key point of each kind.
         values: (n, d) at the key points.
         nodes: (n,) the node of S below each.
-        vertices: (n_polyhedra,) vertices of S with a polyhedron, in ascending order.
     """
 
     start: tuple[int, ...]
     values: FloatArray
     nodes: IntArray
-    vertices: IntArray
 
     @classmethod
     def of(cls, posts: Posts, junctions: Corners, around: Corners, values: FloatArray, nodes: IntArray) -> _Keys:
         copies = np.concatenate([junctions.copies.ravel(), around.copies.ravel()])
         polygons = np.concatenate([junctions.polygons.ravel(), around.polygons.ravel()])
-        vertices, polyhedra = np.unique(around.of, return_inverse=True)
         kinds = (
             (values, nodes),
             (values[posts.ends].mean(axis=1), posts.nodes),
             _means(polygons, values[copies], nodes[copies]),
-            _means(polyhedra.ravel(), values[around.copies[:, 0]], around.of),
+            _means(around.of, values[around.copies[:, 0]], nodes[around.copies[:, 0]]),
         )
         start = np.cumsum([0, *(len(of_kind) for _, of_kind in kinds)])
-        return cls(
-            tuple(map(int, start)),
-            np.concatenate([at for at, _ in kinds]),
-            np.concatenate([of_kind for _, of_kind in kinds]),
-            vertices,
-        )
+        return cls(tuple(map(int, start)), *(np.concatenate([kind[k] for kind in kinds]) for k in range(2)))
 
     def middles(self, posts: IntArray) -> IntArray:
         """Of posts."""
@@ -81,9 +73,9 @@ class _Keys:
         """Of polygons."""
         return self.start[2] + polygons
 
-    def insides(self, vertices: IntArray) -> IntArray:
-        """Centres of the polyhedra at vertices of S."""
-        return self.start[3] + np.searchsorted(self.vertices, vertices)
+    def insides(self, polyhedra: IntArray) -> IntArray:
+        """Centres of polyhedra."""
+        return self.start[3] + polyhedra
 
 
 def _means(number: IntArray, values: FloatArray, nodes: IntArray) -> tuple[FloatArray, IntArray]:
@@ -141,14 +133,16 @@ def _squares(keys: _Keys, corners: Corners) -> IntArray:
 
 def _cubes(joint: Joint, keys: _Keys, around: Corners) -> tuple[IntArray, IntArray]:
     """(n, 8) key points of the blocks at corners of polyhedra, where three posts and three polygons meet; one of these."""
-    copies, first, count = np.unique(around.copies, return_index=True, return_counts=True)
+    pairs, at = np.unique(np.column_stack([around.of, around.copies]), axis=0, return_inverse=True)
+    count = np.bincount(at.ravel())
     wrong = np.flatnonzero(count != 3)
     if len(wrong):
+        x = joint.points[keys.nodes[pairs[wrong[0], 1]]]
         raise GeometryError(
-            f"S branches at {place(joint.points[around.of[first[wrong[0]]]])}, where junctions meet: hexahedra need three "
+            f"S branches at {place(x)}, where junctions meet: hexahedra need three "
             f"layers around each corner of a body there, not {count[wrong[0]]}; use tetrahedra, or the interface model"
         )
-    rows = np.argsort(around.copies[:, 0], kind="stable").reshape(-1, 3)
+    rows = np.argsort(at.ravel(), kind="stable").reshape(-1, 3)
     sides, polygons = around.sides[rows, 0], around.polygons[rows, 0]
     one, other = sides[:, 0].T
     n = np.arange(len(rows))
@@ -156,7 +150,7 @@ def _cubes(joint: Joint, keys: _Keys, around: Corners) -> tuple[IntArray, IntArr
     third = sides[n, second].sum(axis=1) - one
     a, b, c = (keys.middles(post) for post in (one, other, third))
     ab, ac, bc = (keys.centres(polygons[n, at]) for at in (0 * second, second, 3 - second))
-    return np.stack([copies, a, b, ab, c, ac, bc, keys.insides(around.of[rows[:, 0]])], axis=1), rows[:, 0]
+    return np.stack([pairs[:, 1], a, b, ab, c, ac, bc, keys.insides(around.of[rows[:, 0]])], axis=1), rows[:, 0]
 
 
 def _numbered(

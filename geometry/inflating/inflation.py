@@ -9,9 +9,9 @@ import numpy as np
 
 from geometry.errors import GeometryError, place
 from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_of
-from geometry.inflating.blocks import fill
+from geometry.inflating.blocks import Filled, fill
 from geometry.inflating.faces import moved_facets
-from geometry.inflating.junctions import Corners, are_filled, junction_posts, junctions_of, polyhedra_of
+from geometry.inflating.junctions import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
 from geometry.inflating.layering import Layering, check_junctions, check_layering, claims_of
 from geometry.inflating.motion import NOT_KEPT, UNIFORM, extended_motion, face_motion, kept_motion
 from geometry.inflating.room import is_swept, require_apart, require_room
@@ -96,11 +96,11 @@ def inflate(
     if len(meetings.of):
         filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
         motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
-        owners = _owners(joint, posts, footing, (meetings, around), claims)[filled.corners]
-        between = _Cells.of_junctions(filled.cells[owners >= 0], owners[owners >= 0], joint.dim)
+        between = _junctions(joint, posts, footing, (meetings, around), claims, filled)
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
+    askew = np.unique(between.region[(between.director == 0).all(axis=(1, 2))])
     first = len(joint.regions) + sum(map(len, names.values()))
 
     cells, used = _without_gaps(np.concatenate([copies.cells, bands.cells, between.cells]), len(footprint))
@@ -126,10 +126,11 @@ def inflate(
             regions,
             names,
             shared,
+            tuple(name for name, seam in shared.items() if seams.index(seam) not in askew),
             faces,
             joint,
             joint.points[footprint],
-            np.concatenate([bands.director, between.director]),
+            np.concatenate([bands.director, _unit(between.director)]),
         ),
     )
     if translation is not None and not is_swept(joint, translation):
@@ -144,7 +145,7 @@ class _Cells:
     Attributes:
         cells: (n, k) nodes.
         region: (n,) number of the region, or of a seam.
-        director: (n, corners, d) normal of S at each corner.
+        director: (n, corners, d) normal of S at each corner; zero in junctions of layers with different ones.
     """
 
     cells: IntArray
@@ -157,20 +158,20 @@ class _Cells:
         return cls(joint.cells[:0], joint.region[:0], np.empty((0, joint.corners.shape[1], joint.dim)))
 
     @classmethod
-    def of_junctions(cls, cells: IntArray, owners: IntArray, dim: int) -> _Cells:
-        """Cells (n, k) of junctions, which have no normal of S: any unit vector stands for it."""
-        return cls(cells, owners, np.broadcast_to(np.eye(dim)[1], (*cells.shape, dim)))
-
-    @classmethod
     def joined(cls, several: Sequence[_Cells]) -> _Cells:
         """All of several sets of cells."""
         return cls(*(np.concatenate([getattr(one, of) for one in several]) for of in ("cells", "region", "director")))
 
 
-def _owners(
-    joint: Joint, posts: Posts, footing: Footing, corners: tuple[Corners, Corners], claims: Sequence[str]
-) -> IntArray:
-    """(n,) number of the seam to which the cells at each corner belong, one for each junction; -1: it has no cells.
+def _junctions(
+    joint: Joint,
+    posts: Posts,
+    footing: Footing,
+    corners: tuple[Corners, Corners],
+    claims: Sequence[str],
+    filled: Filled,
+) -> _Cells:
+    """The cells of junctions; `region` is the number of the seam that they belong to, one for each junction.
 
     Args:
         joint: the joint before inflating.
@@ -178,18 +179,29 @@ def _owners(
         footing: where the facets of S have theirs.
         corners: of junctions, and of the polygons around polyhedra.
         claims: names of the seams with cells, the first one first.
+        filled: cells in all junctions.
     """
     seams, last = list(joint.seams), len(claims)
     rank = np.array([claims.index(name) if name in claims else last for name in seams])
     of_posts = np.full(len(posts.nodes), last)  # the sides that close a polygon have no seam
     of_posts[: len(footing.seam)] = rank[footing.seam]
-    numbers = np.array([*map(seams.index, claims), -1])
-    found = []
+    owners = []
     for some in corners:
         first = np.full(int(some.of.max(initial=-1)) + 1, last)
         np.minimum.at(first, some.of, of_posts[some.sides].min(axis=(1, 2)))
-        found.append(numbers[first[some.of]])
-    return np.where(are_filled(*corners, of_posts == last), np.concatenate(found), -1)
+        owners.append(np.array([*map(seams.index, claims), -1])[first[some.of]])
+    gap = of_posts == last
+    kept = are_filled(*corners, gap)[filled.corners]
+    cells, corner = filled.cells[kept], filled.corners[kept]
+    normals = np.concatenate([common_normals(joint, footing, some, gap) for some in corners])[corner]
+    director = np.broadcast_to(normals[:, None], (*cells.shape, joint.dim))
+    return _Cells(cells, np.concatenate(owners)[corner], director)
+
+
+def _unit(directors: FloatArray) -> FloatArray:
+    """Directors, and a fixed unit vector in place of zeros."""
+    fixed = np.eye(directors.shape[-1])[1]
+    return np.where((directors == 0).all(axis=-1, keepdims=True), fixed, directors)
 
 
 def _without_gaps(cells: IntArray, n: int) -> tuple[IntArray, BoolArray]:

@@ -3,8 +3,8 @@
 When the bodies part, a polygon opens at each vertex of a junction: its corners are the copies of the vertex, one on each
 body, its sides the posts at the ends of the layers. On the outer boundary one more side closes it. In 2D the polygon is the
 junction. In 3D the junction is a prism between the polygons at the two ends of an edge. Edges in line have one polygon at
-their common vertex. Where a vertex has several polygons, they are the faces of a polyhedron, whose edges are all posts
-there; on the outer boundary one more polygon closes it.
+their common vertex. Other polygons at a vertex are the faces of a polyhedron, whose edges are the posts there; on the outer
+boundary one more polygon closes it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import numpy as np
 
 from geometry.errors import GeometryError, place
 from geometry.inflating.bands import Footing, Posts
-from geometry.joint import Joint
-from geometry.topology import FACET_TYPES, BoolArray, IntArray, lagrange
+from geometry.joint import FLAT, Joint
+from geometry.splitting import connected
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Corners:
         copies: (n, k) copy of a vertex of S at each corner; k vertices of a junction in ascending order of their numbers.
         sides: (n, k, 2) posts from there to the next two corners.
         polygons: (n, k) number of the polygon.
-        of: (n,) number of the junction; of corners of a polyhedron, the vertex of S.
+        of: (n,) number of the junction, or of the polyhedron.
     """
 
     copies: IntArray
@@ -66,9 +67,9 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
         footing: where the facets have them.
 
     Raises:
-        GeometryError: bodies that touch at a vertex, in 3D along an edge only, lie between the layers that end there.
+        GeometryError: bodies that touch at a vertex, or along an edge, only lie between the layers that end there.
     """
-    links = _links(joint, posts, footing)
+    links, facets = _links(joint, posts, footing)
     k = links.shape[1]
     if not len(links):
         return posts, Corners.none(k)
@@ -79,8 +80,14 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
     of[at] = np.tile(of_link, 2)
     degree = np.bincount(at)
     loose = (np.bincount(of) - np.bincount(of_link) > 1) | (np.bincount(of, degree > 2) > 0)
+    loose |= np.bincount(of_link, facets > 1) > 0  # two layers between the same bodies
+    for column in copies.T:  # a body has one corner at each end
+        loose |= np.bincount(_numbered(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
     if loose.any():
-        raise _loose(joint, vertices[loose][0])
+        raise GeometryError(
+            f"at {place(joint.points[vertices[loose][0]].mean(axis=0))} bodies touch at a vertex or along an edge only, "
+            "between layers that meet there: the layers' ends enclose no polygon"
+        )
 
     alone = np.flatnonzero(degree == 1)
     alone = alone[np.argsort(of[alone], kind="stable")].reshape(-1, 2)
@@ -91,27 +98,24 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
     return posts, Corners(copies, sides, _polygons(sides, of), of)
 
 
-def _links(joint: Joint, posts: Posts, footing: Footing) -> IntArray:
-    """(n, k) the posts at the k vertices of each junction, for each layer that ends there, in ascending order."""
+def _links(joint: Joint, posts: Posts, footing: Footing) -> tuple[IntArray, IntArray]:
+    """(n, k) the posts at the k vertices of each junction, for each layer that ends there, in ascending order.
+
+    And (n,) the number of facets of S that each joins to the junction.
+    """
     several = np.bincount(posts.nodes)[posts.nodes] > 1
     ridges = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[-2]
     rows = np.concatenate([footing.posts[:, ridge] for ridge in ridges])
-    links, _ = _numbered(np.sort(rows[several[rows].all(axis=1)], axis=1))
+    links, number = _numbered(np.sort(rows[several[rows].all(axis=1)], axis=1))
     _, place = _numbered(posts.nodes[links])
-    return links[np.bincount(place)[place] > 1]
+    branches = np.bincount(place)[place] > 1
+    return links[branches], np.bincount(number, minlength=len(links))[branches]
 
 
 def _numbered(rows: IntArray) -> tuple[IntArray, IntArray]:
     """Different rows in lexicographic order, and the number of each given one among them."""
     found, number = np.unique(rows, axis=0, return_inverse=True)
     return found, number.ravel()
-
-
-def _loose(joint: Joint, vertices: IntArray) -> GeometryError:
-    return GeometryError(
-        f"at {place(joint.points[vertices].mean(axis=0))} bodies touch at a vertex or along an edge only, between layers "
-        "that meet there: the layers' ends enclose no polygon"
-    )
 
 
 def _closed(posts: Posts, links: IntArray, ends: IntArray, vertices: IntArray) -> tuple[Posts, IntArray]:
@@ -152,7 +156,9 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
 
 
 def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
-    """The corners of the polygons around the polyhedra at vertices of S in 3D, each polygon once; in 2D there are none.
+    """The corners of the polygons around polyhedra in 3D, each polygon once; in 2D there are none.
+
+    A polygon between two junctions in line is part of none, and neither is the end of a junction on the outer boundary.
 
     Args:
         joint: the joint before inflating.
@@ -160,55 +166,64 @@ def polyhedra_of(joint: Joint, posts: Posts, corners: Corners) -> Corners:
         corners: of junctions.
 
     Raises:
-        GeometryError: bodies that touch at a vertex only lie between the layers there.
+        GeometryError: the polygons at a vertex do not enclose polyhedra.
     """
     if joint.dim == 2:
         return Corners.none(1)
-    n, each = len(joint.points), _once(corners, posts)
-    polygons, first = np.unique(each.polygons, return_index=True)
-    several = (np.bincount(each.of[first], minlength=n) > 1)[posts.nodes]  # posts at vertices with several polygons
-    uses = np.bincount(each.sides.ravel(), minlength=len(posts.nodes))  # two for each polygon
-    around = each.at(np.flatnonzero(np.isin(each.of, posts.nodes[several])))
-    outer = _outer_polygons(posts, np.flatnonzero(several & (uses == 2)), len(polygons))
-    around = Corners.joined(around, outer)
+    ends = np.bincount(corners.polygons[np.unique(corners.of, return_index=True)[1]].ravel())
+    faces = _faces(corners, ends == 1, len(posts.nodes))
+    uses = np.bincount(faces.sides.ravel(), minlength=len(posts.nodes))  # two for each polygon
+    around = Corners.joined(faces, _outer_polygons(faces, posts, np.flatnonzero(uses == 2), len(ends)))
 
-    count = np.bincount(posts.nodes, minlength=n)
-    loose = ~several & (count[posts.nodes] > 1) & (uses != 2)
     uses = np.bincount(around.sides.ravel(), minlength=len(posts.nodes))
-    of_copies, of_polygons = (
-        np.bincount(around.of[np.unique(rows, return_index=True)[1]], minlength=n)
-        for rows in (around.copies, around.polygons)
-    )
-    closed = (uses == 4) & (of_copies - count + of_polygons == 2)[posts.nodes]  # Euler's formula: all in one piece
-    loose |= several & ~closed
-    if loose.any():
-        raise _loose(joint, posts.nodes[loose][:1])
+    columns = (around.copies, around.sides[:, 0], around.polygons)
+    vertices, edges, polygons = (np.bincount(_pairs(around.of, of)[0][:, 0]) for of in columns)
+    whole = (vertices - edges + polygons == 2)[around.of] & (uses[around.sides] == 4).all(
+        axis=(1, 2)
+    )  # Euler's formula
+    wrong = [around.sides[~whole, 0, 0], corners.sides[ends[corners.polygons] > 2][:, 0]]
+    if any(map(len, wrong)):
+        x = joint.points[posts.nodes[np.concatenate(wrong)[0]]]
+        raise GeometryError(
+            f"S branches at {place(x)}, where junctions meet in a way that is not meshed: the layers' ends enclose no "
+            "polyhedron; use the interface model"
+        )
     return around
 
 
-def _once(corners: Corners, posts: Posts) -> Corners:
-    """The corners of each polygon, one by one, with its vertex."""
-    copies, polygons = corners.copies.reshape(-1, 1), corners.polygons.reshape(-1, 1)
-    _, once = np.unique(np.column_stack([polygons, copies]), axis=0, return_index=True)
-    sides = corners.sides.reshape(-1, 1, 2)[once]
-    return Corners(copies[once], sides, polygons[once], posts.nodes[sides[:, 0, 0]])
+def _pairs(of: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
+    """Different pairs of a number (n,) and one of its entries (n, k), and the pair of each entry."""
+    return _numbered(np.column_stack([of.repeat(rows.shape[1]), rows.ravel()]))
 
 
-def _outer_polygons(posts: Posts, rim: IntArray, first: int) -> Corners:
-    """The corners of polygons on the outer boundary, one at each vertex, numbered from `first` on.
+def _faces(corners: Corners, free: BoolArray, n_posts: int) -> Corners:
+    """The corners of free polygons that share posts with others; `of` is the number of their polyhedron."""
+    polygons, sides = corners.polygons.ravel(), corners.sides.reshape(-1, 1, 2)
+    once = np.flatnonzero(free[polygons])
+    label = connected(polygons[once].repeat(2), len(free) + sides[once].ravel(), len(free) + n_posts)
+    count = np.bincount(label[np.flatnonzero(free)], minlength=len(label))
+    once = once[count[label[polygons[once]]] > 1]
+    _, of = np.unique(label[polygons[once]], return_inverse=True)
+    return Corners(corners.copies.reshape(-1, 1)[once], sides[once], polygons[once, None], of.ravel())
+
+
+def _outer_polygons(faces: Corners, posts: Posts, rim: IntArray, first: int) -> Corners:
+    """The corners of polygons on the outer boundary, one for each polyhedron, numbered from `first` on.
 
     Args:
+        faces: corners of polyhedra that may be open.
         posts: all posts.
-        rim: those around the polygons.
+        rim: those at the edge of open polyhedra.
         first: number of the first polygon.
     """
-    copies, at = np.unique(posts.ends[rim], return_inverse=True)
-    by_copy = np.argsort(at.ravel(), kind="stable") // 2
-    twice = np.bincount(at.ravel(), minlength=len(copies)) == 2
-    sides = rim[by_copy[np.repeat(twice, np.bincount(at.ravel(), minlength=len(copies)))]].reshape(-1, 1, 2)
-    of = posts.nodes[sides[:, 0, 0]]
+    of_posts = np.zeros(len(posts.nodes), np.int64)
+    of_posts[faces.sides] = faces.of[:, None, None]
+    pairs, at = _pairs(of_posts[rim], posts.ends[rim])
+    count = np.bincount(at, minlength=len(pairs))
+    sides = (np.argsort(at, kind="stable") // 2)[np.repeat(count == 2, count)]
+    of, copies = pairs[count == 2].T
     _, number = np.unique(of, return_inverse=True)
-    return Corners(copies[twice][:, None], sides, first + number.reshape(-1, 1), of)
+    return Corners(copies[:, None], rim[sides].reshape(-1, 1, 2), first + number.reshape(-1, 1), of)
 
 
 def are_filled(junctions: Corners, around: Corners, gap: BoolArray) -> BoolArray:
@@ -226,7 +241,28 @@ def are_filled(junctions: Corners, around: Corners, gap: BoolArray) -> BoolArray
     filled = ~(np.bincount(junctions.of, apart) > 0)[junctions.of]
     full = np.zeros(int(max(junctions.polygons.max(), around.polygons.max(initial=0))) + 1, bool)
     full[junctions.polygons[filled]] = True
-    _, copy = np.unique(around.copies[:, 0], return_inverse=True)
-    held = np.bincount(copy.ravel(), full[around.polygons[:, 0]])[copy.ravel()] > 0
+    _, copy = _pairs(around.of, around.copies)
+    held = np.bincount(copy, full[around.polygons[:, 0]])[copy] > 0
     empty = np.bincount(around.of, ~held, 1) > 0
     return np.concatenate([filled, ~empty[around.of]])
+
+
+def common_normals(joint: Joint, footing: Footing, corners: Corners, gap: BoolArray) -> FloatArray:
+    """(n, d) unit normal of S of all layers that end at the junction or polyhedron of each corner; zero if they differ.
+
+    Args:
+        joint: the joint before inflating.
+        footing: where the facets of S have their posts.
+        corners: of junctions or of polyhedra.
+        gap: (n_posts,) whether each post is that of a gap, or closes a polygon on the outer boundary.
+    """
+    normals = np.zeros((len(gap), joint.dim))
+    np.add.at(normals, footing.posts, joint.node_normals)
+    normals[gap] = 0.0
+    normals[~gap] /= np.maximum(np.linalg.norm(normals[~gap], axis=1, keepdims=True), np.finfo(float).tiny)
+    total = np.zeros((int(corners.of.max(initial=-1)) + 1, joint.dim))
+    np.add.at(total, corners.of, normals[corners.sides].sum(axis=(1, 2)))
+    count = np.bincount(corners.of, (~gap[corners.sides]).sum(axis=(1, 2)))
+    length = np.linalg.norm(total, axis=1)
+    same = length >= (1 - FLAT**2) * np.maximum(count, 1)
+    return np.where(same, 1 / np.maximum(length, np.finfo(float).tiny), 0.0)[corners.of, None] * total[corners.of]

@@ -76,8 +76,8 @@ class FullModel(Model):
             gaps=tuple(gaps),
         )
         assert inflated.band is not None
-        for name in inflated.band.junctions.values():
-            self._check_junctions(name, real_law(thin[name], self.plane))
+        for region, name in inflated.band.junctions.items():
+            self._check_junctions(name, real_law(thin[name], self.plane), region in inflated.band.aligned)
         return inflated
 
     def _check(self, one: SeamLayer) -> None:
@@ -102,15 +102,21 @@ class FullModel(Model):
                 "layer their shape is lost in rounding; is eps in the unit of the mesh?"
             )
 
-    def _check_junctions(self, name: str, law: BulkLaw) -> None:
-        """Raise ModelError if a seam's law cannot be that of cells where layers meet, which are in no column of a layer."""
+    def _check_junctions(self, name: str, law: BulkLaw, aligned: bool) -> None:
+        """Raise ModelError if a seam's law cannot be that of cells where layers meet, which are in no column of a layer.
+
+        Args:
+            name: of the seam.
+            law: its law.
+            aligned: whether all layers that meet at one place have one normal there.
+        """
         hint = "give junctions=... the name of a seam with another law, such as forms.LinearElastic"
         if law.traits.switches:
             raise ModelError(
                 f"{type(law).__name__} of the seam {name!r} has one phase for each column of a layer, and cells where "
                 f"layers meet are in none; {hint}"
             )
-        if needs_director(law):
+        if not aligned and needs_director(law):
             raise ModelError(
                 f"{type(law).__name__} of the seam {name!r} depends on the normal of S, which is not defined where layers "
                 f"meet; {hint}"
