@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
-    from thinlayer.errors import LimitLoad, ModelError, RangeWarning, SolveError, ThinlayerError
+    from thinlayer.errors import LimitLoad, LooseBody, ModelError, RangeWarning, SolveError, ThinlayerError
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
@@ -47,7 +47,7 @@ _NAMES = {
     "discretisation.model": ["Model"],
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
-    "errors": ["LimitLoad", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
+    "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
     "files.table": ["Table"],
     "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],

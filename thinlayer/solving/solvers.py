@@ -54,9 +54,10 @@ def solve(
         model: the model.
         t: the time of loads and supports.
         options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides both.
-        method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the jumps on S;
-            default on one rank while S is narrow), "multigrid" (default otherwise), "newton" (default if a body is not
-            linear, or for a law of one's own) or "relaxation" (the paper's, for comparison).
+        method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the jumps on S, in
+            networks to the displacements there; default on one rank while S is narrow), "multigrid" (default otherwise, not
+            for networks), "newton" (default if a body is not linear, for a law of one's own, and for networks on several
+            ranks) or "relaxation" (the paper's, for comparison, not for networks).
         like: under a contact law, a state of the same joint with a similar contact status, such as that of another load or
             thickness; it saves "condensed" and "multigrid" Newton steps, the other methods do not use it.
 
@@ -64,7 +65,8 @@ def solve(
         RangeWarning: an interface model, or its result, is outside the range of its law.
 
     Raises:
-        SolveError: no convergence, or no unique solution. OptionError: a PETSc option that the solver does not read.
+        SolveError: no convergence, or no unique solution; LooseBody if a body can be named that nothing holds.
+        OptionError: a PETSc option that the solver does not read.
         ModelError: a law without an instantaneous response; loads that are not finite; `like` of another joint.
         ModelError: unknown method, or a linear solve of a non-linear law.
     """

@@ -22,17 +22,18 @@ from thinlayer.solving.contact.gauss_seidel import BlockRows
 from thinlayer.solving.contact.pair_nodes import PairNodes
 from thinlayer.solving.contact.pieces import Condensation
 from thinlayer.solving.contact.schur import FactorError
+from thinlayer.solving.contact.sparse_solver import SparseSolver
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.finder import Found
 from thinlayer.solving.force_scale import ALLOWED, TINY, ForceScale
-from thinlayer.solving.linear_solvers import DIRECT
-from thinlayer.solving.options import PREFIX, defaults
 
 TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
 SUMMATION = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
-SWEEPS = 2  # number of sweeps before a Newton step
-MOST_STEPS = 40
+SWEEPS = 2  # number of sweeps before each of the first Newton steps
+PATIENCE = 4  # number of Newton steps after which the sweeps double with every step
+MOST_SWEEPS = 32  # largest number of sweeps before a Newton step
+MOST_STEPS = 30
 TRIALS = 12  # largest number of trials of a step's length
 FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
 
@@ -130,8 +131,9 @@ class NetworkFinder:
         """Free the factor and vectors."""
         for vector in (self._x, self._r):
             vector.destroy()
-        if "condensation" in vars(self):
-            self.condensation.close()
+        for name in ("condensation", "_system"):
+            if name in vars(self):
+                getattr(self, name).close()
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +150,10 @@ class _System:
         return BlockRows(blocks.indptr.astype(np.int32), blocks.indices.astype(np.int32), blocks.data)
 
     @cached_property
+    def _linear(self) -> SparseSolver:
+        return SparseSolver(self.stiffness, self.pairs.pattern)
+
+    @cached_property
     def _scale(self) -> ForceScale:
         return ForceScale(
             SUMMATION * math.sqrt(len(self.pairs.nodes)) * float(self.stiffness.diagonal().max(initial=0.0))
@@ -160,7 +166,7 @@ class _System:
     def bonded(self, g: Array) -> Array:
         """Displacements with bonded springs, which neither open nor slide."""
         springs, forces = self.pairs.bonded()
-        return self._linear(self.stiffness + springs, g - forces)
+        return self._linear.solve(springs, g - forces)
 
     def solve(self, u: Array, g: Array, size: float) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces.
@@ -176,14 +182,14 @@ class _System:
                 return u, tuple(residuals)
             if len(residuals) > MOST_STEPS or not math.isfinite(residuals[-1]):
                 raise SolveError(
-                    f"contact: no equilibrium found, residual {residuals[-1]:.1e} of the forces after {len(residuals) - 1} "
-                    "Newton steps; is every body supported, or pressed against S rather than pulled off it? Else try "
-                    "smaller load steps",
+                    f"contact: residual {residuals[-1]:.1e} of the forces after {len(residuals) - 1} Newton steps",
                     residuals=tuple(residuals),
+                    advice="is every body supported, or pressed against S? Else try smaller load steps",
                 )
             u = u.copy()
-            self.pairs.sweep(self._blocks, g, u, SWEEPS)
-            step = self._linear(self.stiffness + self.pairs.tangent(u), -self.residual(u, g))
+            sweeps = min(SWEEPS * 2 ** max(len(residuals) - PATIENCE, 0), MOST_SWEEPS)
+            self.pairs.sweep(self._blocks, g, u, sweeps)
+            step = self._linear.solve(self.pairs.tangent(u), -self.residual(u, g))
             u = u + self._length(u, step, g) * step
 
     def _ends(self, residuals: list[float], u: Array, size: float) -> bool:
@@ -217,21 +223,6 @@ class _System:
                 high, above = a, now
         return a
 
-    def _linear(self, A: scipy.sparse.csr_matrix, b: Array) -> Array:
-        """A^-1 b by a factorisation; not finite if A is singular."""
-        A = A.tocsr()
-        A.sort_indices()
-        csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
-        matrix = PETSc.Mat().createAIJ(A.shape, csr=csr, comm=PETSc.COMM_SELF)
-        given, found = matrix.createVecs()
-        given.array[:] = b
-        ksp = PETSc.KSP().create(PETSc.COMM_SELF)
-        ksp.setOptionsPrefix(PREFIX)
-        ksp.setOperators(matrix)
-        with defaults({**DIRECT, "pc_type": "lu"}):
-            ksp.setFromOptions()
-            ksp.solve(given, found)
-        out = found.array_r.copy() if ksp.getConvergedReason() > 0 else np.full(len(b), np.nan)
-        for thing in (ksp, matrix, given, found):
-            thing.destroy()
-        return out
+    def close(self) -> None:
+        """Free the factor."""
+        self._linear.close()

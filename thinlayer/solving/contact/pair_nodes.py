@@ -96,6 +96,16 @@ class PairNodes:
         t = np.einsum("nij,nj->ni", D, rest) * self._weights[:, None]
         return self._stiffness(D), np.where(self.free.ravel(), self._jumps.T @ t.ravel(), 0.0)
 
+    @property
+    def pattern(self) -> scipy.sparse.csr_matrix:
+        """A matrix with all entries that `tangent` and `bonded` may have."""
+        count, d = len(self._ends), self.d
+        pair, side = np.nonzero(self._ends >= 0)
+        ends = scipy.sparse.csr_matrix(
+            (np.ones(len(pair)), (pair, self._ends[pair, side])), shape=(count, len(self.nodes))
+        )
+        return scipy.sparse.kron(ends.T @ ends, np.ones((d, d)), format="csr")
+
     def _stiffness(self, D: Array) -> scipy.sparse.csr_matrix:
         count, d = len(self._weights), self.d
         begins, columns = np.arange(count + 1), np.arange(count)
