@@ -56,7 +56,7 @@ def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
         push_large(record)
         return
     push_panel(record, THICKNESSES[:1] if quick else THICKNESSES)
-    push_walls(record, *((3, 3, 2, 0.08) if quick else (4, 5, 3, 0.04)))
+    push_walls(record, *((3, 3, 2, 0.08) if quick else (4, 5, 3, 0.03)))
 
 
 def push_walls(record: Record, bricks: int, courses: int, cells: int, step: float) -> None:
