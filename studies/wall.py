@@ -1,17 +1,19 @@
-"""A brick wall under pressure, sheared to its limit: joints slide and open; with and without mortar in the head joints."""
+"""A brick wall pressed and sheared to its limit: joints slide and open, heads with mortar and open; a meshed panel."""
 
 from __future__ import annotations
 
 import resource
 import time
 from math import radians, tan
+from typing import Any
 
 import numpy as np
 
-from forms import LinearElastic, MohrCoulombMonodirectional
+from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
-from thinlayer import History, LimitLoad, State, Structure, ThinLayer, march, plotting
+from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, ThinLayer, march, plotting
 from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 
 BRICK = (250.0, 75.0)  # mm, with the mortar
@@ -23,17 +25,25 @@ COHESION = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top
 WALLS = ("heads with mortar", "open heads")
 LARGE = (14, 15)  # bricks and courses
+NEAR = 0.9  # of the strength of a bed, where walls are compared and drawn
+PANEL = (2, 3)  # bricks and courses of the panel that is meshed
+SHIFTS = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08)  # mm, of its top
+THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
+ELASTIC_FRACTION = 0.02  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
 
 
 def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
     """Push the top along, harder and harder, until no equilibrium is left.
 
     The limit is at most that of a bed along which all bricks above slide: C + tan(Omega) p, per length of the wall.
+    table.csv: shear stress on the top against its shift. joints.csv: the share of each seam that stays elastic, slides, or
+    is open, at 0.9 of the strength of a bed and at the limit. panel.csv: a panel of five bricks with Mohr-Coulomb mortar,
+    whose top is moved along, by the interface law and meshed, whose real moduli are those of the first thickness.
 
     Args:
         record: where to write.
         large: 217 bricks and 1e5 unknowns in 20 steps instead, with its time and memory.
-        quick: fewer bricks, longer steps.
+        quick: fewer bricks, longer steps, one thickness of the panel's joints.
     """
     record.parameters = {
         "brick_mm": BRICK,
@@ -45,30 +55,88 @@ def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
     if large:
         push_large(record)
         return
-    bricks, courses, step = (3, 4, 0.04) if quick else (4, 6, 0.02)
+    push_panel(record, THICKNESSES[:1] if quick else THICKNESSES)
+    push_walls(record, *((3, 3, 2, 0.08) if quick else (4, 5, 3, 0.03)))
+
+
+def push_walls(record: Record, bricks: int, courses: int, cells: int, step: float) -> None:
+    """Push walls with mortar in their heads and without to the limit.
+
+    Args:
+        record: where to write.
+        bricks, courses: of the walls.
+        cells: number of cells along the height of a brick.
+        step: of the shear stress on the top, MPa.
+    """
     strength = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE
-    table, last = record.table("table.csv"), 0.9 * strength
+    table, joints = record.table("table.csv"), record.table("joints.csv")
+    near: dict[str, State] = {}
+    last: dict[str, State] = {}
     shifts = []
     for name in WALLS:
-        model = panel(bricks, courses, BRICK[1] / 3, heads=name == WALLS[0])
+        model = sheared(bricks, courses, BRICK[1] / cells, heads=name == WALLS[0])
         history, limit = pushed(model, step, 1.5 * strength)
         for state in history:
             row = {"wall": name, "shear_MPa": state.t, "shift_mm": shift(state), "iterations": state.report.iterations}
             table.append(row)
         record.solved(history.last)
         record.check(f"{name}: limit over that of a bed that slides", limit / strength, low=0.995, high=1.0)
-        shifts.append(np.interp(last, history.t, [shift(state) for state in history]))
-        plotting.deformed(
-            history.at(limit), save=record.path(f"{name.replace(' ', '_')}.png"), component="x", unit="mm",
-            title=f"{name}, at {limit:.3g} MPa",
-        )  # fmt: skip
+        shifts.append(np.interp(NEAR * strength, history.t, [shift(state) for state in history]))
+        near[name] = max((state for state in history if state.t <= NEAR * strength), key=lambda state: state.t)
+        last[name] = history.last
+        for state in (near[name], last[name]):
+            for shares in LayerReport(state).table.rows:
+                joints.append({"wall": name, "shear_MPa": state.t, **shares})
     record.check("shift at 0.9 of the limit, open heads over heads with mortar", shifts[1] / shifts[0], low=1.1)
+    record.say(joints)
+    shear = max(state.t for state in near.values())
+    title = f"a wall under {PRESSURE:g} MPa, sheared by {shear:.3g} MPa"
+    plotting.layers(near, save=record.path("joints.png"), title=title)
+    plotting.layers(last, save=record.path("limit.png"), title="at the limit")
+
+
+def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
+    """Move the top of a panel whose mortar is that of `MohrCoulomb`: its force by the interface law, and meshed."""
+    supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
+    structure = Structure(
+        wall(*PANEL, BRICK, BRICK[1] / 3),
+        body=CLAY,
+        supports=supports,
+        tractions={"TOP": (0.0, -PRESSURE)},
+    )
+
+    def mortar(eps: float) -> dict[str, ThinLayer]:
+        given = {"friction_angle": ANGLE, "elastic_fraction": ELASTIC_FRACTION}
+        return {
+            name: ThinLayer(MohrCoulomb(MORTAR.lmbda, MORTAR.mu, cohesion=cohesion, **given), eps)
+            for name, cohesion in COHESION.items()
+        }
+
+    limit = structure.interface(mortar(EPS))
+    beds, table, forces = Surface(limit, "BED"), record.table("panel.csv"), {}
+    length = beds.integral(1.0)
+    models: dict[str, Model] = {"interface law": limit}
+    models |= {
+        f"meshed, {eps:g} mm": structure.full(mortar(eps), cells_through=2, bodies="extended") for eps in thicknesses
+    }
+    for name, model in models.items():
+        history = march(model, list(SHIFTS))
+        record.solved(history.last)
+        forces[name] = [beds.integral(beds.traction(state)[0]) / length for state in history]
+        for t, force in zip(history.t, forces[name], strict=True):
+            table.append({"model": name, "shift_mm": float(t), "shear_MPa": force})
+    by_law, *meshed = (np.array(one[1:]) for one in forces.values())
+    errors = [float(np.abs(one - by_law).max() / by_law.max()) for one in meshed]
+    for eps, error in zip(thicknesses, errors, strict=True):
+        record.check(f"force of the panel, joints of {eps:g} mm, meshed and not", error, high=0.003 * eps)
+    if len(errors) > 1:
+        record.check("observed order of these", float(np.log2(errors[0] / errors[-1])) / (len(errors) - 1), low=0.8)
 
 
 def push_large(record: Record) -> None:
     """A wall of 217 bricks in 20 steps to 0.8 of the strength of a bed."""
     begin = time.perf_counter()
-    model = panel(*LARGE, BRICK[1] / 4, heads=True)
+    model = sheared(*LARGE, BRICK[1] / 4, heads=True)
     built = time.perf_counter() - begin
     strength = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE
     history = march(model, [0.8 * strength * k / 20 for k in range(1, 21)], keep="last")
@@ -85,7 +153,7 @@ def push_large(record: Record) -> None:
     record.say(row)
 
 
-def panel(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
+def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
     """The interface model of a wall on a rigid foot, pressed at t = 0 and pushed along by a shear stress t, MPa."""
     layers = {
         name: ThinLayer(MohrCoulombMonodirectional(MORTAR.lmbda, MORTAR.mu, cohesion, ANGLE, unilateral=opens), EPS)
@@ -117,19 +185,23 @@ def shift(state: State) -> float:
 
 
 def draw(record: Record) -> None:
-    """Draw load against displacement from table.csv, which a large wall has not."""
-    if not record.has("table.csv"):
-        return
-    rows = record.load("table.csv").rows
-    lines = {}
-    for name in WALLS:
-        own = [(float(row["shift_mm"] or 0), float(row["shear_MPa"] or 0)) for row in rows if row["wall"] == name]
-        lines[name] = tuple(np.array([(0.0, 0.0), *own]).T)
-    plotting.curves(
-        lines,
-        xlabel="shift of the top (mm)",
-        ylabel="shear stress on the top (MPa)",
-        title="a wall under a pressure of 0.5 MPa",
-        styles=dict.fromkeys(lines, "o-"),
-        save=record.path("shear.png"),
-    )
+    """Draw load against displacement from table.csv and panel.csv, which a large wall has not."""
+    for file, name, picture, title in (
+        ("table.csv", "wall", "shear.png", "a wall, pushed"),
+        ("panel.csv", "model", "panel.png", "a panel, its top moved along"),
+    ):
+        if not record.has(file):
+            continue
+        rows, lines = record.load(file).rows, {}
+        for label in dict.fromkeys(str(row[name]) for row in rows):
+            own = [(float(row["shift_mm"] or 0), float(row["shear_MPa"] or 0)) for row in rows if row[name] == label]
+            lines[label] = tuple(np.array([(0.0, 0.0), *own]).T)
+        first, *others = lines
+        plotting.curves(
+            lines,
+            xlabel="shift of the top (mm)",
+            ylabel="shear stress (MPa)",
+            title=f"{title}, under a pressure of {PRESSURE:g} MPa",
+            styles={first: "o-"} | dict(zip(others, ("s-", "^--", "v--", "d--"), strict=False)),
+            save=record.path(picture),
+        )

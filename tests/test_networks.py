@@ -310,4 +310,4 @@ def test_a_base_without_a_layer_holds_nothing():
 def test_study(tmp_path):
     """The wall carries what a bed does that slides along all of its length, and is softer with open heads."""
     assert main(["run", "wall", "--quick", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "open_heads.png").stat().st_size > 10_000
+    assert (tmp_path / "joints.png").stat().st_size > 10_000
