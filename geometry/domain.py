@@ -114,7 +114,8 @@ class Domain:
     def is_outer(self, name: str) -> bool:
         """Whether all facets of a name lie on the outer boundary."""
         joint = self.joint
-        facets = joint.facets.get(name.split("/")[0], np.empty((0, joint.dim), np.int64))
+        known = [one for one in (name, name.split("/")[0]) if one in joint.facets]
+        facets = joint.facets[known[0]] if known else np.empty((0, joint.dim), np.int64)
         return bool((joint.table.cells[joint.table.index(facets), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> npt.NDArray[np.int32]:

@@ -103,14 +103,15 @@ def inflate(
     askew = np.unique(between.region[(between.director == 0).all(axis=(1, 2))])
     first = len(joint.regions) + sum(map(len, names.values()))
 
-    cells, used = _without_gaps(np.concatenate([copies.cells, bands.cells, between.cells]), len(footprint))
-    footprint, motion = footprint[used], motion[used]
-    points = joint.points[footprint] + motion
-    in_layers = cells[len(joint.cells) :]
-    _check_cells(joint, points, cells, len(bands.cells))
+    in_layers = np.concatenate([bands.cells, between.cells])
     facets, faces = moved_facets(
         joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint, gaps
     )
+    cells, used = _without_gaps(np.concatenate([copies.cells, in_layers]), len(footprint))
+    facets = {name: (np.cumsum(used) - 1)[nodes] for name, nodes in facets.items()}
+    footprint, motion = footprint[used], motion[used]
+    points = joint.points[footprint] + motion
+    _check_cells(joint, points, cells, len(bands.cells))
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
         points,

@@ -14,7 +14,7 @@ from geometry.errors import unknown
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
 from thinlayer.discretisation.load_curves import Moment
-from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, vector
+from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, refuse_seam, vector
 from thinlayer.errors import ModelError, warn
 
 BodyForce = Load | Mapping[str, Load]
@@ -73,8 +73,8 @@ class Forces:
                 f"traction on {name!r}: tractions act on facet sets, given by their name; known: "
                 + ", ".join(sorted(self.domain.joint.facets.keys() - {S}))
             )
-        if name.split("/")[0] == S:
-            raise ModelError("a traction on S is what the model computes; load another facet set")
+        what = S if name.split("/")[0] == S else repr(name)
+        refuse_seam(self.domain.joint, name, f"a traction on {what} is what the model computes; load another facet set")
         values = self.domain.values(name)
         refuse_periodic(self.domain.joint, name, "traction")
         if not self.domain.is_outer(name):

@@ -170,6 +170,12 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
         )
 
 
+def refuse_seam(joint: Joint, name: str, message: str) -> None:
+    """Raise ModelError if a name is S or that of a seam: what acts there is the layer."""
+    if name in joint.seams or name.split("/")[0] == S:
+        raise ModelError(message)
+
+
 class Supports:
     """Prescribed displacements, for any space on the domain.
 
@@ -201,8 +207,10 @@ class Supports:
         for place, support in given.items():
             if isinstance(place, str):
                 refuse_periodic(domain.joint, place, "support")
-                if place.split("/")[0] == S:
-                    raise ModelError("a support on S would replace the layer; support another facet set")
+                what = S if place.split("/")[0] == S else repr(place)
+                refuse_seam(
+                    domain.joint, place, f"a support on {what} would replace the layer; support another facet set"
+                )
                 if not domain.values(place) and not place.endswith(f"/{LAYER}"):
                     raise ModelError(f"support on {place!r}: this facet set is empty")
             else:

@@ -11,8 +11,8 @@ from dolfinx import fem
 
 from forms.base import is_number
 from forms.kinematics import Expr
-from geometry.seam import S
 from thinlayer.discretisation.addition import Addition, Host
+from thinlayer.discretisation.loads import refuse_seam
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
 
@@ -51,10 +51,14 @@ class Springs(Addition):
         """Raise ModelError or GeometryError unless the facet set exists and lies on the outer boundary."""
         if not isinstance(self.place, str):
             raise ModelError(f"springs on {self.place!r}: a place is the name of a facet set")
+        inside = (
+            f"springs on {self.place!r}: its facets lie inside, or below a layer; springs act on the outer boundary"
+        )
+        refuse_seam(model.joint, self.place, inside)
         if not model.domain.values(self.place):
             raise ModelError(f"springs on {self.place!r}: this facet set is empty")
-        if self.place.split("/")[0] == S or not model.domain.is_outer(self.place):
-            raise ModelError(f"springs on {self.place!r}: its facets lie inside; springs act on the outer boundary")
+        if not model.domain.is_outer(self.place):
+            raise ModelError(inside)
 
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
         """Virtual work of the springs, a UFL form."""

@@ -126,9 +126,9 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
         """The state at rest, before the first step."""
-        return State(
-            fem.Function(self.model.V), t, self.memory_at_rest, model=self.model, report=Report("rest", 0, 0.0, 0.0)
-        )
+        model, report = self.model, Report("rest", 0, 0.0, 0.0)
+        lost = dict.fromkeys(model.by_seam({}), 0.0)
+        return State(fem.Function(model.V), t, self.memory_at_rest, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
