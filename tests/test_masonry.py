@@ -187,6 +187,18 @@ def test_status_along_a_seam(tmp_path):
         LayerReport(solve(structure.bonded(), 1.0))
 
 
+def test_status_in_space():
+    joint = sandwich(2.0, 1.0, 1.0, 1.0, depth=1.5, cell="hexahedron")
+    supports = {
+        "BOTTOM": 0.0,
+        "TOP": {"x": lambda x, t: 0.3 * t, "y": lambda x, t: -0.1 * t, "z": lambda x, t: 0.3 * t},
+    }
+    structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
+    report = LayerReport(march(structure.interface(ThinLayer(SLIPS, 0.1)), [1.0]).last)
+    assert report.shares == {"sliding": pytest.approx(1.0)}
+    assert report.sizes.sum() == pytest.approx(3.0)
+
+
 def test_no_status_of_contact():
     structure = Structure(
         three_bricks(2, "quadrilateral"), body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, element="Q1",
