@@ -37,7 +37,7 @@ def panel(element: str, h: float = 0.125, **data) -> Structure:
     return Structure(joint, body=LinearElastic.young(1.0, 0.2), supports=supports, element=element, **data)
 
 
-def inner(surface: Surface):
+def inner(surface: Surface, distance: float = DISTANCE):
     """1 on S further than a distance from junctions and free ends, else 0."""
     joint, x = surface.model.joint, ufl.SpatialCoordinate(surface.model.domain.mesh)
     on_s = np.unique(joint.surface)
@@ -46,7 +46,7 @@ def inner(surface: Surface):
     far = 1.0
     for place in joint.points[special]:
         away = x - ufl.as_vector(place.tolist())
-        far *= ufl.conditional(ufl.gt(ufl.dot(away, away), DISTANCE**2), 1.0, 0.0)
+        far *= ufl.conditional(ufl.gt(ufl.dot(away, away), distance**2), 1.0, 0.0)
     return far
 
 

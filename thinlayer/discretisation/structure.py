@@ -45,7 +45,7 @@ class Structure(Setup):
             bodies: "kept" or "extended", see `geometry.inflate`.
             cells_through: number of cells through the layer's thickness; even, where layers meet.
             junctions: name of the seam whose law holds in the cells where it meets others; elsewhere, and by default
-                everywhere, it is the first seam of `layer` that ends there. These cells need the law of a layer: with
+                everywhere, it is the first of the joint's seams that end there. These cells need the law of a layer: with
                 moduli that do not fall with the thickness they would tie the corners of the bodies together, and the
                 model would not converge to the interface model.
 

@@ -187,17 +187,19 @@ class ContactReport:
         )
 
     def __repr__(self) -> str:
-        return (
-            f"ContactReport({self.title}{', '.join(f'{count} {name}' for name, count in self.counts.items() if count)})"
-        )
+        return f"ContactReport({self._start}{', '.join(f'{count} {name}' for name, count in self.counts.items() if count)})"
 
     @property
-    def title(self) -> str:
-        """The seam's name and a colon if the joint has several seams, else ""."""
-        return f"{self.seam}: " if len(self.joint.seams) > 1 else ""
+    def label(self) -> str:
+        """The seam's name if the joint has several seams, else ""."""
+        return self.seam if len(self.joint.seams) > 1 else ""
+
+    @property
+    def _start(self) -> str:
+        return f"{self.label}: " if self.label else ""
 
     def __str__(self) -> str:
-        lines = [self.title + ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)]
+        lines = [self._start + ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)]
         lines += [f"  {z.status:<10}{z.size:.6g} ({z.nodes} node{'s' * (z.nodes > 1)})" for z in self.zones]
         lines.append(f"normal force {self.normal_force:.6g}, equilibrium {self.equilibrium:.1e}")
         return "\n".join(lines)

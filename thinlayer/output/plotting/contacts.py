@@ -36,7 +36,7 @@ def contact(
     """Contact along S: in 2D a status strip, tractions and displacements; in 3D maps of status and tractions.
 
     Args:
-        reports: label -> report, or one report; all in 2D or all in 3D.
+        reports: label -> report, or one report (of several seams, with the name of its seam); all in 2D or all in 3D.
         save: PNG file.
         title: text over the picture.
         length, stress: units, for the labels.
@@ -44,7 +44,7 @@ def contact(
     Raises:
         ModelError: no report, reports of both dimensions, a curved S in 3D.
     """
-    cases = {"": reports} if isinstance(reports, ContactReport) else reports
+    cases = {reports.label: reports} if isinstance(reports, ContactReport) else reports
     if not isinstance(cases, Mapping) or not all(isinstance(report, ContactReport) for report in cases.values()):
         raise ModelError("contact pictures take a ContactReport, or {label: ContactReport}")
     dimensions = {report.x.shape[1] for report in cases.values()}
