@@ -37,8 +37,8 @@ def moved_facets(
         if not on_base[here].any():
             out[f"{prefix}{LOWER_FACE}"] = below[here]
     faces = tuple(name for name in out if name.split("/")[0] not in gaps)
-    if on_base.any():
-        out[BASE] = below[on_base]
+    if (on_base & filled).any():
+        out[BASE] = below[on_base & filled]
     sides, of_band = _side_faces(layers, n_bands, joint.cell_type, np.concatenate([above[filled], below[filled]]))
     stands = footprint[sides]
     ridges, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)

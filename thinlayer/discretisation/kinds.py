@@ -44,7 +44,7 @@ class FullModel(Model):
 
     @property
     def _clamped(self) -> tuple[str, ...]:
-        return (BASE,) if self.joint.base_seams else ()
+        return (BASE,) if BASE in self.domain.joint.facets else ()
 
     def _checked(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
