@@ -375,6 +375,21 @@ def test_loads_add_up():
         assert force == pytest.approx(whole, rel=1e-12)
 
 
+def test_a_gap_over_a_rigid_base():
+    """Nothing stands on the base there; the layers above go on as without it."""
+    free = wall(2, 2, BRICK, 0.25)
+    held = replace(free, seams=free.seams | {"BOTTOM": Seam()})
+    found = []
+    for joint, more in ((free, {}), (held, {"BOTTOM": Gap(0.03)})):
+        structure = Structure(
+            joint, body=LinearElastic.young(1.0, 0.2), supports={"TOP": 0.0}, body_force=(0.1, -0.3), element="Q2"
+        )
+        model = structure.full(mortar(0.01, **more))
+        assert "BASE" not in model.domain.joint.facets
+        found.append(list(solve(model).energies().values()))
+    assert found[1] == pytest.approx(found[0], rel=1e-10)
+
+
 def test_gaps_carry_no_loads(recwarn):
     """Kept bodies keep their loaded faces; what extended ones give up to gaps is told."""
     joint = wall(3, 4, BRICK, 0.25)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import basix
@@ -64,6 +64,10 @@ class Copies:
         body_cells[where] = number(keys)
         nodes, component = np.divmod(new, on_base + 1)
         return cls(body_cells, number(sides[0]), number(sides[1]), nodes, component == on_base)
+
+    def renumbered(self, number: IntArray) -> Copies:
+        """The copies with other numbers; -1 for those that are left out, which are on a rigid base."""
+        return replace(self, cells=number[self.cells], below=number[self.below], above=number[self.above])
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from geometry.inflating.motion import NOT_KEPT, UNIFORM, extended_motion, face_m
 from geometry.inflating.room import is_swept, require_apart, require_room
 from geometry.joint import Band, Joint, Profile
 from geometry.seam import JUNCTIONS, LAYER
-from geometry.topology import BoolArray, FloatArray, IntArray, node_jacobians
+from geometry.topology import FloatArray, IntArray, node_jacobians
 
 
 def inflate(
@@ -103,15 +103,15 @@ def inflate(
     askew = np.unique(between.region[(between.director == 0).all(axis=(1, 2))])
     first = len(joint.regions) + sum(map(len, names.values()))
 
-    in_layers = np.concatenate([bands.cells, between.cells])
+    number = _numbers(len(footprint), copies.cells, bands.cells, between.cells)
+    footprint, motion = footprint[number >= 0], motion[number >= 0]
+    points, copies = joint.points[footprint] + motion, copies.renumbered(number)
+    in_layers = number[np.concatenate([bands.cells, between.cells])]
+    cells = np.concatenate([copies.cells, in_layers])
+    _check_cells(joint, points, cells, len(bands.cells))
     facets, faces = moved_facets(
         joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint, gaps
     )
-    cells, used = _without_gaps(np.concatenate([copies.cells, in_layers]), len(footprint))
-    facets = {name: (np.cumsum(used) - 1)[nodes] for name, nodes in facets.items()}
-    footprint, motion = footprint[used], motion[used]
-    points = joint.points[footprint] + motion
-    _check_cells(joint, points, cells, len(bands.cells))
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
         points,
@@ -205,11 +205,12 @@ def _unit(directors: FloatArray) -> FloatArray:
     return np.where((directors == 0).all(axis=-1, keepdims=True), fixed, directors)
 
 
-def _without_gaps(cells: IntArray, n: int) -> tuple[IntArray, BoolArray]:
-    """Cells whose nodes are numbered without those that no cell has, and (n,) which nodes these have been."""
+def _numbers(n: int, *cells: IntArray) -> IntArray:
+    """(n,) numbers of the nodes of cells in the same order without gaps; -1 for nodes that no cell has."""
     used = np.zeros(n, bool)
-    used[cells] = True
-    return (np.cumsum(used) - 1)[cells], used
+    for some in cells:
+        used[some] = True
+    return np.where(used, np.cumsum(used) - 1, -1)
 
 
 def _bands(

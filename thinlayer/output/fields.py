@@ -190,7 +190,7 @@ def _orient(points: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> No
 def _base(joint: Joint) -> tuple[npt.NDArray[np.float64], int]:
     """Facets of the rigid base, (n, k, 3) in VTK's order of nodes, and their VTK type."""
     kind = FACET_TYPES[joint.cell_type]
-    names = (BASE,) if joint.band and joint.base_seams else joint.base_seams
+    names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
     if not names:
         return np.empty((0, joint.dim, 3)), VTK_LAGRANGE[kind]
     rows = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in names])))
