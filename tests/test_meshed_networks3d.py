@@ -9,7 +9,8 @@ import pytest
 import ufl
 
 from forms import LinearElastic
-from geometry import GeometryError, Seam, inflate, inflation, wall
+from geometry import GeometryError, Seam, inflate, wall
+from geometry.inflating import inflation
 from tests.meshed_cases3d import BLOCKS, cube, half_star, jump_errors, parted, thickness
 from tests.meshes import grid, renumbered, volumes
 from tests.ranks import mpirun
