@@ -44,12 +44,15 @@ class Term:
 
     @property
     def proportional(self) -> bool:
-        """Whether the law is linear and has no stress without strain (no eigenstrain): its form is bilinear."""
-        if not self.law.traits.linear:
+        """Whether the law is linear in the strain alone, without stress at zero strain: its form is bilinear."""
+        traits = self.law.traits
+        if not traits.linear or traits.remembers or traits.rate:
             return False
-        with explained(self.law, "stress"):
-            unstrained = shaped(self.law, "stress", self.law.stress(Step(ufl.zero(3, 3), self.n)), (3, 3))
-        return isinstance(unstrained, Zero)
+        return all(isinstance(self._unstrained(law), Zero) for _, law in self.law.sublayers)
+
+    def _unstrained(self, law: BulkLaw) -> Expr:
+        with explained(law, "stress"):
+            return shaped(law, "stress", law.stress(Step(ufl.zero(3, 3), self.n)), (3, 3))
 
 
 @dataclass(frozen=True)

@@ -126,16 +126,21 @@ class Model(ABC):
         strain, stress = self.structure.strain, self.structure.stress
         if strain is not None and stress is not None:
             raise ModelError("give a mean strain or a mean stress, not both")
-        ordered = [name for name, one in self.layers.items() if one.thin and one.thin.order]
-        if ordered and not (strain is None and stress is None):
-            raise ModelError(
-                f"the layer {ordered[0]!r} is of order 1, whose strains along S have a part of the mean strain; under a "
-                "mean strain layers are of order 0"
-            )
+        if not (strain is None and stress is None):
+            self.require_order_zero()
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
         )
+
+    def require_order_zero(self) -> None:
+        """Raise ModelError if a layer is of order 1, which a mean strain does not reach."""
+        ordered = [name for name, one in self.layers.items() if one.thin and one.thin.order]
+        if ordered:
+            raise ModelError(
+                f"the layer {ordered[0]!r} is of order 1, whose strains along S have a part of the mean strain; under a "
+                "mean strain layers are of order 0"
+            )
 
     @abstractmethod
     def _checked(self) -> Joint:

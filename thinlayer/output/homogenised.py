@@ -32,7 +32,8 @@ def homogenised_stiffness(model: Model) -> Array:
         sides are free, rows and columns of directions without a period vanish.
 
     Raises:
-        ModelError: the joint is not periodic; a law is not linear or has an eigenstrain; supports that move.
+        ModelError: the joint is not periodic; a law is not linear or has an eigenstrain; a layer is of order 1; supports
+            that move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
     """
     with on_all(model.comm):
@@ -58,6 +59,7 @@ def _check(model: Model) -> None:
         raise ModelError(
             f"homogenised_stiffness needs a model of a periodic joint, not {model!r}; see geometry.periodic"
         )
+    model.require_order_zero()
     for law in (p.law for p in model.terms if not p.proportional):
         raise ModelError(
             f"{law!r} is not linear, or has stresses without strains: there is no stiffness but at a state; march under "

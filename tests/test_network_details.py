@@ -1,0 +1,158 @@
+"""Networks seen closely: contact reports where bodies branch, rate laws, loads on seams, gaps on a base, cells."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from geometry import Seam, bond_cell, periodic, sandwich, wall
+from tests.meshes import renumbered
+from tests.network_cases import BED, HEAD, pushed, springs, three_bricks
+from thinlayer import (
+    ContactReport,
+    Gap,
+    ModelError,
+    Springs,
+    Structure,
+    ThinLayer,
+    homogenised_stiffness,
+    march,
+    plotting,
+    solve,
+)
+
+ROCK = LinearElastic.young(20.0, 0.2)
+
+
+def on_a_base():
+    """Two glued plates; the lower one stands on a seam of its own."""
+    joint = sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral")
+    facets = {"GLUE" if name == "S" else name: rows for name, rows in joint.facets.items()}
+    return replace(joint, facets=facets, seams={"GLUE": joint.seams["S"], "BOTTOM": Seam()})
+
+
+# ---------------------------------------------------------------- contact reports
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_zones_of_contact_go_on_where_bodies_branch(cell):
+    """A bed that sticks everywhere is one zone, also under the head that ends on it, and its two pieces are curves."""
+    state = pushed(three_bricks(4, cell), 0.6, {"BED": BED, "HEAD": HEAD})
+    bed = ContactReport(state, "BED")
+    assert bed.counts["stick"] == 18
+    assert [(zone.status, zone.nodes) for zone in bed.zones] == [("stick", 18)]
+    assert bed.zones[0].size == pytest.approx(2.0, rel=1e-12)
+    assert [len(piece) for piece in bed.pieces] == [9, 9]
+    assert bed.along[-1] == pytest.approx(2.0, rel=1e-12)
+    assert np.diff(bed.x[:, 0]).min() > -1e-12
+    assert len(bed.facets) == 16
+    other = ContactReport(pushed(renumbered(three_bricks(4, cell)), 0.6, {"BED": BED, "HEAD": HEAD}), "BED")
+    assert [zone.nodes for zone in other.zones] == [18]
+    assert other.p == pytest.approx(bed.p, rel=1e-9)
+
+
+def test_zones_of_contact_part_at_a_junction_where_the_status_differs():
+    state = pushed(three_bricks(4, "quadrilateral", cross=True), 0.6, {"BED": BED, "HEAD": HEAD})
+    head = ContactReport(state, "HEAD")
+    assert {zone.status: zone.nodes for zone in head.zones} == {"pinned": 1, "sliding": 9}
+    assert len(head.zones) == 2
+
+
+def test_maps_of_contact_are_of_one_plane():
+    """A plan of two beds one above the other would show the upper one only."""
+    laws = {"BED": BED, "HEAD": HEAD}
+
+    def report(courses):
+        joint = wall(1, courses, (2.0, 1.0), 1.0, depth=2.0, cell="hexahedron")
+        structure = Structure(
+            joint, body=ROCK, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0, 0.02)}, element="Q1"
+        )
+        return ContactReport(solve(structure.interface(laws)), "BED")
+
+    plotting.contact(report(2))
+    with pytest.raises(ModelError, match="are for one plane, and 'BED' lies in several"):
+        plotting.contact(report(3))
+
+
+# ---------------------------------------------------------------- laws
+def test_laws_that_start_at_rest_on_several_seams():
+    """Viscous springs do not answer at once: a march begins with the state at rest, which has dissipated nothing."""
+    joint = wall(2, 2, (1.0, 0.5), 0.25)
+    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 1e-3 * t, "y": lambda x, t: -5e-4 * t}}
+    bricks = Structure(joint, body=ROCK, supports=supports)
+    layers = {
+        "BED": ThinLayer(Norton(2.0, 1.0, 3.0, 1.5), 0.01),
+        "HEAD": ThinLayer(KelvinVoigt(2.0, 1.0, 0.7, 0.5), 0.01),
+    }
+    history = march(bricks.interface(layers), [0.5, 1.0])
+    assert history.states[0].dissipated == {"BED": 0.0, "HEAD": 0.0}
+    bed, head, both = (history.table[name] for name in ("dissipated BED", "dissipated HEAD", "dissipated"))
+    assert bed + head == pytest.approx(both, rel=1e-12)
+    assert max(abs(state.audit.imbalance) for state in history) < 1e-10
+    assert min(history.last.dissipated.values()) > 0
+
+
+# ---------------------------------------------------------------- loads
+def test_loads_on_a_seam_are_refused():
+    joint, layer = on_a_base(), springs(3.0, 1.3)
+
+    def made(**given):
+        return Structure(joint, body=ROCK, **({"supports": {}} | given)).interface(layer)
+
+    for name in ("BOTTOM", "GLUE"):
+        with pytest.raises(ModelError, match=f"a support on '{name}' would replace the layer"):
+            made(supports={name: {"x": 0.1}})
+    with pytest.raises(ModelError, match="a traction on 'BOTTOM' is what the model computes"):
+        made(tractions={"BOTTOM": (0.3, 0.0)})
+    with pytest.raises(ModelError, match="springs on 'BOTTOM': its facets lie inside, or below a layer"):
+        made(parts=[Springs("BOTTOM", normal=2.0)])
+
+
+def test_loads_inside_a_meshed_network_are_refused():
+    bricks = wall(2, 2, (1.0, 0.5), 0.25)
+    loads = {"BED/LOWER_FACE": (0.1, -1.0)}
+    structure = Structure(bricks, body=ROCK, supports={"BOTTOM": 0.0}, tractions=loads)
+    with pytest.raises(ModelError, match="traction on 'BED/LOWER_FACE': its facets lie inside"):
+        structure.full(springs(3.0, 1.3))
+
+
+# ---------------------------------------------------------------- gaps
+@pytest.mark.parametrize("bodies", ["kept", "extended"])
+def test_a_gap_on_a_rigid_base(bodies):
+    """It is empty: the meshed model has the energies of one that does not know the base."""
+    joint, glue = on_a_base(), springs(5.0, 2.1, 0.001)
+    held = Structure(joint, body=ROCK, supports={"LEFT/LOWER": 0.0}, tractions={"TOP": (0.1, -0.2)})
+    layers = {"GLUE": glue, "BOTTOM": Gap(1e-6)}
+    full, limit = (solve(model).energies() for model in (held.full(layers, bodies=bodies), held.interface(layers)))
+    alone = Structure(
+        sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral"), body=ROCK, supports={"LEFT/LOWER": 0.0},
+        tractions={"TOP": (0.1, -0.2)},
+    )  # fmt: skip
+    assert full["layer"] == pytest.approx(limit["layer"], rel=1e-3)  # the glue has a thickness
+    assert full["bodies"] == pytest.approx(solve(alone.full(glue, bodies=bodies)).energies()["bodies"], rel=1e-5)
+
+
+# ---------------------------------------------------------------- cells
+def test_stiffness_of_a_cell_with_sublayers():
+    """Compliances of sublayers add, K = 1 / sum of a_i / K_i, across and along."""
+    cell = Structure(bond_cell((2.0, 1.0), h=0.5), body=ROCK, supports={}, element="Q1")
+    first, second, head = LinearElastic(0.8, 2.1), LinearElastic(1.0, 0.5), springs(3.0, 1.3)
+    across, along = (1 / (0.3 / a + 0.7 / b) for a, b in ((5.0, 2.0), (2.1, 0.5)))
+    stacked = homogenised_stiffness(
+        cell.interface({"BED": ThinLayer(Stack((0.3, first), (0.7, second)), 0.01), "HEAD": head})
+    )
+    assert stacked == pytest.approx(
+        homogenised_stiffness(cell.interface({"BED": springs(across, along), "HEAD": head}))
+    )
+    stiffer = homogenised_stiffness(cell.interface({"BED": springs(1.5 * across, along), "HEAD": head}))
+    assert np.abs(stacked - stiffer).max() > 0.05 * stacked.max()
+
+
+def test_laws_without_a_stiffness_of_a_cell():
+    cell = Structure(bond_cell((2.0, 1.0), h=0.5), body=ROCK, supports={})
+    for law in (Maxwell(2.0, 1.0, 0.7), KelvinVoigt(2.0, 1.0, 0.7, 0.5)):
+        with pytest.raises(ModelError, match="there is no stiffness but at a state; march under"):
+            homogenised_stiffness(cell.interface({"BED": ThinLayer(law, 0.01), "HEAD": springs(3.0, 1.3)}))
+    assert homogenised_stiffness(cell.interface(ThinLayer(Incompressible(0.7), 0.01))).shape == (3, 3)
+    strip = Structure(periodic(sandwich(4.0, 1.0, 1.0, 0.5), ("LEFT", "RIGHT")), body=ROCK, supports={})
+    with pytest.raises(ModelError, match="the layer 'S' is of order 1, whose strains along S have a part of the mean"):
+        homogenised_stiffness(strip.interface(ThinLayer(LinearElastic(0.8, 2.1), 0.01, order=1)))
