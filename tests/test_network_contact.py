@@ -167,6 +167,25 @@ def test_bodies_are_condensed_one_by_one():
     found.close()
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_an_eased_law(d):
+    """Its tangent by differences; it pulls where the law does not, and with the share 1 it is linear."""
+    rng = np.random.default_rng(3)
+    law = IncrementalCoulomb(K_N=3.0, K_T=1.1, friction=0.4, cohesion=0.2)
+    w, slip = rng.normal(size=(40, d)), 0.3 * rng.normal(size=(40, d - 1))
+    eased, step = law.eased(0.3), 1e-6
+    for k in range(d):
+        shift = step * np.eye(d)[k]
+        rate = (eased.traction(w + shift, slip) - eased.traction(w - shift, slip)) / (2 * step)
+        np.testing.assert_allclose(eased.tangent(w, slip)[:, :, k], rate, atol=1e-8)
+    assert (eased.traction(w, slip)[w[:, -1] > 0, -1] > 0).all()
+    linear = law.eased(1.0)
+    relative = w - np.column_stack([slip, np.zeros(40)])
+    np.testing.assert_allclose(
+        linear.traction(w, slip), np.einsum("nij,nj->ni", law.bonded(40, d), relative), rtol=1e-12
+    )
+
+
 # ---------------------------------------------------------------- bricks that nothing holds
 def lifted(method, up, head):
     """Three bricks, the left one under a pull along y."""
