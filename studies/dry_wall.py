@@ -18,6 +18,7 @@ CLAY = LinearElastic.young(E=12e3, nu=0.2)  # MPa
 FRICTION = 0.5
 STIFFNESS = (60.0, 6e3)  # K_N of the joints, MPa/mm; K_T is 0.4 times as much
 PRESSURE = 0.5  # MPa, on the top
+WEIGHT = 2e-5  # N/mm^3; without it bricks that slide on both faces would have no place of their own
 WALLS = {(3, 4): (0.1, 0.3, 0.4, 0.45), (14, 15): (0.1, 0.2, 0.3)}  # bricks and courses -> push over pressure
 SOLVERS = ("condensed", "newton")
 AGREE = 1e-7  # largest difference of pressures at nodes, over the largest pressure, of two solvers
@@ -33,6 +34,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: the small wall, with bricks as coarse.
     """
     record.parameters = {"brick_mm": BRICK, "clay": str(CLAY), "friction": FRICTION, "pressure_MPa": PRESSURE}
+    record.parameters["weight_N_per_mm3"] = WEIGHT
     walls = dict([*WALLS.items()][:1]) if quick else WALLS
     cases = [(size, K, push) for size, pushes in walls.items() for K in STIFFNESS for push in pushes]
     table = record.table("table.csv")
@@ -88,6 +90,7 @@ def _structure(size: tuple[int, int], push: float) -> Structure:
         body=CLAY,
         supports={"BOTTOM": 0.0},
         tractions={"TOP": (push * PRESSURE, -PRESSURE)},
+        body_force=(0.0, -WEIGHT),
         element="Q1",
     )
 

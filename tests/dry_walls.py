@@ -28,17 +28,22 @@ def dry_wall(
     bricks: int = 3,
     courses: int = 4,
     stiffer: float = 1.0,
+    weight: float = 0.0,
     kind: type[ContactLaw] = HolonomicCoulomb,
     cell: str = "quadrilateral",
     **sizes,
 ) -> InterfaceModel:
-    """A wall under a pressure of 1, and the shear stress push(x, t) on its top; 14 bricks if not told."""
+    """A wall under a pressure of 1, and the shear stress push(x, t) on its top; 14 bricks if not told.
+
+    `weight` is that of a square of bricks.
+    """
     joint = wall(bricks, courses, (1.0, 0.5), sizes.pop("h", 0.125), cell=cell, **sizes)
     structure = Structure(
         joint,
         body=LinearElastic.young(50.0, 0.2),
         supports={"BOTTOM": 0.0},
         tractions={"TOP": lambda x, t: (push(x, t), -1.0, *([0.0] * (joint.dim - 2)))},
+        body_force=(0.0, -weight, 0.0)[: joint.dim],
         element="P1" if cell in ("triangle", "tetrahedron") else "Q1",
     )
     laws = {name: kind(K_N=stiffer * K_N, K_T=stiffer * K_T, friction=f) for name, (K_N, K_T, f) in DRY.items()}

@@ -1,19 +1,20 @@
 """Dry walls: all solvers find the same equilibrium, bricks are balanced, loose ones are named, friction remembers."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 import ufl
 
-from forms import LinearElastic
-from geometry import bond_cell
+from forms import IncrementalCoulomb, LinearElastic
+from geometry import Seam, bond_cell
 from studies import dry_wall as dry_wall_study
 from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
 from tests.network_cases import BED, HEAD, springs, three_bricks
 from tests.ranks import mpirun
-from thinlayer import ContactReport, ModelError, Structure, solve
+from thinlayer import ContactReport, ModelError, Structure, march, solve
 from thinlayer.errors import LooseBody
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.pieces import Condensation
@@ -95,6 +96,22 @@ def test_a_support_that_moves():
     require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))
 
 
+def test_a_wall_that_stands_on_a_rigid_floor():
+    """Nothing but contact holds the wall: its weight and the push pass into the floor."""
+    joint = dry_wall(h=0.25).joint
+    facets = {"FLOOR" if name == "BOTTOM" else name: rows for name, rows in joint.facets.items()}
+    joint = replace(joint, facets=facets, seams=joint.seams | {"FLOOR": Seam()})
+    loads = {"TOP": (0.2, -1.0)}
+    body = LinearElastic.young(50.0, 0.2)
+    model = Structure(joint, body=body, supports={}, tractions=loads, element="Q1").interface(
+        {"BED": BED, "HEAD": HEAD, "FLOOR": HEAD}
+    )
+    one, other = (solve(model, method=method) for method in ("condensed", "newton"))
+    require_equal(one, other)
+    assert imbalance(one) < 1e-12
+    assert ContactReport(one, "FLOOR").force == pytest.approx([-0.6, 3.0], rel=1e-12)
+
+
 # ---------------------------------------------------------------- pieces of the solver
 @pytest.fixture
 def finder():
@@ -150,6 +167,25 @@ def test_bodies_are_condensed_one_by_one():
     found.close()
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_an_eased_law(d):
+    """Its tangent by differences; it pulls where the law does not, and with the share 1 it is linear."""
+    rng = np.random.default_rng(3)
+    law = IncrementalCoulomb(K_N=3.0, K_T=1.1, friction=0.4, cohesion=0.2)
+    w, slip = rng.normal(size=(40, d)), 0.3 * rng.normal(size=(40, d - 1))
+    eased, step = law.eased(0.3), 1e-6
+    for k in range(d):
+        shift = step * np.eye(d)[k]
+        rate = (eased.traction(w + shift, slip) - eased.traction(w - shift, slip)) / (2 * step)
+        np.testing.assert_allclose(eased.tangent(w, slip)[:, :, k], rate, atol=1e-8)
+    assert (eased.traction(w, slip)[w[:, -1] > 0, -1] > 0).all()
+    linear = law.eased(1.0)
+    relative = w - np.column_stack([slip, np.zeros(40)])
+    np.testing.assert_allclose(
+        linear.traction(w, slip), np.einsum("nij,nj->ni", law.bonded(40, d), relative), rtol=1e-12
+    )
+
+
 # ---------------------------------------------------------------- bricks that nothing holds
 def lifted(method, up, head):
     """Three bricks, the left one under a pull along y."""
@@ -198,6 +234,21 @@ def test_forth_and_back():
     assert all(state.audit.dissipated > 0 for state in one[2:])
     there, back = one[2].u.x.array, one[-1].u.x.array  # under the same pressure without a push at rest
     assert np.abs(back - one[0].u.x.array).max() > 0.02 * np.abs(there).max()
+
+
+def test_up_to_sliding_beds():
+    """To 99 % of what friction carries, 0.5 (1 + weight of a course).
+
+    Bricks have a weight: they slide on their lower face later than on the upper one, and so all have their place.
+    """
+    model = dry_wall(kind=IncrementalCoulomb, weight=0.1)
+    one, other = (list(march(model, [0.2, 0.4, 0.48, 0.52], method=method)) for method in ("condensed", "newton"))
+    for state, again in zip(one, other, strict=True):
+        require_equal(state, again)
+        assert max(imbalance(state), imbalance(again)) < 1e-12
+        assert state.report.iterations <= 10
+    assert len(one) == 5  # no step was shortened
+    assert ContactReport(one[-1], "BED").counts["sliding"] > 40
 
 
 def test_same_march_on_two_ranks():

@@ -42,8 +42,10 @@ class NetworkFinder:
     """Steps of a contact model with linear bodies, any number of which meet: a `Finder`. On one rank.
 
     The bodies are condensed to the displacements of all nodes in contact, body by body, once. Newton's method then solves
-    the small sparse system; two Gauss-Seidel sweeps, node by node with all pairs of a node, precede each of its steps, and
-    the length of a step is at most 1 and such that the forces do no more work along it.
+    the small sparse system. Gauss-Seidel sweeps, node by node with all pairs of a node, precede each of its steps, more of
+    them as steps go on. The length of a step is at most 1, and such that the forces do no more work along it.
+
+    PETSc options under our prefix: those of the linear solves; with "inner_" before their names, of the bodies' factor.
 
     Args:
         equations: the equations of the model.
