@@ -107,7 +107,8 @@ class NetworkFinder:
         else:
             start.copy(x)
         if start is None and self._like is not None:
-            displacements_of(self._like, equations.model).x.petsc_vec.copy(x)
+            similar = displacements_of(self._like, equations.model)  # owns the vector
+            similar.x.petsc_vec.copy(x)
         self._like = None
         known = bool(x.array_r[self._dofs].any())
         x.array[equations.held] = equations.prescribed

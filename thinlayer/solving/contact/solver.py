@@ -113,7 +113,8 @@ class ContactFinder:
         self._has_solved = self.reused = False
 
     def _jumps(self, state: State) -> Array:
-        return self.problem.nodes.jump(displacements_of(state, self.problem.equations.model).x.petsc_vec)
+        u = displacements_of(state, self.problem.equations.model)  # owns the vector
+        return self.problem.nodes.jump(u.x.petsc_vec)
 
     def find(self, start: PETSc.Vec | None = None) -> Found:
         """Displacements at the end of the step; only the jumps of `start` are used."""
