@@ -132,7 +132,7 @@ class Joint:
 
     def _check_regions(self) -> None:
         for name in [*self.regions, *self.facets] if self.band is None else []:
-            if name in RESERVED or "/" in name:
+            if not isinstance(name, str) or name in RESERVED or "/" in name:
                 raise GeometryError(f"{name!r} cannot be a name; not allowed: {', '.join(RESERVED)} and names with '/'")
         for number, name in enumerate(self.regions):
             if not (self.region == number).any():

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forms.base import is_finite
 from geometry.errors import GeometryError, place, unknown
 from geometry.topology import FloatArray, IntArray
 
@@ -53,6 +54,9 @@ class Seam:
 
     def check(self, name: str, regions: Sequence[str], dim: int) -> None:
         """Raise GeometryError unless the seam of this name can tell its upper side in a mesh of these regions."""
+        for side in (self.lower, self.upper):
+            if not isinstance(side, tuple):
+                raise GeometryError(f"{name!r}: a side is {side!r}; it must be a tuple of names of regions")
         for region in self.lower + self.upper:
             if region not in regions:
                 raise GeometryError(unknown("region", region, regions))
@@ -64,8 +68,8 @@ class Seam:
         if self.direction is not None:
             if set(self.upper) != set(self.lower):
                 raise GeometryError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
-            length = np.linalg.norm(self.direction)
-            if np.shape(self.direction) != (dim,) or not np.isfinite(length) or length == 0:
+            numbers = np.shape(self.direction) == (dim,) and all(map(is_finite, self.direction))
+            if not numbers or not np.any(self.direction):
                 raise GeometryError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
     def along_direction(

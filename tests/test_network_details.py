@@ -156,3 +156,13 @@ def test_laws_without_a_stiffness_of_a_cell():
     strip = Structure(periodic(sandwich(4.0, 1.0, 1.0, 0.5), ("LEFT", "RIGHT")), body=ROCK, supports={})
     with pytest.raises(ModelError, match="the layer 'S' is of order 1, whose strains along S have a part of the mean"):
         homogenised_stiffness(strip.interface(ThinLayer(LinearElastic(0.8, 2.1), 0.01, order=1)))
+
+
+def test_places_of_contact_in_a_cell():
+    """Of the places that periodic sides identify with each other a report names the first, whatever rank has its node."""
+    joint = bond_cell((2.0, 1.0), h=0.25)
+    cell = Structure(joint, body=ROCK, supports={}, strain=((-1e-3, 2e-4), (2e-4, -3e-3)), element="Q1")
+    report = ContactReport(solve(cell.interface({"BED": BED, "HEAD": springs(3.0, 1.3)})))
+    assert (joint.masters[report.numbers] == report.numbers).all()
+    assert report.x == pytest.approx(joint.points[report.numbers], abs=1e-12)
+    assert report.weights.sum() == pytest.approx(4.0, rel=1e-12)  # two beds of one brick each

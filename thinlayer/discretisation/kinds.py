@@ -12,6 +12,7 @@ from forms import work as forms
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.tangent import needs_director
+from geometry.errors import unknown
 from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
@@ -58,6 +59,8 @@ class FullModel(Model):
                 )
         for one in self.layers.values():
             self._check(one)
+        if self._junctions is not None and self._junctions not in [*self.joint.seams]:
+            raise ModelError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
         if self._junctions in gaps:
             raise ModelError(f"junctions: the seam {self._junctions!r} is a gap and has no law")
         first = () if self._junctions is None else (self._junctions,)

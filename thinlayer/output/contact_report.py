@@ -60,7 +60,8 @@ class ContactReport:
     Attributes:
         joint: the joint.
         seam: name of the seam.
-        numbers: (n,) vertices of the joint; where bodies branch there is a node for each pair of bodies at a vertex.
+        numbers: (n,) vertices of the joint; where bodies branch there is a node for each pair of bodies at a vertex,
+            in periodic cells one of those that are identified.
         x: (n, d) places.
         status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
         u_T: (n, d - 1) tangential jump in the frame of S (`Surface.frame`).
@@ -104,7 +105,20 @@ class ContactReport:
         pinned = nodes.held.all(axis=1)
         axes = nodes.frames.reshape(len(w), d * d)
         facets, pairs = _numbered(model.joint, seam, nodes)
-        columns = [pairs, nodes.numbers, nodes.x, kind, pinned, w, p, t[:, :-1], threshold, nodes.weights, axes]
+        vertices = model.joint.masters[nodes.numbers]
+        columns = [
+            pairs,
+            vertices,
+            model.joint.points[vertices],
+            kind,
+            pinned,
+            w,
+            p,
+            t[:, :-1],
+            threshold,
+            nodes.weights,
+            axes,
+        ]
         rows: Array = np.concatenate(model.comm.allgather(np.column_stack(columns)))
         of_pairs = rows[:, 0].astype(np.int64)
         order = order_on_s(model.joint, of_pairs, rows[:, 2 : 2 + d], seam, facets)
@@ -147,8 +161,7 @@ class ContactReport:
         a, b = self._edges
         same, n = self.status[a] == self.status[b], len(self.x)
         _, kind = np.unique(self.status, return_inverse=True)
-        vertices = self.joint.masters[self.numbers] * n + kind.ravel()
-        _, shared = np.unique(vertices, return_inverse=True)
+        _, shared = np.unique(self.numbers * n + kind.ravel(), return_inverse=True)
         links = np.concatenate([b[same], n + shared.ravel()])
         found: npt.NDArray[np.int64] = connected(np.concatenate([a[same], np.arange(n)]), links, 2 * n)[:n]
         zones = []
