@@ -51,8 +51,9 @@ class Term:
         return all(isinstance(self._unstrained(law), Zero) for _, law in self.law.sublayers)
 
     def _unstrained(self, law: BulkLaw) -> Expr:
+        n = lift(self.n) if self.n is not None and self.law.traits.compiled else self.n
         with explained(law, "stress"):
-            return shaped(law, "stress", law.stress(Step(ufl.zero(3, 3), self.n)), (3, 3))
+            return shaped(law, "stress", law.stress(Step(ufl.zero(3, 3), n)), (3, 3))
 
 
 @dataclass(frozen=True)

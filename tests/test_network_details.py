@@ -1,11 +1,13 @@
 """Networks seen closely: contact reports where bodies branch, rate laws, loads on seams, gaps on a base, cells."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
+import ufl
 
-from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from geometry import Seam, bond_cell, periodic, sandwich, wall
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, pushed, springs, three_bricks
@@ -16,6 +18,7 @@ from thinlayer import (
     Springs,
     Structure,
     ThinLayer,
+    UflPart,
     homogenised_stiffness,
     march,
     plotting,
@@ -107,6 +110,21 @@ def test_loads_on_a_seam_are_refused():
         made(parts=[Springs("BOTTOM", normal=2.0)])
 
 
+def test_parts_do_not_take_the_names_of_layers():
+    """What sublayers and pressures remember has such keys; a part of the same name would replace it."""
+    bricks = wall(2, 2, (1.0, 0.5), 0.25)
+
+    def made(key, joint=bricks):
+        extra = UflPart(energy=lambda u, model: u[1] ** 2 * model.ds(model.domain.values("TOP")), key=key)
+        structure = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, parts=[extra])
+        return structure.interface(springs(3.0, 1.3))
+
+    for key in ("layer BED", "layer BED/1", "pressure HEAD", "contact BED", "layer 1"):
+        with pytest.raises(ModelError, match=f"two parts are called '{key}'"):
+            made(key)
+    assert made("layer of paint").parts[0].key == "layer of paint"
+
+
 def test_loads_inside_a_meshed_network_are_refused():
     bricks = wall(2, 2, (1.0, 0.5), 0.25)
     loads = {"BED/LOWER_FACE": (0.1, -1.0)}
@@ -145,6 +163,29 @@ def test_stiffness_of_a_cell_with_sublayers():
     )
     stiffer = homogenised_stiffness(cell.interface({"BED": springs(1.5 * across, along), "HEAD": head}))
     assert np.abs(stacked - stiffer).max() > 0.05 * stacked.max()
+
+
+@dataclass(frozen=True)
+class Grout(TractionLaw):
+    """Springs across S and along it."""
+
+    across: float
+    along: float
+    linear: ClassVar = True
+
+    def traction(self, step):
+        opening = ufl.dot(step.w, step.n) * step.n
+        return self.across * opening + self.along * (step.w - opening)
+
+
+def test_stiffness_of_a_cell_with_a_linear_traction_law():
+    cell = Structure(bond_cell((2.0, 1.0), h=0.5), body=ROCK, supports={}, element="Q1")
+    head = springs(3.0, 1.3)
+    given, other = (
+        homogenised_stiffness(cell.interface({"BED": bed, "HEAD": head}))
+        for bed in (Grout(5.0, 2.1), springs(5.0, 2.1))
+    )
+    assert given == pytest.approx(other, abs=1e-12 * other.max())
 
 
 def test_laws_without_a_stiffness_of_a_cell():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, Protocol
@@ -90,11 +91,12 @@ class Addition(ABC):
 
 def check_additions(parts: Sequence[Any], model: Host) -> None:
     """Raise ModelError unless a model's parts are additions that fit it, with keys of their own. Collective."""
-    keys = {*TAKEN, *(f"{kind} {name}" for kind in (LAYER, CONTACT) for name in model.joint.seams)}
+    of_seams = {f"{kind} {name}" for kind in (LAYER, CONTACT, "pressure") for name in model.joint.seams}
+    keys, sublayer = {*TAKEN, *of_seams}, re.compile(rf"{LAYER} \d+")
     for part in parts:
         if not isinstance(part, Addition):
             raise ModelError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")
-        if part.key in keys:
+        if part.key in keys or part.key.split("/")[0] in of_seams or sublayer.fullmatch(part.key):
             raise ModelError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)
         part.check(model)
