@@ -14,7 +14,7 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, LinearElastic
 from forms.contact import ContactLaw, Status
 from geometry import wall
 from thinlayer import History, State, Structure, march, piecewise
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, contact_key
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.output.surface_mass import contact_forces, nodal_forces
 
@@ -71,7 +71,7 @@ def pair_values(state: State, seam: str) -> tuple[np.ndarray, np.ndarray]:
     """Status (n,) and nodal forces (n, d), on the lower side, of the pairs of a seam."""
     model, law = state.model, state.model.contacts[seam]
     nodes = ContactNodes(ContactSurface.of(model, seam))
-    slip = state.memory.get(contact_key(model, seam))
+    slip = state.memory.get(model.layers[seam].key)
     w = nodes.jump(state.u.x.petsc_vec)
     t, bound = law.traction(w, slip), law.threshold(law.pressure(w))
     forces = t * nodes.weights[:, None]

@@ -8,13 +8,13 @@ import pytest
 import scipy.sparse as sp
 import ufl
 
-from forms import IncrementalCoulomb, LinearElastic
+from forms import IncrementalCoulomb, LinearElastic, Stack
 from geometry import Seam, bond_cell
 from studies import dry_wall as dry_wall_study
 from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_values
 from tests.network_cases import BED, HEAD, springs, three_bricks
 from tests.ranks import mpirun
-from thinlayer import ContactReport, ModelError, Structure, march, solve
+from thinlayer import ContactReport, ModelError, Structure, ThinLayer, march, solve
 from thinlayer.errors import LooseBody
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.pieces import Condensation
@@ -84,6 +84,29 @@ def test_contact_on_one_seam_alone(head):
     )
     model = bricks.interface({"BED": BED, "HEAD": head})
     require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))
+
+
+def test_very_stiff_contact():
+    """The residual cannot be smaller than the rounding of the contact forces."""
+    model = dry_wall(stiffer=1e7, h=0.25)
+    one, other = (solve(model, 0.1, method=method) for method in ("condensed", "newton"))
+    assert one.report.residual > 1e-10
+    assert one.energies()["bodies"] == pytest.approx(other.energies()["bodies"], rel=1e-6)
+
+
+def test_contact_beside_a_compiled_law():
+    """Its stiffness is in no form, so that the condensed bodies would lack it."""
+    joint = dry_wall(h=0.25).joint
+    loads = {"TOP": (0.1, -1.0)}
+    bricks = Structure(
+        joint, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0}, tractions=loads, element="Q1"
+    )
+    half = LinearElastic(0.4, 1.3)
+    stacked = bricks.interface({"BED": BED, "HEAD": ThinLayer(Stack((0.5, half), (0.5, half)), 0.01)})
+    plain = bricks.interface({"BED": BED, "HEAD": ThinLayer(half, 0.01)})
+    require_equal(solve(stacked), solve(plain, method="newton"))
+    with pytest.raises(ModelError, match="linear, symmetric parts and layers"):
+        solve(stacked, method="condensed")
 
 
 def test_a_support_that_moves():

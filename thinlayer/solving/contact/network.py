@@ -158,9 +158,9 @@ class _System:
 
     @cached_property
     def _scale(self) -> ForceScale:
-        return ForceScale(
-            SUMMATION * math.sqrt(len(self.pairs.nodes)) * float(self.stiffness.diagonal().max(initial=0.0))
-        )
+        of_both = (self.stiffness, self.pairs.bonded()[0])
+        largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in of_both)
+        return ForceScale(SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest)
 
     def residual(self, u: Array, g: Array) -> Array:
         """Forces of bodies and pairs, less g; zero at held displacements."""

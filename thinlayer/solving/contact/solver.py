@@ -89,10 +89,14 @@ def _is_network(model: Model) -> bool:
 
 
 def _is_linear(model: Model) -> bool:
-    """Whether bodies, seams without contact, and additions have a constant, symmetric stiffness matrix."""
+    """Whether bodies, seams without contact, and additions have a constant, symmetric stiffness matrix, by forms alone."""
     added = all(part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
     traits = [p.law.traits for p in model.terms if p.proportional]
-    return added and len(traits) == len(model.terms) and all(one.symmetric and not one.constrained for one in traits)
+    return (
+        added
+        and len(traits) == len(model.terms)
+        and all(one.symmetric and not (one.constrained or one.compiled) for one in traits)
+    )
 
 
 class ContactFinder:
