@@ -27,6 +27,7 @@ from forms import (
 from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
+from geometry.compat import cell_nodes
 from geometry.seam import Seam
 from tests.ranks import CLONE, mpirun
 from tests.test_readme import OWN, README
@@ -157,7 +158,7 @@ class Blocks:
             for name, tags in at.items()
         }
         return Joint(
-            x, np.asarray(grid.geometry.dofmap, np.int64), self.kind, self.cells.values - LOWER, ("LOWER", "UPPER"), sets,
+            x, cell_nodes(grid).astype(np.int64), self.kind, self.cells.values - LOWER, ("LOWER", "UPPER"), sets,
             seams={"S": Seam(("LOWER",), ("UPPER",))},
         )  # fmt: skip
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from geometry.compat import cell_nodes
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.seam import S
@@ -73,7 +74,7 @@ class Pairs:
 
         # vertices of the cells of `mesh`, in their own order, among those of the joint's facets
         points = np.asarray(self.mesh.geometry.input_global_indices, np.int64)
-        self.vertices = points[np.asarray(self.mesh.geometry.dofmap)[:, : vertices.shape[1]]]
+        self.vertices = points[cell_nodes(self.mesh)[:, : vertices.shape[1]]]
         self._place = (vertices[self.rows][:, None, :] == self.vertices[:, :, None]).argmax(axis=2)
         element = basix.ufl.element("Lagrange", self.mesh.basix_cell(), 1, shape=(d,))
         keys = self._here(number.reshape(vertices.shape))
