@@ -32,13 +32,14 @@ CONTACT: dict[str, OptionValue] = {  # residuals grow on good steps, as springs 
     "snes_linesearch_type": "basic",
     "snes_max_it": 40,
 }
+LONGEST = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"  # one option
 EASED_CONTACT: dict[str, OptionValue] = {  # full steps at most, shortened where the forces do no work along them
     **CONTACT,
     "snes_linesearch_type": "cp",
     "snes_linesearch_max_it": 20,
     "snes_linesearch_rtol": 0.01,
     "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
-    "snes_linesearch_maxstep": 1,
+    LONGEST: 1,
 }
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
 RUN_AWAY = 1e6  # largest displacements, relative to those of the first step, for laws that yield
