@@ -27,9 +27,9 @@ WALLS = ("heads with mortar", "open heads")
 LARGE = (14, 15)  # bricks and courses
 NEAR = 0.9  # of the strength of a bed, where walls are compared and drawn
 PANEL = (2, 3)  # bricks and courses of the panel that is meshed
-SHIFTS = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08)  # mm, of its top
+SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
-ELASTIC_FRACTION = 0.02  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
+ELASTIC_FRACTION = 0.002  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
 
 
 def run(record: Record, *, large: bool = False, quick: bool = False) -> None:
@@ -99,10 +99,11 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     """Move the top of a panel whose mortar is that of `MohrCoulomb`: its force by the interface law, and meshed."""
     supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
     structure = Structure(
-        wall(*PANEL, BRICK, BRICK[1] / 3),
+        wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"),
         body=CLAY,
         supports=supports,
         tractions={"TOP": (0.0, -PRESSURE)},
+        element="Q1",
     )
 
     def mortar(eps: float) -> dict[str, ThinLayer]:
