@@ -254,5 +254,5 @@ def draw(record: Record) -> None:
         plotting.curves(
             lines, xlabel="layer thickness eps", ylabel="relative difference, L2", title=title, logarithmic=True,
             styles=dict(zip(lines, STYLES, strict=False)) | {"slope 1": ":"}, save=record.path(f"{error}.png"),
-            ylim=(least[-1] / 2, 25 * most),
+            ylim=(least[-1] / 2, 120 * most),
         )  # fmt: skip
