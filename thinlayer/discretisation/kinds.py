@@ -135,7 +135,7 @@ class FullModel(Model):
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
-                terms.append(replace(forms.band(law, cells, n), key=one.key))
+                terms.append(replace(forms.band(law, cells, n), key=one.key, given=self.given_on[name]))
         return terms
 
 
@@ -210,7 +210,8 @@ class InterfaceModel(Model):
         eps: Expr = fem.Constant(mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
-        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order)]
+        given = self.given_on[one.name]
+        return [replace(term, key=one.key, given=given) for term in forms.surface(law, sides, eps, layer.order)]
 
 
 class BondedModel(Model):

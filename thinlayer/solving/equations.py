@@ -34,6 +34,7 @@ class Equations(PartSum):
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
+        external: these less the parts' forces that do not depend on the unknowns.
         prescribed: displacements that supports prescribe at the end of the step.
         mean_stiffness: mean size of the diagonal entries of K.
         eased: ease of the parts; 0 is the parts themselves.
@@ -57,7 +58,7 @@ class Equations(PartSum):
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
         self._tangent: PETSc.Mat | None = None
-        self._forces, self.loads = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
+        self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
 
     # ---------------------------------------------------------------- unknowns
@@ -152,6 +153,10 @@ class Equations(PartSum):
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
         self.begin_parts(interval)
+        self.external.set(0.0)
+        for part in self.parts:
+            part.add_fixed(self.external)
+        self.external.aypx(-1.0, self.loads)
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Compute the residual at the displacements before the step, and tell the force scale its norm.
@@ -251,7 +256,7 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self.parts, self.K, self._matrix, self._forces, self.loads):
+        for thing in (*self.parts, self.K, self._matrix, self._forces, self.loads, self.external):
             thing.destroy()
 
     @property
