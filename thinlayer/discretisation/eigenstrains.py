@@ -208,12 +208,14 @@ class Prestress(Eigenstrain):
         C = tangent_at_rest(matter.law, matter.n)
         if C is None or not np.isfinite(C).all():
             raise ModelError(
-                f"the prestress of {matter.name}: the stiffness of {matter.law!r} is not known at rest{hint}"
+                f"the prestress of {matter.name}: the stiffness of {type(matter.law).__name__} is not known at rest{hint}"
             )
         C = C[np.ix_(slots, slots)]
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULAR * sizes[0]:
-            raise ModelError(f"the prestress of {matter.name}: no strain of {matter.law!r} causes some stresses{hint}")
+            raise ModelError(
+                f"the prestress of {matter.name}: no strain of {type(matter.law).__name__} causes some stresses{hint}"
+            )
         return np.asarray(np.linalg.inv(C))
 
 
@@ -225,7 +227,7 @@ def eigenstrains(given: Any) -> list[Eigenstrain]:
     if isinstance(given, Eigenstrain):
         return [given]
     if isinstance(given, (list, tuple)) and not _is_table(given):
-        if not given or any(is_number(one) for one in given):
+        if all(is_number(one) for one in given):
             raise ModelError(
                 f"the eigenstrain is {given!r}; allowed: a number, a symmetric table, a function (x, t), ThermalExpansion, "
                 "Prestress, or a list of these that add up"

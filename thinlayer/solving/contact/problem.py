@@ -92,7 +92,6 @@ class ContactProblem:
         self.loads.array[self.held] = 0.0
         self.K.mult(old.u.x.petsc_vec, self._forces)
         self.largest = max(float(self.b.norm()), float(self._forces.norm()))
-        self._given = float(self.loads.norm())
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Write A u + contact forces - b, zero at held displacements; returns its norm relative to the forces.
@@ -106,7 +105,7 @@ class ContactProblem:
         out.array[self.held] = 0.0
         self.loads.copy(self._forces)
         self._forces.axpy(1.0, out)
-        scale.see(float(self._forces.norm()), self._given)
+        scale.see(float(self._forces.norm()), float(self.loads.norm()))
         self.nodes.add_forces(self.law.traction(self.nodes.jump(u), self.slip), out)
         out.array[self.held] = 0.0
         norm = float(out.norm())
