@@ -87,6 +87,7 @@ class Configuration:
             (nodes, d - 1). If there are several seams keys have their names: "layer BED", "layer BED/1", "contact BED".
         fields: unknowns beside the displacements, by the key of their part.
         stored: energy at the end of the step in the parts that are not forms of laws, by key.
+        at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
     """
 
     u: fem.Function
@@ -94,6 +95,7 @@ class Configuration:
     memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     fields: Mapping[str, fem.Function] = field(default_factory=dict)
     stored: Mapping[str, float] = field(default_factory=dict)
+    at_rest: bool = False
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -129,7 +129,8 @@ class Equations(PartSum):
         """The state at rest, before the first step."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
         lost = dict.fromkeys(model.by_seam({}), 0.0)
-        return State(fem.Function(model.V), t, self.memory_at_rest, model=model, report=report, dissipated=lost)
+        u, memory = fem.Function(model.V), self.memory_at_rest
+        return State(u, t, memory, at_rest=True, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
