@@ -15,6 +15,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.kinematics import Expr
+from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.joint import Joint
 from thinlayer.discretisation.layer import CONTACT, LAYER
@@ -36,6 +37,7 @@ class Host(Protocol):
     dx: ufl.Measure
     ds: ufl.Measure
     plane: str
+    kinematics: Kinematics
 
 
 class Addition(ABC):

@@ -80,7 +80,9 @@ class FullModel(Model):
         )
         assert inflated.band is not None
         for region, name in inflated.band.junctions.items():
-            self._check_junctions(name, real_law(thin[name], self.plane), region in inflated.band.aligned)
+            self._check_junctions(
+                name, real_law(thin[name], self.structure.kinematics), region in inflated.band.aligned
+            )
         return inflated
 
     def _check(self, one: SeamLayer) -> None:
@@ -131,11 +133,11 @@ class FullModel(Model):
         terms = []
         for name, one in self.layers.items():
             shared = [region for region, seam in band.junctions.items() if seam == name]
-            sublayers = real_law(one.layer, self.plane).sublayers
+            sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
-                terms.append(replace(forms.band(law, cells, n), key=one.key))
+                terms.append(replace(forms.band(law, cells, n, self.kinematics), key=one.key))
         return terms
 
 
@@ -201,16 +203,16 @@ class InterfaceModel(Model):
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
-        mesh, law, layer = self.domain.mesh, real_law(one.layer, self.plane), one.thin
+        mesh, law, layer = self.domain.mesh, real_law(one.layer, self.kinematics), one.thin
         law = law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)
         sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
         if layer is None:
-            return [replace(forms.of_jumps(law, sides), key=one.key)]
+            return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
         eps: Expr = fem.Constant(mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
-        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order)]
+        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order, self.kinematics)]
 
 
 class BondedModel(Model):

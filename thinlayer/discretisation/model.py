@@ -23,7 +23,7 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.layer import constants, in_plane, layers_of
+from thinlayer.discretisation.layer import constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Supports
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
@@ -61,6 +61,7 @@ class Model(ABC):
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
+        kinematics: strains of displacements on the mesh, and the factor of all measures.
         coordinates: place and time as arguments of loads.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
@@ -82,11 +83,14 @@ class Model(ABC):
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
+        self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
             self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
-            self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
+            self.forces = Forces(
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+            )
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -95,8 +99,9 @@ class Model(ABC):
         }
         self.bodies = [
             forms.body(
-                constants(in_plane(self.body_laws[names[0]], self.plane), mesh),
+                constants(self.kinematics.law(self.body_laws[names[0]]), mesh),
                 self.dx(self.domain.cell_values(*names), **self._rule),
+                self.kinematics,
             )
             for names in of_law.values()
         ]

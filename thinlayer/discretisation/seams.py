@@ -74,7 +74,7 @@ class SeamLayer:
     @cached_property
     def at_rest(self) -> AtRest:
         """The law at rest, of a layer without contact."""
-        return AtRest(real_law(self.layer, self.structure.plane), self.sheet.mean_normal)
+        return AtRest(real_law(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def check(self) -> None:
         """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable."""

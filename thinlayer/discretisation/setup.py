@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.law import BulkLaw, Law
+from forms.planes import PLANES, Kinematics
 from forms.tangent import Array, require_stable_body, tangent_at_rest
 from geometry.errors import unknown
 from geometry.joint import Joint
@@ -17,14 +18,12 @@ from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.layer import in_plane
 from thinlayer.discretisation.loads import Given, Load
 from thinlayer.discretisation.mean_strain import Strain
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
-PLANES = ("strain", "stress")
 
 
 class Setup:
@@ -75,6 +74,11 @@ class Setup:
         return int(self.element[1])
 
     @cached_property
+    def kinematics(self) -> Kinematics:
+        """Strains of displacements, without a mesh."""
+        return PLANES[self.plane]
+
+    @cached_property
     def sheet(self) -> Sheet:
         """S as a sheet of straight simplices."""
         return Sheet(self.joint)
@@ -83,7 +87,7 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        return [tangent_at_rest(in_plane(law, self.plane), n) for law in self.body_laws.values()]
+        return [tangent_at_rest(self.kinematics.law(law), n) for law in self.body_laws.values()]
 
     @property
     def size(self) -> float:
@@ -94,8 +98,8 @@ class Setup:
         joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
         if self.plane not in PLANES:
             raise ModelError(unknown("plane", self.plane, PLANES))
-        if self.plane == "stress" and joint.dim == 3:
-            raise ModelError("plane='stress' needs a two-dimensional joint")
+        if joint.dim == 3 and self.plane != "strain":
+            raise ModelError(f"plane={self.plane!r} needs a two-dimensional joint")
         if self.element not in elements:
             raise ModelError(
                 f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"

@@ -194,7 +194,7 @@ class State(Configuration):
         chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
         terms = self.bodies
         part = compiled(sum(ufl.inner(stress(p, self.u), lift(chosen)) * p.weight * p.measure for p in terms))
-        volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.measure for p in terms))
+        volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
         out = np.zeros((d, d))
         for i, j in zip(*np.triu_indices(d), strict=True):
             chosen.value[:] = 0.0

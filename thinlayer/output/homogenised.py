@@ -41,7 +41,7 @@ def homogenised_stiffness(model: Model) -> Array:
     strained = copy(model)
     strained.strain = units = UnitStrains(model)
     strained.stress = None
-    strained.forces = Forces(model.domain, None, None, model.coordinates)
+    strained.forces = Forces(model.domain, None, None, model.coordinates, model.kinematics.factor)
     with Solver(strained) as solver:
         columns = [
             _components(solver.step(solver.rest(t), t).mean_stress()) for t in map(float, range(len(units.basis)))

@@ -56,7 +56,7 @@ class MeanStressPart(Part):
         self.D.assemble()
         self._turned = PETSc.Mat()
         self.B.transpose(self._turned)
-        size = sum(fem.Constant(mesh, 1.0) * p.measure for p in bodies)
+        size = sum(fem.Constant(mesh, 1.0) * p.weight * p.measure for p in bodies)
         self._volume = float(comm.allreduce(fem.assemble_scalar(fem.form(size))))
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))

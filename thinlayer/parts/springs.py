@@ -64,7 +64,8 @@ class Springs(Addition):
         """Virtual work of the springs, a UFL form."""
         n = ufl.FacetNormal(model.V.mesh)
         across = (self.normal - self.tangential) * ufl.dot(u, n) * ufl.dot(v, n)
-        return (across + self.tangential * ufl.inner(u, v)) * model.ds(model.domain.values(self.place))
+        work = across + self.tangential * ufl.inner(u, v)
+        return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
 
     def part(self, model: Host) -> FormPart:
         """The springs as a part of a model's balance. Collective."""

@@ -63,7 +63,7 @@ class CompiledTerm(Quadrature):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
-        self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < self.dim]
+        self.slots = list(term.kinematics.slots(self.dim))
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self.material = Material(self.comm, term.law)
