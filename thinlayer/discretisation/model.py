@@ -23,6 +23,7 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.forces import Forces
+from thinlayer.discretisation.given import added
 from thinlayer.discretisation.layer import constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Supports
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
@@ -54,8 +55,8 @@ class Model(ABC):
             differ, as of a body and of its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
-        bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
-            periodic cell, see `State.bodies`.
+        bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
+            time; `State.bodies` and `State.layers` are those at the time of a state.
         supports: prescribed displacements.
         forces: tractions and body forces.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
@@ -108,6 +109,8 @@ class Model(ABC):
         self.layer_terms = self._layer_terms()
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
+        if self.strain:
+            self.bodies = added(self.bodies, self.strain.expression)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
