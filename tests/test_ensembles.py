@@ -43,9 +43,7 @@ def test_groups_of_ranks_give_the_rows_of_one_process(tmp_path, ranks, group):
     for row, other in zip(rows, alone.rows, strict=True):
         assert row["jump"] == pytest.approx(other["jump"], rel=1e-10)  # another order of sums
         assert (row["side"], row["mu"]) == (other["side"], other["mu"])
-    again = ensemble(
-        ensemble_run.make, ensemble_run.CASES, out=tmp_path / "table.csv", resume=True
-    )  # all there
+    again = ensemble(ensemble_run.make, ensemble_run.CASES, out=tmp_path / "table.csv", resume=True)  # all there
     assert again["ranks"].tolist() == [group] * 5
 
 
