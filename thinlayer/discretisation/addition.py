@@ -23,7 +23,15 @@ from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.measures import compiled
 from thinlayer.errors import ModelError
 
-TAKEN = ("forms", LAYER, "pressure", CONTACT, "bodies", "loads")  # keys of parts that every model may have
+TAKEN = (
+    "forms",
+    "forms of layers",
+    LAYER,
+    "pressure",
+    CONTACT,
+    "bodies",
+    "loads",
+)  # keys of parts that every model may have
 
 
 class Host(Protocol):

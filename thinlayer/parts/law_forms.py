@@ -29,15 +29,16 @@ from thinlayer.parts.softening import Softening
 class LawForms(FormPart):
     """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
 
-    If no law is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those of the
-    displacements cause constant forces by linear laws, and do work as they grow.
+    If no law of bodies is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those
+    of the displacements cause constant forces by linear laws, and do work as they grow.
 
     Args:
+        key: key of the part.
         V: space of the displacements.
-        terms: all terms; those whose laws are compiled are left out.
+        terms: the terms; those whose laws are compiled are left out.
     """
 
-    def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -53,9 +54,9 @@ class LawForms(FormPart):
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             stored = energy(_given(others, over.now), u) + sum(_beyond(p, u) for p in _given(strained, over.now))
         super().__init__(
-            "forms",
+            key,
             u,
-            _stiffness(V, linear, bodies),
+            _stiffness(V, linear, bodies) if linear or bodies else None,
             work(_given(others, over.balanced), u, v) if others else None,
             stored,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
@@ -89,15 +90,6 @@ class LawForms(FormPart):
     def _stored(self, u: PETSc.Vec, t: float) -> float:
         self._over.look_at(t)
         return super()._stored(u, t)
-
-    @property
-    def largest(self) -> float:
-        """Largest diagonal entry of K."""
-        assert self.K is not None
-        diagonal = self.K.getDiagonal()
-        largest = float(diagonal.max()[1])
-        diagonal.destroy()
-        return largest
 
     @property
     def resists_rigid(self) -> bool:

@@ -14,10 +14,11 @@ from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.making import parts_of
+from thinlayer.parts.making import body_parts, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
+from thinlayer.solving.kept import Kept
 from thinlayer.solving.layout import Layout
 from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
@@ -37,6 +38,7 @@ class Equations(PartSum):
         prescribed: displacements that supports prescribe at the end of the step.
         mean_stiffness: mean size of the diagonal entries of K.
         eased: ease of the parts; 0 is the parts themselves.
+        factor: linear solver with the factor of a tangent, of this model or of another one of its family.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
     """
 
@@ -45,13 +47,17 @@ class Equations(PartSum):
         self.history = LoadHistory(model)
         self.held = self.history.held
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        super().__init__(parts_of(model, self.held))
+        self._kept = kept = Kept.of(model)
+        kept.bodies = kept.bodies or body_parts(model)
+        self._of_layers = layer_parts(model, self.held, kept.bodies[0].K)
+        super().__init__([*kept.bodies, *self._of_layers])
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
-        self._matrix = TangentMatrix(self.comm, self._layout.sizes)
+        kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
+        self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
-        diagonal = self.K.getDiagonal()
+        diagonal = self._diagonal()
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
@@ -77,12 +83,24 @@ class Equations(PartSum):
         """Global numbers, among the unknowns, of the held displacements."""
         return self._layout.rows(self.held)
 
+    def _diagonal(self) -> PETSc.Vec:
+        """Diagonal of K; the caller destroys the vector."""
+        found = self._linear[0].getDiagonal()
+        for other in self._linear[1:]:
+            more = other.getDiagonal()
+            found.axpy(1.0, more)
+            more.destroy()
+        return found
+
+    @property
+    def _linear(self) -> list[PETSc.Mat]:
+        return [part.K for part in self.parts if part.K is not None]
+
     @cached_property
     def K(self) -> PETSc.Mat:
         """Matrix of the forces that are linear in the displacements."""
-        first, *others = [part.K for part in self.parts if part.K is not None]
-        K = first if not others else first.copy()
-        for other in others:
+        K = self._linear[0].copy()
+        for other in self._linear[1:]:
             K.axpy(1.0, other, DIFFERENT)
         return K
 
@@ -251,8 +269,11 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self.parts, self.K, self._matrix, self._forces, self.loads):
+        for thing in (*self._of_layers, self._forces, self.loads):
             thing.destroy()
+        if "K" in vars(self):
+            self.K.destroy()
+        self._kept.give_back(self.model)
 
     @property
     def comms(self) -> list[MPI.Intracomm]:
