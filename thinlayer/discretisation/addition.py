@@ -20,6 +20,7 @@ from geometry.joint import Joint
 from thinlayer.discretisation.layer import CONTACT, LAYER
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
 TAKEN = ("forms", LAYER, "pressure", CONTACT, "bodies", "loads")  # keys of parts that every model may have
@@ -36,6 +37,7 @@ class Host(Protocol):
     dx: ufl.Measure
     ds: ufl.Measure
     plane: str
+    centre: npt.NDArray[np.float64]
 
 
 class Addition(ABC):
@@ -83,6 +85,13 @@ class Addition(ABC):
         forces.destroy()
         A.destroy()
         return found
+
+    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, npt.NDArray[np.float64]]]:
+        """Places that the part holds, each with its force and moment (k,) about `model.centre` at displacements u.
+
+        Collective. By default none: forces of a part of your own are no reactions.
+        """
+        return []
 
     @abstractmethod
     def part(self, model: Host) -> Any:

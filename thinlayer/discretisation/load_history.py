@@ -28,7 +28,7 @@ class LoadHistory:
         self.model, self.comm = model, model.comm
         self._moment = model.coordinates.moment(0.0)
         self._work = fem.form(model.forces.work(ufl.TestFunction(model.V), self._moment))
-        self._prescribed = model.supports.on(model.V)
+        self._prescribed = model.prescribed
 
     @property
     def held(self) -> npt.NDArray[np.int32]:

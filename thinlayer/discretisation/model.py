@@ -24,13 +24,15 @@ from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.layer import constants, in_plane, layers_of
-from thinlayer.discretisation.loads import Coordinates, Supports
+from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.supports import Place, Supports
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all, require_same
@@ -57,11 +59,13 @@ class Model(ABC):
         bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
             periodic cell, see `State.bodies`.
         supports: prescribed displacements.
+        prescribed: the same as conditions at the nodes of V.
         forces: tractions and body forces.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
         coordinates: place and time as arguments of loads.
+        centre: (d,) mean place of the mesh's points.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
         made_from: description, as JSON, of the data at the time the model was built.
@@ -81,6 +85,7 @@ class Model(ABC):
         self.mark = structure.mark + what
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
+        self.centre = np.asarray(inflated.points.mean(axis=0), float)
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
@@ -106,13 +111,15 @@ class Model(ABC):
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
+        self.prescribed = Prescribed(self.supports, self.V)
         resistances = [partial(part.resistance, self) for part in self.parts]
         on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
         if self.joint.periods and not on_layers:
-            held = self.supports.held(self.V)
-            self.supports.anchored = free_translations(self.comm, self.V, self.joint, held, resistances)
+            conditions = self.prescribed.conditions
+            self.supports.anchored = free_translations(self.comm, self.V, self.joint, conditions, resistances)
+            self.prescribed = Prescribed(self.supports, self.V)
         if not on_layers:
-            require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
+            require_support(self.comm, self.V, self.joint, self.prescribed.conditions, resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -218,6 +225,12 @@ class Model(ABC):
             name: sum(value for key, value in values.items() if key.split("/")[0] == one.key)
             for name, one in several.items()
         }
+
+    @property
+    def holders(self) -> list[Place]:
+        """What holds the structure, as rows of `Configuration.reactions`: supports, clamped facets, bases below layers."""
+        based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
+        return [*(place for place, _ in self.supports.entries), *based]
 
     @cached_property
     def linear(self) -> bool:

@@ -18,8 +18,9 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.layer import in_plane
-from thinlayer.discretisation.loads import Given, Load
+from thinlayer.discretisation.loads import Load
 from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.supports import Given
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all, require_same
 

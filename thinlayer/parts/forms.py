@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -224,6 +224,7 @@ class LawForms(FormPart):
             g=g,
         )
         self._in_layer = len(bodies) < len(terms)
+        self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
         self._middle: Array = np.zeros((1, 1))
         self._judged = bool(mean) and any(p.n is None for p in others)
         self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
@@ -260,6 +261,22 @@ class LawForms(FormPart):
             return size
         force = abs(self._work_of(self._middle)) / (strain * self._mean.size)  # type: ignore[union-attr]
         return max(size, force) if np.isfinite(force) else size
+
+    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
+        if (form := self._of_layer(tuple(sorted(keys)))) is not None:
+            self._take(self._mid.x.petsc_vec)
+            b = dolfinx.fem.petsc.assemble_vector(form)
+            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            out.axpy(1.0, b)
+            b.destroy()
+
+    def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
+        """Virtual work of the layers' terms with these keys; None: there are none."""
+        if keys not in self._layer_forms:
+            terms = [p for p in self._terms if p.n is not None and p.key in keys]
+            v = ufl.TestFunction(self._u.function_space)
+            self._layer_forms[keys] = compiled(work(terms, self._u, v)) if terms else None
+        return self._layer_forms[keys]
 
     def _stored(self, u: PETSc.Vec, t: float) -> float:
         if not self._mean:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -195,6 +195,11 @@ class Part(ABC):
     @abstractmethod
     def commit(self) -> Outcome:
         """Energies and memory at the end of the step, for the last evaluation."""
+
+    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
+        """Add the nodal forces of the last evaluation of what has one of these keys."""
+        if self.key in keys:
+            self.add_forces(out)
 
     def failure(self) -> str:
         """Text that says what failed in the last evaluation and where; "" if nothing did."""
