@@ -228,9 +228,10 @@ class Model(ABC):
 
     @property
     def holders(self) -> list[Place]:
-        """What holds the structure, as rows of `Configuration.reactions`: supports, clamped facets, bases below layers."""
+        """What holds it, as rows of `Configuration.reactions`: supports, clamped facets, plates, bases below layers."""
         based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
-        return [*(place for place, _ in self.supports.entries), *based]
+        plates = [part.place for part in self.parts if part.ties_nodes]
+        return [*(place for place, _ in self.supports.entries), *plates, *based]
 
     @cached_property
     def linear(self) -> bool:
@@ -243,6 +244,11 @@ class Model(ABC):
         """Whether all laws and all additions have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
+
+    @property
+    def substituted(self) -> bool:
+        """Whether solvers have other unknowns than displacements: supports are inclined, or parts of the boundary rigid."""
+        return self.prescribed.frames is not None or any(part.ties_nodes for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:

@@ -15,6 +15,8 @@ from thinlayer.compiling.compat import interpolation_points
 Array = npt.NDArray[np.float64]
 CORNER = 30.0  # degrees; facets whose normals differ by less at a node are one smooth surface there
 
+ALONG_AXES = 1e-12  # a component of a unit normal that counts as rounding
+
 
 def node_normals(
     domain: Domain, V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
@@ -78,4 +80,6 @@ def smooth(normals: Array) -> tuple[npt.NDArray[np.int64], Array]:
     _, surface = np.unique(connected(one, other, len(unit)), return_inverse=True)
     sums = np.zeros((surface.max() + 1, normals.shape[1]))
     np.add.at(sums, surface, normals)
+    sums /= np.linalg.norm(sums, axis=1)[:, None]
+    sums[np.abs(sums) < ALONG_AXES] = 0.0
     return surface.ravel().astype(np.int64), sums / np.linalg.norm(sums, axis=1)[:, None]

@@ -55,6 +55,7 @@ class Prescribed:
         held: (n,) local numbers of the prescribed entries of y on this rank, increasing.
         frames: Q of this rank, (m, m) sparse and orthogonal; None: the identity.
         entry: (k,) for each condition the number of its support in `supports.entries`; -1 for an anchor.
+        blocks: (k,) local number of its node.
         conditions: (k, m) sparse, the conditions on the displacements of this rank.
 
     Raises:
@@ -119,9 +120,9 @@ class Prescribed:
         self.entry, self._source_of, self._dof, self._direction = (
             array[kept] for array in (entry, self._source_of, self._dof, self._direction)
         )
-        self._block = self._dof // d
+        self.blocks = self._dof // d
         row = np.repeat(np.arange(len(self.entry)), d)
-        column = (self._block[:, None] * d + np.arange(d)).ravel()
+        column = (self.blocks[:, None] * d + np.arange(d)).ravel()
         self.conditions = scipy.sparse.csr_matrix(
             (self._direction.ravel(), (row, column)), (len(self.entry), self._size)
         )
@@ -159,21 +160,24 @@ class Prescribed:
         d, count = self._bs, len(self.entry)
         axis = np.abs(self._direction).argmax(axis=1) if count else np.empty(0, np.int64)
         along = (np.abs(self._direction) == 1.0).any(axis=1)
-        turned = np.isin(self._block, self._block[~along])
+        sense = np.sign(self._direction[np.arange(count), axis])  # of a condition along an axis
+        turned = np.isin(self.blocks, self.blocks[~along])
         plain = np.flatnonzero(~turned)
         dofs, first, inverse, times = np.unique(
-            self._block[plain] * d + axis[plain], return_index=True, return_inverse=True, return_counts=True
+            self.blocks[plain] * d + axis[plain], return_index=True, return_inverse=True, return_counts=True
         )
         held: list[Numbers] = [dofs]
         value = [
-            scipy.sparse.csr_matrix((np.ones(len(dofs)), (np.arange(len(dofs)), plain[first])), (len(dofs), count))
+            scipy.sparse.csr_matrix((sense[plain[first]], (np.arange(len(dofs)), plain[first])), (len(dofs), count))
         ]
         # entries of three matrices: what the values at a node say of each value, and shares of forces
-        same: list[tuple[Numbers, Numbers, Numbers]] = [(plain, plain[first][inverse], np.ones(len(plain)))]
-        share: list[tuple[Numbers, Numbers, Numbers]] = [(plain, dofs[inverse], 1.0 / times[inverse])]
+        same: list[tuple[Numbers, Numbers, Numbers]] = [
+            (plain, plain[first][inverse], sense[plain] * sense[plain[first][inverse]])
+        ]
+        share: list[tuple[Numbers, Numbers, Numbers]] = [(plain, dofs[inverse], sense[plain] / times[inverse])]
         frame: list[tuple[Numbers, Array]] = []
-        for block in np.unique(self._block[turned]):
-            rows = np.flatnonzero(self._block == block)
+        for block in np.unique(self.blocks[turned]):
+            rows = np.flatnonzero(self.blocks == block)
             N = self._direction[rows]
             _, sizes, right = np.linalg.svd(N)
             rank = int((sizes > INDEPENDENT).sum())
@@ -217,7 +221,7 @@ class Prescribed:
     def _constant(self) -> npt.NDArray[np.bool_]:
         """Conditions at nodes where all values are numbers."""
         varies = np.array([*(one.expression is not None for one in self._sources), False])[self._source_of]
-        return ~np.isin(self._block, self._block[varies])
+        return ~np.isin(self.blocks, self.blocks[varies])
 
     def at(self, t: float) -> Array:
         """Prescribed values (n,) of y at a time, possibly not finite. Collective.
@@ -247,11 +251,11 @@ class Prescribed:
 
     def _contradiction(self, row: int, values: Array) -> str:
         """Words for a condition that does not agree with the others at its node."""
-        there = np.flatnonzero((self._block == self._block[row]) & (self.entry != self.entry[row]))
+        there = np.flatnonzero((self.blocks == self.blocks[row]) & (self.entry != self.entry[row]))
         across = np.abs(self._direction[there] @ self._direction[row])
         there = there[across > INDEPENDENT]
         said = [self._said(row, values), *(self._said(int(k), values) for k in there)]
-        x = self.V.tabulate_dof_coordinates()[self._block[row], : self._bs] if self._nodal else None
+        x = self.V.tabulate_dof_coordinates()[self.blocks[row], : self._bs] if self._nodal else None
         return f"contradictory supports{f' at {at_place(x)}' if x is not None else ''}: " + " and ".join(said)
 
     def _said(self, row: int, values: Array) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -89,10 +89,10 @@ def count(dim: int) -> int:
     return dim + len(AXIAL[dim])
 
 
-def rigid(x: Array, about: Array) -> Array:
+def rigid(x: npt.NDArray[Any], about: Array) -> Array:
     """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
     n, d = x.shape
-    out = np.zeros((n, d, count(d)))
+    out: Array = np.zeros((n, d, count(d)))
     out[:, np.arange(d), np.arange(d)] = 1.0
     for k, (i, j, sense) in enumerate(AXIAL[d]):
         out[:, i, d + k], out[:, j, d + k] = -sense * (x[:, j] - about[j]), sense * (x[:, i] - about[i])

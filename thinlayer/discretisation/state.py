@@ -156,17 +156,18 @@ class State(Configuration):
         the loads (Clapeyron). NaN where a law declares no energy. Collective.
         """
         model = self.model
-        added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts}
+        added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts if not one.ties_nodes}
         of_layers = {key: energy for key, energy in self.stored.items() if key not in added}
         for key in {p.key: None for p in model.layer_terms}:
             in_forms = [p for p in model.layer_terms if p.key == key and not p.law.traits.compiled]
             of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
+        given = sum(part.load_work(model, self) for part in model.parts)
         return {
             "bodies": self._stored(self.bodies),
             LAYER: sum(of_layers.values()),
             **{f"{LAYER} {name}": energy for name, energy in model.by_seam(of_layers).items()},
             **added,
-            "loads": self.integral(model.external_work(self.u, self.t)),
+            "loads": self.integral(model.external_work(self.u, self.t)) + given,
         }
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:

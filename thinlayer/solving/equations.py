@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import rigid_values
+from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import PRESSURE, Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
 from thinlayer.parts.making import parts_of
@@ -22,13 +24,17 @@ from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
 from thinlayer.solving.layout import Layout
+from thinlayer.solving.linear_solvers import orthonormal, rigid_modes
 from thinlayer.solving.part_sum import PartSum
+from thinlayer.solving.substitution import Substitution
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
 
 class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
+
+    If supports are inclined or plates are rigid, others take the place of the displacements, see `Substitution`.
 
     The constructor and all methods are collective.
 
@@ -37,7 +43,9 @@ class Equations(PartSum):
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
-        prescribed: displacements that supports prescribe at the end of the step.
+        held: numbers of the unknowns of this rank that are prescribed.
+        prescribed: their values at the end of the step.
+        substitution: the unknowns in place of displacements; None: the unknowns are the displacements.
         mean_stiffness: mean size of the diagonal entries of K.
         eased: ease of the parts; 0 is the parts themselves.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
@@ -46,14 +54,19 @@ class Equations(PartSum):
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
         self.history = LoadHistory(model)
-        self.held = self.history.held
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        super().__init__(parts_of(model, self.held))
+        super().__init__(parts_of(model, self.history.held))
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
         self._matrix = TangentMatrix(self.comm, self._layout.sizes)
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
+        ties = {part.key: part.tie for part in self._with_own if part.tie is not None}
+        frames = model.prescribed.frames
+        self.substitution = Substitution(self._layout, frames, ties) if ties or frames is not None else None
+        held, _ = self._prescribed(None)
+        self._held_order = np.argsort(held)
+        self.held = held[self._held_order].astype(np.int32)
         diagonal = self.K.getDiagonal()
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
@@ -74,10 +87,31 @@ class Equations(PartSum):
         values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
         for part in self._with_own:
             values[part.key][:] = part.own_start(state)
+        if self.substitution:
+            self.substitution.start(values)
+
+    def _put(self, x: PETSc.Vec) -> None:
+        """Write unknowns into the displacements u and the parts' own functions."""
+        self._layout.put(x)
+        if self.substitution:
+            self.substitution.put(self.u)
+
+    def _prescribed(self, t: float | None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+        """Numbers of the held unknowns, in the order of what holds them, and their values at time t."""
+        of_supports = np.zeros(len(self.history.held)) if t is None else self.history.prescribed_at(t)
+        tied = self.substitution.tied if self.substitution else np.empty(0, np.int32)
+        numbers: list[npt.NDArray[Any]] = [self.history.held, tied]
+        values, first = [of_supports, np.zeros(len(tied))], self.n_displacements
+        for part in self._with_own:
+            own, held = part.own_held(0.0 if t is None else t)
+            numbers.append(first + own)
+            values.append(held)
+            first += self._layout.sizes[part.key]
+        return np.concatenate(numbers).astype(np.int64), np.concatenate(values)
 
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
-        """Global numbers, among the unknowns, of the held displacements."""
+        """Global numbers of the held unknowns."""
         return self._layout.rows(self.held)
 
     @cached_property
@@ -89,10 +123,25 @@ class Equations(PartSum):
             K.axpy(1.0, other, DIFFERENT)
         return K
 
+    def near_null(self) -> list[PETSc.Vec]:
+        """The unknowns of rigid motions of the whole structure, orthonormal."""
+        if not self.substitution:
+            return rigid_modes(self.model)
+        found = []
+        for motion in rigid_motions(self.model.V, self.model.joint).values():
+            x, n = self.vector(), self.n_displacements
+            values, own = self._layout.split(x.array), self.substitution.followed(motion.x.array[:n])
+            values[DISPLACEMENTS][:] = motion.x.array[:n]
+            for key, q in own.items():
+                values[key][:] = q[: len(values[key])]
+            self.substitution.start(values)
+            found.append(x)
+        return orthonormal(found)
+
     # ---------------------------------------------------------------- uniqueness
     @cached_property
     def _rigid(self) -> RigidMotions:
-        return RigidMotions(self.model, self.held, self.scale.stiffness)
+        return RigidMotions(self.model, self.held, self.scale.stiffness, self.substitution)
 
     def require_unique(self, unbalanced: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
@@ -146,7 +195,7 @@ class Equations(PartSum):
                 b = self.history.loads_at(t)
                 self.loads.axpy(share, b)
                 b.destroy()
-        self.prescribed = self.history.prescribed_at(interval.t)
+        self.prescribed = self._prescribed(interval.t)[1][self._held_order]
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         if self.model.strain:  # moves the sides of the cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
@@ -166,7 +215,7 @@ class Equations(PartSum):
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads, then the parts' own residuals. All forces are NaN if a part failed."""
-        self._layout.put(x)
+        self._put(x)
         theta, mid = self.interval.theta, self._mid.x.petsc_vec
         self.u.x.petsc_vec.copy(mid)
         mid.scale(theta)
@@ -178,6 +227,8 @@ class Equations(PartSum):
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
         for part in self._with_own:
             rows[part.key][:] = part.own_residual()
+        if self.substitution:
+            self.substitution.forces(rows)
         self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
@@ -187,7 +238,7 @@ class Equations(PartSum):
             LawError: a law declares a symmetric tangent and has another one.
         """
         self._tangent = self._matrix.fill(self.blocks(self._relative_residual))
-        return self._tangent
+        return self.substitution.tangent(self._tangent) if self.substitution else self._tangent
 
     def ease(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
@@ -208,8 +259,11 @@ class Equations(PartSum):
             self.require_unique()
         self.u.x.petsc_vec.copy(change)
         change.axpy(-1.0, self.interval.old.u.x.petsc_vec)
-        at_supports = self.comm.allreduce(float(out.array_r[self.held] @ change.array_r[self.held]))
-        supplied = float(self.loads.dot(change)) + at_supports
+        old = self.vector()
+        self.put_state(self.interval.old, old)
+        moved = x.array_r[self.held] - old.array_r[self.held]
+        supplied = float(self.loads.dot(change)) + self.comm.allreduce(float(out.array_r[self.held] @ moved))
+        old.destroy()
         out.destroy()
         change.destroy()
         found, end = self.end_parts(self.u, self.interval.t)
@@ -249,7 +303,11 @@ class Equations(PartSum):
     def _resultants(self, r: PETSc.Vec, *, layers: bool = True) -> npt.NDArray[np.float64]:
         """Forces and moments of `Model.holders`, for nodal forces r less loads; of layers on bases if asked for."""
         rows = [self.model.prescribed.resultants(r.array_r, self._motions)]
-        for name in self.model.holders[len(self.model.supports.entries) :]:
+        for R in self.substitution.ties.values() if self.substitution else ():
+            tied = np.diff(R.indptr) > 0
+            rows.append((r.array_r[tied] @ self._motions[tied])[None])
+        first = len(self.model.supports.entries) + len(rows) - 1
+        for name in self.model.holders[first:]:
             on_base = r.duplicate()
             on_base.set(0.0)
             if layers:
@@ -272,7 +330,7 @@ class Equations(PartSum):
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""
-        self._layout.put(x)
+        self._put(x)
         nothing = self._forces.duplicate()
         local = {part.key: float((part.error_measure(self.u, nothing) ** 2).sum()) for part in self.parts}
         nothing.destroy()
@@ -299,8 +357,9 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self.parts, self.K, self._matrix, self._forces, self.loads):
-            thing.destroy()
+        for thing in (*self.parts, self.K, self._matrix, self.substitution, self._forces, self.loads):
+            if thing is not None:
+                thing.destroy()
 
     @property
     def comms(self) -> list[MPI.Intracomm]:

@@ -148,7 +148,7 @@ class Equilibrium:
         ksp.setOptionsPrefix(PREFIX)
         ksp.setOperators(A)
         ksp.setFromOptions()
-        tell_multigrid(ksp, A, equations.model)
+        tell_multigrid(ksp, A, equations.near_null)
         self._factored = key
 
     def _require_finite(self, quantity: str, size: float) -> None:
