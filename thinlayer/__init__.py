@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.contact import ContactPart
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
@@ -60,6 +61,7 @@ _NAMES = {
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.contact": ["ContactPart"],
     "parts.phases": ["PhaseReport"],
+    "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],

@@ -27,13 +27,15 @@ from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces
 from thinlayer.discretisation.given import added
 from thinlayer.discretisation.layer import constants, layers_of
-from thinlayer.discretisation.loads import Coordinates, Given, Load, Supports
+from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.supports import Given, Place, Supports
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
 from thinlayer.identity.values import digest
@@ -63,12 +65,14 @@ class Model(ABC):
         bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
             time; `State.bodies` and `State.layers` are those at the time of a state.
         supports: prescribed displacements.
+        prescribed: the same as conditions at the nodes of V.
         forces: tractions and body forces.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
         kinematics: strains of displacements on the mesh, and the factor of all measures.
         coordinates: place and time as arguments of loads.
+        centre: (d,) mean place of the mesh's points.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
         family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
@@ -85,6 +89,7 @@ class Model(ABC):
         inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
+        self.centre = np.asarray(inflated.points.mean(axis=0), float)
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
@@ -116,13 +121,15 @@ class Model(ABC):
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
+        self.prescribed = Prescribed(self.supports, self.V)
         resistances = [partial(part.resistance, self) for part in self.parts]
         on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
         if self.joint.periods and not on_layers:
-            held = self.supports.held(self.V)
-            self.supports.anchored = free_translations(self.comm, self.V, self.joint, held, resistances)
+            conditions = self.prescribed.conditions
+            self.supports.anchored = free_translations(self.comm, self.V, self.joint, conditions, resistances)
+            self.prescribed = Prescribed(self.supports, self.V)
         if not on_layers:
-            require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
+            require_support(self.comm, self.V, self.joint, self.prescribed.conditions, resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -197,6 +204,7 @@ class Model(ABC):
             if supports is not None:
                 new.supports = Supports(self.domain, supports, self.coordinates, self._clamped)
                 new.supports.anchored = self.supports.anchored
+                new.prescribed = Prescribed(new.supports, self.V)
                 places = [
                     [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
                 ]
@@ -287,6 +295,13 @@ class Model(ABC):
             for name, one in several.items()
         }
 
+    @property
+    def holders(self) -> list[Place]:
+        """What holds it, as rows of `Configuration.reactions`: supports, clamped facets, plates, bases below layers."""
+        based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
+        plates = [part.place for part in self.parts if part.ties_nodes]
+        return [*(place for place, _ in self.supports.entries), *plates, *based]
+
     @cached_property
     def linear(self) -> bool:
         """Whether all laws and all additions are linear."""
@@ -298,6 +313,11 @@ class Model(ABC):
         """Whether all laws and all additions have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
+
+    @property
+    def substituted(self) -> bool:
+        """Whether solvers have other unknowns than displacements: supports are inclined, or parts of the boundary rigid."""
+        return self.prescribed.frames is not None or any(part.ties_nodes for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:

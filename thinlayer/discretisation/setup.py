@@ -19,8 +19,9 @@ from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.loads import Given, Load
+from thinlayer.discretisation.loads import Load
 from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.supports import Given
 from thinlayer.errors import ModelError
 from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import dolfinx.fem.petsc
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -64,6 +65,7 @@ class LawForms(FormPart):
         self._power = self._of_growth(u)
         self._opposing = _Opposing.of([p for p in _given(others, over.balanced) if p.n is None], u)
         self._in_layer = len(bodies) < len(terms)
+        self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
         self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
 
     # ---------------------------------------------------------------- given strains
@@ -86,6 +88,22 @@ class LawForms(FormPart):
     def add_forces(self, out: PETSc.Vec) -> float:
         size = super().add_forces(out)
         return size if self._opposing is None else max(size, self._opposing.force(self.comm))
+
+    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
+        if (form := self._of_layer(tuple(sorted(keys)))) is not None:
+            self._take(self._mid.x.petsc_vec)
+            b = dolfinx.fem.petsc.assemble_vector(form)
+            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            out.axpy(1.0, b)
+            b.destroy()
+
+    def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
+        """Virtual work of the layers' terms with these keys; None: there are none."""
+        if keys not in self._layer_forms:
+            terms = _given([p for p in self._terms if p.n is not None and p.key in keys], self._over.balanced)
+            v = ufl.TestFunction(self._u.function_space)
+            self._layer_forms[keys] = compiled(work(terms, self._u, v)) if terms else None
+        return self._layer_forms[keys]
 
     def _stored(self, u: PETSc.Vec, t: float) -> float:
         self._over.look_at(t)

@@ -138,7 +138,7 @@ class Equilibrium:
         else:
             equations.require_unique()
         mark(A, equations.model, saddle=equations.traits.saddle)
-        self.reused = self._factor.renew(A, equations.model, key) and not self.nonlinear
+        self.reused = self._factor.renew(A, key, equations.near_null) and not self.nonlinear
 
     def _require_finite(self, quantity: str, size: float) -> None:
         """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""

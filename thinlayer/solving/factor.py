@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 from petsc4py import PETSc
 
-from thinlayer.discretisation.model import Model
 from thinlayer.solving.linear_solvers import tell_multigrid
 from thinlayer.solving.options import PREFIX
 
@@ -25,8 +24,13 @@ class Factor:
         self.of: Hashable = None
         self._options: dict[str, Any] = {}
 
-    def renew(self, A: PETSc.Mat, model: Model, of: Hashable) -> bool:
+    def renew(self, A: PETSc.Mat, of: Hashable, modes: Callable[[], list[PETSc.Vec]]) -> bool:
         """Take another matrix, which is factored by the next solve.
+
+        Args:
+            A: the matrix.
+            of: what it depends on.
+            modes: function that returns its rigid motions.
 
         Returns:
             Whether the solver stays: it then orders the unknowns anew only if A has another nonzero pattern.
@@ -35,13 +39,13 @@ class Factor:
         stays = self.ksp is not None and options == self._options
         if not stays:
             self.destroy()
-            self.ksp = PETSc.KSP().create(model.comm)
+            self.ksp = PETSc.KSP().create(A.comm)
             self.ksp.setOptionsPrefix(PREFIX)
         assert self.ksp is not None
         self.ksp.setOperators(A)
         if not stays:
             self.ksp.setFromOptions()
-        tell_multigrid(self.ksp, A, model)
+        tell_multigrid(self.ksp, A, modes)
         self._options, self.of = options, of
         return stays
 
