@@ -240,7 +240,7 @@ def test_failed_solves_say_why():
     ("change", "error", "message"),
     [
         (dict(supports={"BOTOM": 0.0}), GeometryError, "did you mean 'BOTTOM'.*known.*TOP"),
-        (dict(supports={"BOTTOM": {"z": 0.0}}), ModelError, "unknown component 'z'; known: x, y"),
+        (dict(supports={"BOTTOM": {"z": 0.0}}), ModelError, "unknown component 'z'; known: n, x, y"),
         (dict(supports={"BOTTOM": "fixed"}), ModelError, "allowed: a finite number"),
         (dict(supports={"BOTTOM": {"x": float("nan")}}), ModelError, "allowed: a finite number"),
         (dict(supports={}), ModelError, "no support against rigid motion"),

@@ -78,7 +78,7 @@ class Prescribed:
 
     # ---------------------------------------------------------------- conditions
     def _source(self, entry: int, place: Place, axis: str, given: Value) -> _Source:
-        value, expression = fem.Function(self.V), self.supports.expression(place, axis, given)
+        value, expression = fem.Function(self.V), self.supports.functions.get((entry, axis))
         if expression is not None:
             points = interpolation_points(self.V)
             return _Source(entry, place, axis, value, fem.Expression(self._moment.of(expression), points))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -16,17 +16,51 @@ from mpi4py import MPI
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.errors import place as at_place
+from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
-if TYPE_CHECKING:
-    from thinlayer.discretisation.model import Model
-    from thinlayer.discretisation.state import State
-
 Array = npt.NDArray[np.float64]
 AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
+
+
+class Held(Protocol):
+    """The attributes of a `Model` that tell what holds and loads it."""
+
+    comm: MPI.Intracomm
+    domain: Domain
+    joint: Joint
+    centre: Array
+    parts: tuple[Any, ...]
+
+    @property
+    def holders(self) -> list[Place]:
+        """What holds it, as rows of `Configuration.reactions`."""
+
+    def external_work(self, v: Expr, t: float) -> Expr:
+        """Virtual work of the loads."""
+
+
+class Solved(Protocol):
+    """The attributes of a `State` from which its reactions follow."""
+
+    @property
+    def model(self) -> Held:
+        """The model."""
+
+    @property
+    def u(self) -> fem.Function:
+        """Displacements."""
+
+    @property
+    def t(self) -> float:
+        """Time."""
+
+    @property
+    def reactions(self) -> Array | None:
+        """Forces and moments of `Held.holders`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +184,7 @@ def work_in_motions(comm: MPI.Intracomm, work: Expr, motion: fem.Constant) -> Ar
     return values
 
 
-def applied_to(state: State, about: Sequence[float] | None) -> Resultant:
+def applied_to(state: Solved, about: Sequence[float] | None) -> Resultant:
     """See `State.applied`."""
     model = state.model
     point = model.centre if about is None else require_point(about, model.joint.dim)
@@ -159,7 +193,7 @@ def applied_to(state: State, about: Sequence[float] | None) -> Resultant:
     return Resultant.of(work_in_motions(model.comm, model.external_work(v, state.t), motion), point)
 
 
-def all_reactions(state: State, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
+def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
     """See `State.reactions_by_place`."""
     model = state.model
     if state.reactions is None:
@@ -175,7 +209,7 @@ def all_reactions(state: State, about: Sequence[float] | None = None) -> dict[Pl
     return found
 
 
-def reaction_of(state: State, place: Place, about: Sequence[float] | None) -> Resultant:
+def reaction_of(state: Solved, place: Place, about: Sequence[float] | None) -> Resultant:
     """See `State.reaction`."""
     model, every = state.model, all_reactions(state)
     bases = {BASE, *model.joint.base_seams}
@@ -194,7 +228,7 @@ def reaction_of(state: State, place: Place, about: Sequence[float] | None) -> Re
     return total.at(_middle(model, place, chosen))
 
 
-def _middle(model: Model, place: Place, chosen: Sequence[Place]) -> Array:
+def _middle(model: Held, place: Place, chosen: Sequence[Place]) -> Array:
     """The default point of moments: the centroid of a facet set, the vertex itself."""
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ class Supports:
         clamped: facet names where nothing moves, whatever supports say that end there.
 
     Attributes:
+        functions: (number of the entry, component) -> a function as a UFL vector (d,) of equal entries.
         given: (place, components) as given; `entries` has the clamped ones too.
         anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
             that translation; no force acts there.
@@ -67,9 +68,12 @@ class Supports:
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
         self.given = tuple(entries)
-        for place, components in entries:
-            for axis, value in components.items():
-                self.expression(place, axis, value)
+        self.functions = {
+            (number, axis): self._expression(place, value)
+            for number, (place, components) in enumerate(entries)
+            for axis, value in components.items()
+            if callable(value)
+        }
         self.anchored: tuple[str, ...] = ()
 
     @property
@@ -104,10 +108,7 @@ class Supports:
                 )
         return components
 
-    def expression(self, place: Place, axis: str, value: Value) -> Expr | None:
-        """A component that is a function, as a UFL vector (d,) whose entries are all its value; None for a number."""
-        if not callable(value):
-            return None
+    def _expression(self, place: Place, value: Callable[[Expr, Expr], Expr]) -> Expr:
         what = f"support on {place!r}"
         found = scalar(called(value, self.at, what), what)
         d = len(self.axes)
