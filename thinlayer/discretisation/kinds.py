@@ -55,6 +55,8 @@ class LayeredModel(Model):
         new = self._derived()
         new.layer = layer
         new._lay(layer, partial(new._check_beside, self))
+        with on_all(self.comm):
+            new.given_on = {name: one.given(self.coordinates) for name, one in new.layers.items()}
         new.layer_terms = new._layer_terms()
         with on_all(self.comm):
             if new.strain or new.stress:
@@ -200,7 +202,8 @@ class FullModel(LayeredModel):
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
-                terms.append(replace(forms.band(law, cells, n, self.kinematics), key=one.key))
+                term = forms.band(law, cells, n, self.kinematics)
+                terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
 
 
@@ -274,7 +277,8 @@ class InterfaceModel(LayeredModel):
         eps: Expr = fem.Constant(mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
-        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order, self.kinematics)]
+        terms = forms.surface(law, sides, eps, layer.order, self.kinematics)
+        return [replace(term, key=one.key, given=self.given_on[one.name]) for term in terms]
 
 
 class BondedModel(Model):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -23,6 +24,7 @@ from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
+from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces
 from thinlayer.discretisation.given import added
@@ -64,6 +66,8 @@ class Model(ABC):
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
         bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
             time; `State.bodies` and `State.layers` are those at the time of a state.
+        given, given_on: name of a body, and of a seam -> the strain (3, 3) that is added there to that of the
+            displacements, minus the eigenstrain; None: there is none.
         supports: prescribed displacements.
         prescribed: the same as conditions at the nodes of V.
         forces: tractions and body forces.
@@ -99,20 +103,12 @@ class Model(ABC):
             self.forces = Forces(
                 self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
             )
+            self.given = {name: self._given(name) for name in self.body_laws}
+            self.given_on = {name: one.given(self.coordinates) for name, one in self.layers.items()}
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
-        of_law = {
-            id(law): [name for name, one in self.body_laws.items() if one is law] for law in self.body_laws.values()
-        }
-        self.bodies = [
-            forms.body(
-                constants(self.kinematics.law(self.body_laws[names[0]]), mesh),
-                self.dx(self.domain.cell_values(*names), **self._rule),
-                self.kinematics,
-            )
-            for names in of_law.values()
-        ]
+        self.bodies = [self._body(names) for names in self._alike()]
         self.layer_terms = self._layer_terms()
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
@@ -143,6 +139,25 @@ class Model(ABC):
         what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         self.mark = structure.mark + what
         return checked
+
+    def _given(self, name: str) -> Expr | None:
+        """The strain that is added to that of the displacements in a body: less its eigenstrain; None: there is none."""
+        law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
+        body = Matter(f"the body {name!r}", law, n, self.kinematics.name, self.coordinates)
+        return given_strain(self.structure.eigenstrains.get(name), body)
+
+    def _alike(self) -> list[list[str]]:
+        """Names of the bodies, those of one law and one eigenstrain together."""
+        found: dict[tuple[int, int], list[str]] = {}
+        for name, law in self.body_laws.items():
+            found.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
+        return [*found.values()]
+
+    def _body(self, names: list[str]) -> forms.Term:
+        """The term of bodies of one law and one eigenstrain."""
+        law = constants(self.kinematics.law(self.body_laws[names[0]]), self.domain.mesh)
+        term = forms.body(law, self.dx(self.domain.cell_values(*names), **self._rule), self.kinematics)
+        return replace(term, given=self.given[names[0]])
 
     # ---------------------------------------------------------------- differences between kinds of models
     @property
@@ -356,6 +371,7 @@ class Model(ABC):
             "parts": described(list(self.parts)),
             **({"strain": described(self.structure.strain)} if self.strain else {}),
             **({"stress": described(self.structure.stress)} if self.stress else {}),
+            **({"eigenstrains": described(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
 
     def _laws(self) -> dict[str, Any]:

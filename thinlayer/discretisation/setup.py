@@ -18,6 +18,7 @@ from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.loads import Load
 from thinlayer.discretisation.mean_strain import Strain
@@ -27,6 +28,7 @@ from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
+Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]
 
 
 class Setup:
@@ -38,6 +40,7 @@ class Setup:
         element: the finite element of displacements.
         body_laws: law of each body.
         supports, tractions, body_force, parts, strain, stress: as given.
+        eigenstrains: eigenstrain of each body that has one, as given.
         comm: MPI communicator; None stands for the world.
         mark: hash of the data, equal on all ranks.
     """
@@ -55,6 +58,7 @@ class Setup:
         parts: Sequence[Addition] = (),
         strain: Strain | None = None,
         stress: Strain | None = None,
+        eigenstrain: Eigenstrains | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
         self.joint, self.plane, self.comm = joint, plane, comm
@@ -64,11 +68,12 @@ class Setup:
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self._check_choices()
             self.body_laws = self._laws_of(body)
+            self.eigenstrains = self._by_body(eigenstrain)
             for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
                 require_stable_body(law, C, joint.dim)
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
+            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress, eigenstrain=eigenstrain,
         )  # fmt: skip
 
     def with_loads(self, loads: Mapping[str, Any]) -> Self:
@@ -136,6 +141,15 @@ class Setup:
                     "gather in one row of cells; let a layer soften, on S"
                 )
         return {name: laws[name] for name in regions}
+
+    def _by_body(self, given: Eigenstrains | None) -> dict[str, Any]:
+        """The eigenstrain of each body that has one, in the same order on all ranks."""
+        regions = self.joint.bodies
+        each = dict(given) if isinstance(given, Mapping) else dict.fromkeys(regions, given)
+        for name in each:
+            if name not in regions:
+                raise ModelError(f"eigenstrain: {unknown('body', name, regions)}")
+        return {name: each[name] for name in regions if each.get(name) is not None}
 
 
 def _ordered(given: Any) -> Any:

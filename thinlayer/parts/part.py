@@ -189,6 +189,9 @@ class Part(ABC):
     def add_forces(self, out: PETSc.Vec) -> float:
         """Add the nodal forces of the last evaluation; returns their norm if the force scale shall know it, else 0."""
 
+    def add_fixed(self, out: PETSc.Vec) -> None:
+        """Add the nodal forces beside those of `K` that do not depend on the unknowns of the step, as of given strains."""
+
     @abstractmethod
     def tangents(self, relative_residual: float) -> list[Block]:
         """Derivatives of the forces and `own_residual`, at the last evaluation, by the unknowns at the end of the step.

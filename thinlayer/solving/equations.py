@@ -44,6 +44,7 @@ class Equations(PartSum):
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
+        external: these less the parts' forces that do not depend on the unknowns.
         held: numbers of the unknowns of this rank that are prescribed.
         prescribed: their values at the end of the step.
         substitution: the unknowns in place of displacements; None: the unknowns are the displacements.
@@ -79,7 +80,7 @@ class Equations(PartSum):
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
         self._tangent: PETSc.Mat | None = None
-        self._forces, self.loads = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
+        self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
 
     # ---------------------------------------------------------------- unknowns
@@ -222,6 +223,10 @@ class Equations(PartSum):
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
         self.begin_parts(interval)
+        self.external.set(0.0)
+        for part in self.parts:
+            part.add_fixed(self.external)
+        self.external.aypx(-1.0, self.loads)
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Compute the residual at the displacements before the step, and tell the force scale its norm.
@@ -376,7 +381,7 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self._of_layers, self.substitution, self._forces, self.loads):
+        for thing in (*self._of_layers, self.substitution, self._forces, self.loads, self.external):
             if thing is not None:
                 thing.destroy()
         if "K" in vars(self):
