@@ -23,12 +23,14 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
+    from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.layer_report import LayerReport
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.contact import ContactPart
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
@@ -56,10 +58,12 @@ _NAMES = {
     "output.homogenised": ["homogenised_stiffness"],
     "output.layer_report": ["LayerReport"],
     "output.surface": ["Surface"],
+    "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.contact": ["ContactPart"],
     "parts.phases": ["PhaseReport"],
+    "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],

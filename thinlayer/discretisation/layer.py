@@ -18,6 +18,7 @@ from forms.base import is_number
 from forms.contact import ContactLaw
 from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError
+from forms.planes import Kinematics
 from forms.traction import TractionLaw
 from geometry.errors import unknown
 from geometry.joint import Joint, Profile
@@ -145,16 +146,11 @@ def gaps_of(given: Layers) -> dict[str, Gap]:
     return {name: one for name, one in given.items() if isinstance(one, Gap)} if isinstance(given, Mapping) else {}
 
 
-def real_law(layer: Layer, plane: str) -> BulkLaw:
-    """A layer's law with real parameters, for plane "strain" or "stress"; a law of jumps as one of strains."""
+def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:
+    """A layer's law with real parameters, for these kinematics; a law of jumps as one of strains."""
     if not isinstance(layer, ThinLayer):
         return layer.of_strains()
-    return in_plane(layer.law, plane).in_layer(float(layer.eps))
-
-
-def in_plane(law: BulkLaw, plane: str) -> BulkLaw:
-    """The law for plane "strain" (as it is) or plane "stress"."""
-    return law.plane_stress() if plane == "stress" else law
+    return kinematics.law(layer.law).in_layer(float(layer.eps))
 
 
 def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:

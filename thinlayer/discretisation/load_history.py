@@ -29,7 +29,7 @@ class LoadHistory:
         self.model, self.comm = model, model.comm
         self._moment = model.coordinates.moment(0.0)
         self._work = fem.form(model.forces.work(ufl.TestFunction(model.V), self._moment))
-        self._prescribed = model.supports.on(model.V)
+        self._prescribed = model.prescribed
         self._strains = GivenInTime(model.domain.mesh, model.terms)
 
     @property

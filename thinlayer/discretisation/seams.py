@@ -77,14 +77,15 @@ class SeamLayer:
     @cached_property
     def at_rest(self) -> AtRest:
         """The law at rest, of a layer without contact."""
-        return AtRest(real_law(self.layer, self.structure.plane), self.sheet.mean_normal)
+        return AtRest(real_law(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def given(self, at: Coordinates) -> Expr | None:
         """The strain (3, 3) that is added to that of the displacements: less the eigenstrain; None: there is none."""
         if self.thin is None:
             return None
-        law, plane = real_law(self.layer, self.structure.plane), self.structure.plane
-        return given_strain(self.thin.eigenstrain, Matter(str(self), law, self.sheet.mean_normal, plane, at))
+        kinematics = self.structure.kinematics
+        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics.name, at)
+        return given_strain(self.thin.eigenstrain, matter)
 
     def check(self) -> None:
         """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable."""

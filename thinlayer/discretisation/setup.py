@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
 
 from forms.law import BulkLaw, Law
+from forms.planes import PLANES, Kinematics
 from forms.tangent import Array, require_stable_body, tangent_at_rest
 from geometry.errors import unknown
 from geometry.joint import Joint
@@ -18,14 +20,14 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.layer import in_plane
-from thinlayer.discretisation.loads import Given, Load
+from thinlayer.discretisation.loads import Load
 from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.supports import Given
 from thinlayer.errors import ModelError
+from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
-PLANES = ("strain", "stress")
 Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]
 
 
@@ -74,10 +76,24 @@ class Setup:
             plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress, eigenstrain=eigenstrain,
         )  # fmt: skip
 
+    def with_loads(self, loads: Mapping[str, Any]) -> Self:
+        """The same data with other loads, unchecked: argument -> value. Collective."""
+        new = copy.copy(self)
+        for name, value in loads.items():
+            setattr(new, name, value)
+        given = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
+        new.mark = digest([self.mark, require_same(self.comm, **given)])
+        return new
+
     @property
     def degree(self) -> int:
         """Polynomial degree of the displacements."""
         return int(self.element[1])
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Strains of displacements, without a mesh."""
+        return PLANES[self.plane]
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -88,7 +104,7 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        return [tangent_at_rest(in_plane(law, self.plane), n) for law in self.body_laws.values()]
+        return [tangent_at_rest(self.kinematics.law(law), n) for law in self.body_laws.values()]
 
     @property
     def size(self) -> float:
@@ -99,8 +115,8 @@ class Setup:
         joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
         if self.plane not in PLANES:
             raise ModelError(unknown("plane", self.plane, PLANES))
-        if self.plane == "stress" and joint.dim == 3:
-            raise ModelError("plane='stress' needs a two-dimensional joint")
+        if joint.dim == 3 and self.plane != "strain":
+            raise ModelError(f"plane={self.plane!r} needs a two-dimensional joint")
         if self.element not in elements:
             raise ModelError(
                 f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"

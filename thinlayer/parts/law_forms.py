@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import dolfinx.fem.petsc
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -29,15 +30,16 @@ from thinlayer.parts.softening import Softening
 class LawForms(FormPart):
     """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
 
-    If no law is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those of the
-    displacements cause constant forces by linear laws, and do work as they grow.
+    If no law of bodies is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those
+    of the displacements cause constant forces by linear laws, and do work as they grow.
 
     Args:
+        key: key of the part.
         V: space of the displacements.
-        terms: all terms; those whose laws are compiled are left out.
+        terms: the terms; those whose laws are compiled are left out.
     """
 
-    def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -54,15 +56,16 @@ class LawForms(FormPart):
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             stored = energy(_given(others, over.now), u) + sum(_beyond(p, u) for p in _given(strained, over.now))
         super().__init__(
-            "forms",
+            key,
             u,
-            _stiffness(V, linear, bodies),
+            _stiffness(V, linear, bodies) if linear or bodies else None,
             work(_given(others, over.balanced), u, v) if others else None,
             stored,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
         )
         self._opposing = _Opposing.of([p for p in _given(others, over.balanced) if p.n is None], u)
         self._in_layer = len(bodies) < len(terms)
+        self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
         self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
 
     # ---------------------------------------------------------------- given strains
@@ -87,19 +90,26 @@ class LawForms(FormPart):
         size = super().add_forces(out)
         return size if self._opposing is None else max(size, self._opposing.force(self.comm))
 
+    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
+        if (form := self._of_layer(tuple(sorted(keys)))) is not None:
+            self._take(self._mid.x.petsc_vec)
+            b = dolfinx.fem.petsc.assemble_vector(form)
+            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            out.axpy(1.0, b)
+            b.destroy()
+
+    def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
+        """Virtual work of the layers' terms with these keys; None: there are none."""
+        if keys not in self._layer_forms:
+            terms = _given([p for p in self._terms if p.n is not None and p.key in keys], self._over.balanced)
+            v = ufl.TestFunction(self._u.function_space)
+            self._layer_forms[keys] = compiled(work(terms, self._u, v)) if terms else None
+        return self._layer_forms[keys]
+
     def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
         old = interval.old
         self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
         return super()._stored(u, interval, before=before)
-
-    @property
-    def largest(self) -> float:
-        """Largest diagonal entry of K."""
-        assert self.K is not None
-        diagonal = self.K.getDiagonal()
-        largest = float(diagonal.max()[1])
-        diagonal.destroy()
-        return largest
 
     @property
     def resists_rigid(self) -> bool:

@@ -62,7 +62,7 @@ class MeanStressPart(Part):
         stresses = [(p, p.law.stress(Step(self._over.now(p.given), p.n))) for p in of_given]
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
         self._own_of_given = fem.form(own) if of_given else None
-        size = sum(fem.Constant(mesh, 1.0) * p.measure for p in bodies)
+        size = sum(fem.Constant(mesh, 1.0) * p.weight * p.measure for p in bodies)
         self._volume = float(comm.allreduce(fem.assemble_scalar(fem.form(size))))
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))

@@ -65,7 +65,8 @@ class CompiledTerm(Quadrature):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
-        self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < self.dim or self._is_given(k)]
+        of_strains = term.kinematics.slots(self.dim)
+        self.slots = [k for k in range(len(MANDEL)) if k in of_strains or self._is_given(k)]
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self.material = Material(self.comm, term.law)

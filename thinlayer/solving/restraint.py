@@ -212,6 +212,6 @@ class Restraint:
                 self._ksp.setOptionsPrefix(PREFIX)
                 self._ksp.setOperators(A)
                 self._ksp.setFromOptions()
-                tell_multigrid(self._ksp, A, self.equations.model)
+                tell_multigrid(self._ksp, A, self.equations.near_null)
             self._ksp.setOperators(A)
             solve_linear(self._ksp, b, x, self._options.keys())
