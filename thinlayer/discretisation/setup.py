@@ -118,6 +118,11 @@ class Setup:
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             if law.traits.compiled or law.traits.constrained or law.traits.of_jumps:
                 raise ModelError(f"body {name!r}: {type(law).__name__} is for layers; bodies take elastic laws")
+            if self.kinematics.law(law).traits.compiled:
+                raise ModelError(
+                    f"body {name!r}: the plane stress of {type(law).__name__} is found point by point, which layers alone "
+                    "do; write a method plane_stress beside its stress, or use plane='strain'"
+                )
             if law.traits.softens:
                 raise ModelError(
                     f"body {name!r}: the stress of {type(law).__name__} falls as strains grow: all strain would "
