@@ -27,7 +27,8 @@ class Term:
         weight: factor of the measure.
         measure: dx, ds or dS.
         n: director, (d,), or None in a body.
-        mean: strain (3, 3) that is added to that of the displacements, as in periodic cells; None: none is.
+        given: strain (3, 3) that is added to that of the displacements: the mean strain of a periodic cell, less the
+            eigenstrain. An expression of place and time; None: none is.
         key: name of what the law remembers and stores, where several layers have names; "": by kind and order.
         kinematics: those of the strain.
     """
@@ -37,14 +38,14 @@ class Term:
     weight: Any
     measure: ufl.Measure
     n: Expr | None = None
-    mean: Expr | None = None
+    given: Expr | None = None
     key: str = ""
     kinematics: Kinematics = LIFTED
 
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""
         e = self.strain(u)
-        return Step(e if self.mean is None else self.mean + e, self.n)
+        return Step(e if self.given is None else self.given + e, self.n)
 
     @property
     def proportional(self) -> bool:

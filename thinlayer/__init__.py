@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
+    from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.layer_report import LayerReport
     from thinlayer.output.surface import Surface
@@ -54,6 +55,7 @@ _NAMES = {
     "output.homogenised": ["homogenised_stiffness"],
     "output.layer_report": ["LayerReport"],
     "output.surface": ["Surface"],
+    "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.contact": ["ContactPart"],

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import basix.ufl
 import numpy as np
@@ -22,9 +23,11 @@ from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
-from thinlayer.discretisation.forces import Forces
+from thinlayer.discretisation.family import Family
+from thinlayer.discretisation.forces import BodyForce, Forces
+from thinlayer.discretisation.given import added
 from thinlayer.discretisation.layer import constants, layers_of
-from thinlayer.discretisation.loads import Coordinates, Supports
+from thinlayer.discretisation.loads import Coordinates, Given, Load, Supports
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
@@ -33,8 +36,11 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
+from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.pointwise.quadrature import quadrature_degree
+
+Result = TypeVar("Result")
 
 
 class Model(ABC):
@@ -54,8 +60,8 @@ class Model(ABC):
             differ, as of a body and of its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
-        bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
-            periodic cell, see `State.bodies`.
+        bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
+            time; `State.bodies` and `State.layers` are those at the time of a state.
         supports: prescribed displacements.
         forces: tractions and body forces.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
@@ -65,6 +71,7 @@ class Model(ABC):
         coordinates: place and time as arguments of loads.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
+        family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
         made_from: description, as JSON, of the data at the time the model was built.
     """
 
@@ -74,12 +81,8 @@ class Model(ABC):
     def __init__(self, structure: Setup, layer: object, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
-        with on_all(structure.comm):
-            given = {} if layer is None else layers_of(self.joint, layer)
-            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
-            inflated = self._checked()
-        what = require_same(structure.comm, model=self.name, layer=layer, options=options)
-        self.mark = structure.mark + what
+        self._options, self.family = options, Family()
+        inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
@@ -108,6 +111,8 @@ class Model(ABC):
         self.layer_terms = self._layer_terms()
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
+        if self.strain:
+            self.bodies = added(self.bodies, self.strain.expression)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
@@ -120,6 +125,17 @@ class Model(ABC):
             require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
+
+    def _lay(self, layer: object, check: Callable[[], Result]) -> Result:
+        """Take the layers of the seams, or none, and return the result of a check of them. Collective."""
+        structure = self.structure
+        with on_all(structure.comm):
+            given = {} if layer is None else layers_of(self.joint, layer)
+            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
+            checked = check()
+        what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
+        self.mark = structure.mark + what
+        return checked
 
     # ---------------------------------------------------------------- differences between kinds of models
     @property
@@ -154,6 +170,53 @@ class Model(ABC):
     @abstractmethod
     def _layer_terms(self) -> list[forms.Term]:
         """The terms of the layer's law."""
+
+    # ---------------------------------------------------------------- other models of the family
+    def with_loads(
+        self,
+        *,
+        tractions: Mapping[str, Load] | None = None,
+        body_force: BodyForce | None = None,
+        supports: Given | None = None,
+    ) -> Self:
+        """The same model under other loads; it shares mesh, space, matrices and their factor. Collective.
+
+        Args:
+            tractions, body_force: as in `Structure`; None: those of this model stay.
+            supports: other values at the same places and components; None: those of this model stay.
+
+        Raises:
+            ModelError, GeometryError: as in `Structure`; supports of other places or components.
+        """
+        loads = {"tractions": tractions, "body_force": body_force, "supports": supports}
+        given = {name: value for name, value in loads.items() if value is not None}
+        new = self._derived()
+        new.structure = structure = self.structure.with_loads(given)
+        new.mark = digest([self.mark, structure.mark])
+        with on_all(self.comm):
+            if supports is not None:
+                new.supports = Supports(self.domain, supports, self.coordinates, self._clamped)
+                new.supports.anchored = self.supports.anchored
+                places = [
+                    [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
+                ]
+                if places[0] != places[1]:
+                    raise ModelError(
+                        f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
+                    )
+            new.forces = Forces(
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+            )
+        new.made_from = new._data()
+        return new
+
+    def _derived(self) -> Self:
+        """A copy that shares all that this model has."""
+        new = copy.copy(self)
+        for name in ("linear", "symmetric"):
+            vars(new).pop(name, None)
+        self.family.several = True
+        return new
 
     # ---------------------------------------------------------------- spaces
     @cached_property

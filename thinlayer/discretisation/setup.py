@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
@@ -21,6 +22,7 @@ from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.loads import Given, Load
 from thinlayer.discretisation.mean_strain import Strain
 from thinlayer.errors import ModelError
+from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
@@ -67,6 +69,15 @@ class Setup:
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
             plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
         )  # fmt: skip
+
+    def with_loads(self, loads: Mapping[str, Any]) -> Self:
+        """The same data with other loads, unchecked: argument -> value. Collective."""
+        new = copy.copy(self)
+        for name, value in loads.items():
+            setattr(new, name, value)
+        given = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
+        new.mark = digest([self.mark, require_same(self.comm, **given)])
+        return new
 
     @property
     def degree(self) -> int:

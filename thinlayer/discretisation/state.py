@@ -14,9 +14,10 @@ from dolfinx import fem
 
 from forms.kinematics import lift
 from forms.work import Term, energy, stress
+from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.loads import has_finite_numbers
-from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS, MeanStrain
+from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
@@ -153,8 +154,9 @@ class State(Configuration):
         model = self.model
         added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts}
         of_layers = {key: energy for key, energy in self.stored.items() if key not in added}
-        for key in {p.key: None for p in model.layer_terms}:
-            in_forms = [p for p in model.layer_terms if p.key == key and not p.law.traits.compiled]
+        layers = self.layers
+        for key in {p.key: None for p in layers}:
+            in_forms = [p for p in layers if p.key == key and not p.law.traits.compiled]
             of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
         return {
             "bodies": self._stored(self.bodies),
@@ -179,11 +181,15 @@ class State(Configuration):
 
     @property
     def bodies(self) -> list[Term]:
-        """The terms of the bodies' laws, with the mean strain of a periodic cell. Collective."""
+        """The terms of the bodies' laws, with the strains that are given or found beside those of u. Collective."""
         model = self.model
-        if not (model.strain or model.stress):
-            return model.bodies
-        return MeanStrain.added(model.bodies, fem.Constant(model.domain.mesh, self.mean_strain()))
+        terms = at_time(model.bodies, self.t)
+        return added(terms, lift(fem.Constant(model.domain.mesh, self.mean_strain()))) if model.stress else terms
+
+    @property
+    def layers(self) -> list[Term]:
+        """The terms of the layers' laws, with the strains that are given beside those of u."""
+        return at_time(self.model.layer_terms, self.t)
 
     def mean_stress(self) -> npt.NDArray[np.float64]:
         """Mean stress (d, d) of the bodies. Collective.

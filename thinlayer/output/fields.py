@@ -16,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import pyvista
 from dolfinx import fem
-from mpi4py import MPI
 
 from geometry.joint import Joint
-from geometry.parallel import on_root
+from geometry.parallel import on_root, world
 from geometry.seam import BASE
 from geometry.topology import FACET_TYPES
 from thinlayer.discretisation.state import State
@@ -210,7 +209,7 @@ def write(solution: State | History, path: str | Path) -> None:
         RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
-    comm = solution.model.comm if isinstance(solution, (State, History)) else MPI.COMM_WORLD
+    comm = solution.model.comm if isinstance(solution, (State, History)) else world()
     with on_all(comm):
         states = _states(solution)
         if not isinstance(path, (str, Path)):

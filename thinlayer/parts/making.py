@@ -15,7 +15,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import PRESSURE
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
-from thinlayer.parts.forms import LawForms
+from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.places import compiled_terms
@@ -29,7 +29,7 @@ def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
         model: the model.
         held: displacements of this rank that supports prescribe (local, unrolled).
     """
-    forms = LawForms(model.V, model.terms, model.strain)
+    forms = LawForms(model.V, model.terms)
     parts: list[Part] = [forms]
     parts += [
         CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)

@@ -134,7 +134,7 @@ class Equations(PartSum):
         """Begin a step: set its loads and supports, and begin it in all parts.
 
         Raises:
-            ModelError: loads or supports that are not finite at the times of the step.
+            ModelError: loads, supports or given strains that are not finite at the times of the step.
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
@@ -144,6 +144,7 @@ class Equations(PartSum):
                 self.loads.axpy(share, b)
                 b.destroy()
         self.prescribed = self.history.prescribed_at(interval.t)
+        self.history.strains_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         if self.model.strain:  # moves the sides of the cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
