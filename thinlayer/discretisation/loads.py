@@ -11,24 +11,29 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from dolfinx.mesh import Mesh
+from dolfinx.mesh import Mesh, entities_to_geometry
+from mpi4py import MPI
 from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
 from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.base import is_number
 from forms.kinematics import Expr
+from forms.planes import Kinematics
 from forms.temperature import real
+from forms.work import LIFTED
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import interpolation_points
+from thinlayer.discretisation.axis import on_axis
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Moment, Time, symbols
 from thinlayer.errors import ModelError
 
 AXES = "xyz"
+ROUNDING = 1e-12  # displacement of the axis of revolution, over the largest one, that is zero
 Place = str | tuple[float, ...]
 Value = float | Callable[[Expr, Expr], Expr]
 Support = float | Mapping[str, Value]
@@ -187,6 +192,7 @@ class Supports:
             (x, t) of UFL coordinates. Where two places overlap, the later entry decides.
         at: coordinates for these functions.
         clamped: facet names where nothing moves.
+        kinematics: on an axis of revolution the component x is zero.
 
     Attributes:
         given: (place, components) as given; `entries` has the clamped ones too.
@@ -194,11 +200,20 @@ class Supports:
         anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
             that translation; no force acts there.
 
+        on_axis: (n,) which points of the joint lie on an axis of revolution.
+
     Raises:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
     """
 
-    def __init__(self, domain: Domain, given: Given, at: Coordinates, clamped: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        domain: Domain,
+        given: Given,
+        at: Coordinates,
+        clamped: Sequence[str] = (),
+        kinematics: Kinematics = LIFTED,
+    ) -> None:
         if not isinstance(given, Mapping):
             raise ModelError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
         self.domain, self.at = domain, at
@@ -221,6 +236,7 @@ class Supports:
         self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
         self.vectors = [self._vector(place, components) for place, components in self.entries]
         self.anchored: tuple[str, ...] = ()
+        self.on_axis = on_axis(kinematics, domain.joint)
 
     def _require_point(self, place: Any) -> None:
         d = len(self.axes)
@@ -274,7 +290,11 @@ class Supports:
         """
         anchors = self.anchors(V) if entries is None else np.empty(0, np.int32)
         entries = self.entries if entries is None else entries
-        found = [anchors, *(self.dofs(V, place, axis) for place, components in entries for axis in components)]
+        found = [
+            anchors,
+            self.axis(V),
+            *(self.dofs(V, place, axis) for place, components in entries for axis in components),
+        ]
         return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
 
     def anchors(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
@@ -290,6 +310,19 @@ class Supports:
         mark.x.scatter_reverse(la.InsertMode.add)  # this rank may have the cell, and another one own its corner
         mark.x.scatter_forward()
         return np.flatnonzero(mark.x.array).astype(np.int32)
+
+    def axis(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """Local degrees of freedom (unrolled, ghosts included) of the component x on an axis of revolution. Collective."""
+        if not self.on_axis.any():
+            return np.empty(0, np.int32)
+        domain, topology = self.domain, self.domain.mesh.topology
+        points, d = domain.original_points, domain.joint.dim
+        topology.create_connectivity(d - 1, d)
+        local = [np.arange(m.size_local + m.num_ghosts, dtype=np.int32) for m in map(topology.index_map, (0, d - 1))]
+        vertices = local[0][self.on_axis[points[entities_to_geometry(domain.mesh, 0, local[0]).ravel()]]]
+        facets = local[1][self.on_axis[domain.joint.table.vertices[domain.numbers(d - 1, local[1])]].all(axis=1)]
+        along = fem.locate_dofs_topological(V.sub(0), d - 1, facets)
+        return np.union1d(along, vertex_dofs(V, vertices, 0)).astype(np.int32)
 
     def on(self, V: fem.FunctionSpace) -> Prescribed:
         """The prescribed displacements in a space. Collective."""
@@ -311,9 +344,11 @@ class Prescribed:
             dofs = [supports.dofs(V, place, axis) for axis in components]
             self._entries.append((np.concatenate([np.empty(0, np.int32), *dofs]), self._value(V, vector)))
         self._entries.append((supports.anchors(V), fem.Function(V)))
-        held = np.unique(np.concatenate([np.empty(0, np.int32), *(dofs for dofs, _ in self._entries)]))
+        self._axis, self._comm = supports.axis(V), supports.domain.comm
+        held = np.unique(np.concatenate([np.empty(0, np.int32), self._axis, *(dofs for dofs, _ in self._entries)]))
         self.held = held[held < V.dofmap.index_map.size_local * V.dofmap.index_map_bs].astype(np.int32)
         self._values = fem.Function(V).x.array
+        self._has_axis = bool(supports.on_axis.any())
 
     def _value(self, V: fem.FunctionSpace, vector: npt.NDArray[np.float64] | Expr) -> fem.Function:
         value = fem.Function(V)
@@ -331,7 +366,19 @@ class Prescribed:
             value.x.scatter_forward()
         for dofs, value in self._entries:
             self._values[dofs] = value.x.array[dofs]
+        self._require_axis()
         return np.asarray(self._values[self.held])
+
+    def _require_axis(self) -> None:
+        """Take the component x as zero on the axis; raise ModelError if a support moves the axis. Collective."""
+        sizes = np.array([np.abs(self._values[part]).max(initial=0.0) for part in (self._axis, slice(None))])
+        moved, largest = self._comm.allreduce(sizes, MPI.MAX) if self._has_axis else sizes
+        self._values[self._axis] = 0.0
+        if moved > ROUNDING * largest:
+            raise ModelError(
+                f"a support prescribes x = {moved:g} on the axis of revolution, where it is 0; give a function such as "
+                "lambda x, t: 0.1 * x[0], or another place"
+            )
 
 
 def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component: int) -> npt.NDArray[np.int32]:

@@ -90,9 +90,9 @@ class Model(ABC):
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
-            self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
+            self.supports = self._supports(structure.supports)
             self.forces = Forces(
-                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics
             )
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
@@ -120,9 +120,12 @@ class Model(ABC):
         on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
         if self.joint.periods and not on_layers:
             held = self.supports.held(self.V)
-            self.supports.anchored = free_translations(self.comm, self.V, self.joint, held, resistances)
+            self.supports.anchored = free_translations(
+                self.comm, self.V, self.joint, held, resistances, self.kinematics
+            )
         if not on_layers:
-            require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
+            held = self.supports.held(self.V)
+            require_support(self.comm, self.V, self.joint, held, resistances, self.kinematics)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -136,6 +139,9 @@ class Model(ABC):
         what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         self.mark = structure.mark + what
         return checked
+
+    def _supports(self, given: Given) -> Supports:
+        return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     @property
@@ -195,7 +201,7 @@ class Model(ABC):
         new.mark = digest([self.mark, structure.mark])
         with on_all(self.comm):
             if supports is not None:
-                new.supports = Supports(self.domain, supports, self.coordinates, self._clamped)
+                new.supports = self._supports(supports)
                 new.supports.anchored = self.supports.anchored
                 places = [
                     [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
@@ -205,7 +211,7 @@ class Model(ABC):
                         f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
                     )
             new.forces = Forces(
-                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics
             )
         new.made_from = new._data()
         return new
@@ -255,9 +261,9 @@ class Model(ABC):
     @property
     def _rule(self) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
-        if not is_tensor(self.joint.cell_type):
+        if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
 
     @property
     def terms(self) -> list[forms.Term]:

@@ -18,6 +18,7 @@ from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.loads import Given, Load
 from thinlayer.discretisation.mean_strain import Strain
@@ -33,7 +34,7 @@ class Setup:
 
     Attributes:
         joint: the joint before inflating.
-        plane: "strain" or "stress".
+        plane: "strain", "stress" or "axisymmetric".
         element: the finite element of displacements.
         body_laws: law of each body.
         supports, tractions, body_force, parts, strain, stress: as given.
@@ -111,6 +112,11 @@ class Setup:
             raise ModelError(unknown("plane", self.plane, PLANES))
         if joint.dim == 3 and self.plane != "strain":
             raise ModelError(f"plane={self.plane!r} needs a two-dimensional joint")
+        require_revolution(self.kinematics, joint)
+        if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
+            raise ModelError(
+                f"plane={self.plane!r}: a mean strain or stress is for periodic cells in plane strain, plane stress or 3D"
+            )
         if self.element not in elements:
             raise ModelError(
                 f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"

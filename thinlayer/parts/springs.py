@@ -12,6 +12,7 @@ from dolfinx import fem
 from forms.base import is_number
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
+from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.loads import refuse_seam
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
@@ -59,6 +60,7 @@ class Springs(Addition):
             raise ModelError(f"springs on {self.place!r}: this facet set is empty")
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
+        refuse_axis(model.kinematics, model.joint, self.place, "springs")
 
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
         """Virtual work of the springs, a UFL form."""
