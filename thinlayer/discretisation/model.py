@@ -18,16 +18,18 @@ from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.joint import Joint
+from geometry.seam import S
 from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
-from thinlayer.discretisation.forces import Forces
+from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.layer import constants, in_plane, layers_of
-from thinlayer.discretisation.loads import Coordinates
+from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
@@ -91,7 +93,7 @@ class Model(ABC):
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
             self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
-            self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
+            self.forces = self._forces(structure)
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -106,6 +108,9 @@ class Model(ABC):
             for names in of_law.values()
         ]
         self.layer_terms = self._layer_terms()
+        with on_all(self.comm):
+            for name, load in self._layer_loads().items():
+                self.forces.add_layer(name, load, self._places_of(self.layers[name]))
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
         self.parts = structure.parts
@@ -124,6 +129,34 @@ class Model(ABC):
         self._laws_read = self._laws()
 
     # ---------------------------------------------------------------- differences between kinds of models
+    def _forces(self, structure: Setup) -> Forces:
+        def forms() -> ConcentratedForms:
+            return ConcentratedForms(self.domain, self.joint, structure.degree, self.coordinates)
+
+        given = structure.tractions, structure.body_force, self.coordinates, structure.loads
+        return Forces(self.domain, *given, forms)
+
+    def _layer_loads(self) -> dict[str, Load]:
+        """Name of a seam -> force per volume of its layer."""
+        given = self.structure.body_force
+        found: dict[str, Load] = {}
+        for name, load in given.items() if isinstance(given, Mapping) else ():
+            if name not in (S, *self.joint.seams):
+                continue
+            for seam in self.joint.seams if name == S else (name,):
+                layer = self.layers.get(seam)
+                if self.name != "bonded" and (layer is None or not layer.thin):
+                    raise ModelError(
+                        f"body force in the layer {seam!r}: it is no layer with a thickness; its weight is not known"
+                    )
+                if layer is not None:
+                    found[seam] = load
+        return found
+
+    @abstractmethod
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        """Where a layer's volume is."""
+
     @property
     def _clamped(self) -> tuple[str, ...]:
         """Names of the facets that a rigid base holds."""

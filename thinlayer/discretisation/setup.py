@@ -18,8 +18,9 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.layer import in_plane
-from thinlayer.discretisation.loads import Load
+from thinlayer.discretisation.loads import Load, Pressure
 from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import Given
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all, require_same
@@ -36,7 +37,7 @@ class Setup:
         plane: "strain" or "stress".
         element: the finite element of displacements.
         body_laws: law of each body.
-        supports, tractions, body_force, parts, strain, stress: as given.
+        supports, tractions, body_force, loads, parts, strain, stress: as given.
         comm: MPI communicator; None stands for the world.
         mark: hash of the data, equal on all ranks.
     """
@@ -47,8 +48,9 @@ class Setup:
         *,
         body: BulkLaw | Mapping[str, BulkLaw],
         supports: Given,
-        tractions: Mapping[str, Load] | None = None,
+        tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
+        loads: Sequence[Concentrated] = (),
         plane: str = "strain",
         element: str | None = None,
         parts: Sequence[Addition] = (),
@@ -61,13 +63,14 @@ class Setup:
         self.parts, self.strain, self.stress = tuple(parts), strain, stress
         with on_all(comm):
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
+            self.loads = check_loads(loads)
             self._check_choices()
             self.body_laws = self._laws_of(body)
             for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
                 require_stable_body(law, C, joint.dim)
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
+            loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
         )  # fmt: skip
 
     @property
