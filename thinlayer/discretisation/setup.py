@@ -21,8 +21,9 @@ from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.loads import Load
+from thinlayer.discretisation.loads import Load, Pressure
 from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.supports import Given
 from thinlayer.errors import ModelError
 from thinlayer.identity.values import digest
@@ -40,7 +41,7 @@ class Setup:
         plane: "strain", "stress" or "axisymmetric".
         element: the finite element of displacements.
         body_laws: law of each body.
-        supports, tractions, body_force, parts, strain, stress: as given.
+        supports, tractions, body_force, loads, parts, strain, stress: as given.
         eigenstrains: eigenstrain of each body that has one, as given.
         comm: MPI communicator; None stands for the world.
         mark: hash of the data, equal on all ranks.
@@ -52,8 +53,9 @@ class Setup:
         *,
         body: BulkLaw | Mapping[str, BulkLaw],
         supports: Given,
-        tractions: Mapping[str, Load] | None = None,
+        tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
+        loads: Sequence[Concentrated] = (),
         plane: str = "strain",
         element: str | None = None,
         parts: Sequence[Addition] = (),
@@ -67,6 +69,7 @@ class Setup:
         self.parts, self.strain, self.stress = tuple(parts), strain, stress
         with on_all(comm):
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
+            self.loads = check_loads(loads)
             self._check_choices()
             self.body_laws = self._laws_of(body)
             self.eigenstrains = self._by_body(eigenstrain)
@@ -74,7 +77,8 @@ class Setup:
                 require_stable_body(law, C, joint.dim)
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress, eigenstrain=eigenstrain,
+            loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
+            eigenstrain=eigenstrain,
         )  # fmt: skip
 
     def with_loads(self, loads: Mapping[str, Any]) -> Self:

@@ -147,7 +147,7 @@ class Equations(PartSum):
         if not self.substitution:
             return rigid_modes(self.model)
         found = []
-        for motion in rigid_motions(self.model.V, self.model.joint).values():
+        for motion in rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values():
             x, n = self.vector(), self.n_displacements
             values, own = self._layout.split(x.array), self.substitution.followed(motion.x.array[:n])
             values[DISPLACEMENTS][:] = motion.x.array[:n]
