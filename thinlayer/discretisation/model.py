@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, ClassVar
 
@@ -23,7 +24,7 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.layer import constants, in_plane, layers_of
+from thinlayer.discretisation.layer import BODIES, BODY, constants, in_plane, layers_of
 from thinlayer.discretisation.loads import Coordinates, Supports
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
@@ -93,13 +94,7 @@ class Model(ABC):
         of_law = {
             id(law): [name for name, one in self.body_laws.items() if one is law] for law in self.body_laws.values()
         }
-        self.bodies = [
-            forms.body(
-                constants(in_plane(self.body_laws[names[0]], self.plane), mesh),
-                self.dx(self.domain.cell_values(*names), **self._rule),
-            )
-            for names in of_law.values()
-        ]
+        self.bodies = [term for names in of_law.values() for term in self._body_terms(names)]
         self.layer_terms = self._layer_terms()
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
@@ -128,6 +123,8 @@ class Model(ABC):
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require_order_zero()
+            if found := [p.key for p in self.bodies if p.law.traits.compiled]:
+                raise ModelError(f"a mean strain or stress does not reach {found[0]!r}, whose law has memory or rate")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
@@ -184,6 +181,15 @@ class Model(ABC):
         return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act
+    def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
+        """The terms of bodies with one law: one if it is a part of forms, else one for each body, with a key of its own."""
+        law = in_plane(self.body_laws[names[0]], self.plane)
+        if not law.traits.compiled:
+            cells = self.dx(self.domain.cell_values(*names), **self._rule)
+            return [forms.body(constants(law, self.domain.mesh), cells)]
+        cells = [self.dx(self.domain.cell_values(name), **self._rule) for name in names]
+        return [replace(forms.body(law, where), key=f"{BODY} {name}") for name, where in zip(names, cells, strict=True)]
+
     @property
     def _rule(self) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
@@ -219,6 +225,16 @@ class Model(ABC):
             for name, one in several.items()
         }
 
+    @property
+    def bodies_remember(self) -> bool:
+        """Whether the law of a body depends on its history, and may dissipate energy."""
+        return any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
+
+    def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
+        """`by_seam`, and under "bodies" the sum of the values of bodies, by their keys, if they remember."""
+        of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
+        return self.by_seam(values) | ({BODIES: of_bodies} if self.bodies_remember else {})
+
     @cached_property
     def linear(self) -> bool:
         """Whether all laws and all additions are linear."""
@@ -234,7 +250,7 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """The break times of all loads, supports and temperatures of the model."""
-        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
+        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""

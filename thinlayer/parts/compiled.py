@@ -43,7 +43,8 @@ class CompiledPart(Part):
         self.points = CompiledTerm(V, term, origin)
         self.comm = self.points.comm
         self.law = law = term.law
-        self._t = 0.0
+        self._t, self._in_body = 0.0, term.n is None
+        self.stress_width = len(self.points.slots)
         self.traits = PartTraits(
             uses_dt=not law.traits.switches,
             weakens=may_weaken(law),
@@ -115,7 +116,10 @@ class CompiledPart(Part):
             change.axpy(-1.0, interval.old.u.x.petsc_vec)
             remainder = float(self.points.forces(response.stress).dot(change)) - (after - before) - dissipated
             change.destroy()
-        return Outcome(before, float(after), float(dissipated), float(remainder), response.memory)
+        stress = response.stress
+        if interval.theta < 1:  # forces balance within the step
+            stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
+        return Outcome(before, float(after), float(dissipated), float(remainder), response.memory, stress=stress)
 
     def _stored_at(self, t: float) -> float:
         """Energy of the last response with the parameters of time t; the law then has its old parameters again."""
@@ -139,8 +143,20 @@ class CompiledPart(Part):
         return True
 
     # ---------------------------------------------------------------- questions
+    def diagonal_at_rest(self) -> PETSc.Vec | None:
+        if not self._in_body:
+            return None
+        A = self.points.stiffness(self.points.tangent_at_rest())
+        diagonal = A.getDiagonal()
+        A.destroy()
+        return diagonal
+
+    @property
+    def resists_rigid(self) -> bool:
+        return not self._in_body
+
     def undeclared_softening(self) -> tuple[str, str] | None:
-        if not may_soften(self.law):
+        if self._in_body or not may_soften(self.law):
             return None
         count = self.comm.allreduce(self.points.falls(self._e, self._e_old, self._memory, self._response))
         return (type(self.law).__name__, f"at {count} points of the {self.key}") if count else None

@@ -189,6 +189,8 @@ class LawForms(FormPart):
     """
 
     def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term], mean: MeanStrain | None = None) -> None:
+        terms = list(terms)
+        everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -218,7 +220,7 @@ class LawForms(FormPart):
         super().__init__(
             "forms",
             u,
-            _stiffness(V, linear, bodies),
+            _stiffness(V, linear, everywhere),
             work(others, u, v) if others else None,
             stored,
             g=g,
@@ -268,15 +270,6 @@ class LawForms(FormPart):
         found = super()._stored(u, t)
         self._E.value[:] = self._middle
         return found
-
-    @property
-    def largest(self) -> float:
-        """Largest diagonal entry of K."""
-        assert self.K is not None
-        diagonal = self.K.getDiagonal()
-        largest = float(diagonal.max()[1])
-        diagonal.destroy()
-        return largest
 
     @property
     def resists_rigid(self) -> bool:

@@ -95,6 +95,7 @@ class Outcome:
             varying parameters.
         memory: (n, values) internal variables at the end of the step; None: the part has no memory.
         supplied: work done on the part by strains that are prescribed, beside that of loads and supports.
+        stress: (n, components) stresses at the end of the step; None: the part keeps none.
         kept: whether the state keeps `after` under the part's key; it computes the energies of bodies and laws' forms.
     """
 
@@ -105,6 +106,7 @@ class Outcome:
     memory: Array | None = None
     kept: bool = True
     supplied: float = 0.0
+    stress: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,7 @@ class Part(ABC):
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
         cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements. The
             rounding of these forces is that of the displacements times this stiffness.
+        stress_width: number of stress components that states keep at each point of the memory; 0: none.
     """
 
     key: str
@@ -166,6 +169,7 @@ class Part(ABC):
     failed: int = 0
     K: PETSc.Mat | None = None
     cancelling: float = 0.0
+    stress_width: int = 0
     interval: Interval
 
     # ---------------------------------------------------------------- a step
@@ -247,6 +251,13 @@ class Part(ABC):
         return int(dofmap.index_map.size_local * dofmap.index_map_bs)
 
     # ---------------------------------------------------------------- questions
+    def diagonal_at_rest(self) -> PETSc.Vec | None:
+        """Diagonal of the tangent at rest of bodies that are not in K, a scale of forces; None: there are none.
+
+        The caller destroys it.
+        """
+        return None
+
     @property
     def resists_rigid(self) -> bool:
         """Whether a rigid motion of a whole body may cause forces, as in layers and springs."""

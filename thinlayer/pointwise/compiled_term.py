@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from forms.kinematics import MANDEL, ROOT2
 from forms.law import LawError
+from forms.tangent import LONG
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
@@ -68,7 +69,7 @@ class CompiledTerm(Quadrature):
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self.material = Material(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
-        self._at_rest = self._tangent_at_rest() if term.law.traits.singular else None
+        self._at_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
     def _strain_matrix(self, V: fem.FunctionSpace) -> None:
         """B: displacements -> strains at the points (m rows each); assembled once, as strains are linear."""
@@ -76,7 +77,7 @@ class CompiledTerm(Quadrature):
         du, q = ufl.TrialFunction(V), self.region.side(ufl.TestFunction(W))
         e = self.term.strain(du)
         rows = [e[i, j] * (1.0 if i == j else ROOT2) for i, j in (MANDEL[k] for k in self.slots)]
-        form = fem.form(ufl.inner(ufl.as_vector(rows), q) * self._measure, entity_maps=self.region.maps)
+        form = fem.form(ufl.inner(ufl.as_vector(rows), q) * self.measure, entity_maps=self.region.maps)
         self.B = dolfinx.fem.petsc.assemble_matrix(form)
         self.B.assemble()
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
@@ -156,11 +157,11 @@ class CompiledTerm(Quadrature):
         if problem := next(filter(None, self.comm.allgather(problem)), None):
             raise LawError(problem)
 
-    def _tangent_at_rest(self) -> Array:
-        """Tangents (points, m, m) at rest; collective where parameters vary."""
+    def tangent_at_rest(self) -> Array:
+        """Tangents (points, m, m) at rest, where rates are zero; collective where parameters vary."""
         none = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
-        return self.respond(none, none, self.rest(), 0.0, 1.0).tangent
+        return self.respond(none, none, self.rest(), LONG if self.term.law.traits.rate else 0.0, 1.0).tangent
 
     def _regular(self, tangent: Array, relative_residual: float) -> Array:
         """The tangents, plus a small share of the tangent at rest where they differ from it."""

@@ -14,7 +14,7 @@ from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.making import parts_of
+from thinlayer.parts.making import diagonal_at_rest, parts_of
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
@@ -35,7 +35,7 @@ class Equations(PartSum):
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
         prescribed: displacements that supports prescribe at the end of the step.
-        mean_stiffness: mean size of the diagonal entries of K.
+        mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
         eased: ease of the parts; 0 is the parts themselves.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
     """
@@ -51,7 +51,7 @@ class Equations(PartSum):
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
         self._matrix = TangentMatrix(self.comm, self._layout.sizes)
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
-        diagonal = self.K.getDiagonal()
+        diagonal = diagonal_at_rest(self.parts)
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
@@ -127,8 +127,9 @@ class Equations(PartSum):
     def rest(self, t: float) -> State:
         """The state at rest, before the first step."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
-        lost = dict.fromkeys(model.by_seam({}), 0.0)
-        return State(fem.Function(model.V), t, self.memory_at_rest, model=model, report=report, dissipated=lost)
+        lost, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
+        memory, stresses = self.memory_at_rest, self.stresses_at_rest
+        return State(u, t, memory, stresses=stresses, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
@@ -218,7 +219,7 @@ class Equations(PartSum):
             sum(one.remainder for one in every),
             sum(one.after for one in every),
         )
-        dissipated = self.model.by_seam({key: one.dissipated for key, one in found.items()})
+        dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
         return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
