@@ -29,7 +29,7 @@ from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added
-from thinlayer.discretisation.layer import constants, layers_of
+from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
@@ -107,7 +107,7 @@ class Model(ABC):
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
-        self.bodies = [self._body(names) for names in self._alike()]
+        self.bodies = [term for names in self._alike() for term in self._body_terms(names)]
         self.layer_terms = self._layer_terms()
         with on_all(self.comm):
             self.forces = self._forces(structure)
@@ -157,11 +157,15 @@ class Model(ABC):
             found.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
         return [*found.values()]
 
-    def _body(self, names: list[str]) -> forms.Term:
-        """The term of bodies of one law and one eigenstrain."""
-        law = constants(self.kinematics.law(self.body_laws[names[0]]), self.domain.mesh)
-        term = forms.body(law, self.dx(self.domain.cell_values(*names), **self._rule), self.kinematics)
-        return replace(term, given=self.given[names[0]])
+    def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
+        """Terms of bodies with one law and one eigenstrain: one if they are parts of forms, else one a body, with a key."""
+        law, given = self.kinematics.law(self.body_laws[names[0]]), self.given[names[0]]
+        if not law.traits.compiled:
+            law, some = constants(law, self.domain.mesh), {"": names}
+        else:
+            some = {f"{BODY} {name}": (name,) for name in names}
+        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
+        return [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
 
     def _supports(self, given: Given) -> Supports:
         return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
@@ -209,6 +213,8 @@ class Model(ABC):
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require_order_zero()
+            if found := [p.key for p in self.bodies if p.law.traits.compiled]:
+                raise ModelError(f"a mean strain or stress does not reach {found[0]!r}, whose law has memory or rate")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
@@ -249,7 +255,7 @@ class Model(ABC):
         Raises:
             ModelError, GeometryError: as in `Structure`; supports of other places or components.
         """
-        changed = {"tractions": tractions, "body_force": body_force, "supports": supports}
+        changed: dict[str, Any] = {"tractions": tractions, "body_force": body_force, "supports": supports}
         with on_all(self.comm):
             changed["loads"] = None if loads is None else check_loads(loads)
         given = {name: value for name, value in changed.items() if value is not None}
@@ -356,6 +362,16 @@ class Model(ABC):
         plates = [part.place for part in self.parts if part.ties_nodes]
         return [*(place for place, _ in self.supports.entries), *plates, *based]
 
+    @property
+    def bodies_remember(self) -> bool:
+        """Whether the law of a body depends on its history, and may dissipate energy."""
+        return any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
+
+    def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
+        """`by_seam`, and under "bodies" the sum of the values of bodies, by their keys, if they remember."""
+        of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
+        return self.by_seam(values) | ({BODIES: of_bodies} if self.bodies_remember else {})
+
     @cached_property
     def linear(self) -> bool:
         """Whether all laws and all additions are linear."""
@@ -376,7 +392,7 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """The break times of all loads, supports and temperatures of the model."""
-        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
+        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""

@@ -10,9 +10,9 @@ from typing import Any, Self
 import numpy as np
 from mpi4py import MPI
 
-from forms.law import BulkLaw, Law
+from forms.law import BulkLaw, Law, explained
 from forms.planes import PLANES, Kinematics
-from forms.tangent import Array, require_stable_body, tangent_at_rest
+from forms.tangent import Array, is_checked_at_rest, needs_director, require_stable_body, tangent_at_rest
 from geometry.errors import unknown
 from geometry.joint import Joint
 from geometry.sheet import Sheet
@@ -109,7 +109,8 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        return [tangent_at_rest(self.kinematics.law(law), n) for law in self.body_laws.values()]
+        laws = [self.kinematics.law(law) for law in self.body_laws.values()]
+        return [tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n) for law in laws]
 
     @property
     def size(self) -> float:
@@ -143,18 +144,7 @@ class Setup:
             law = laws.get(name)
             if not isinstance(law, Law):
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
-            if law.traits.compiled or law.traits.constrained or law.traits.of_jumps:
-                raise ModelError(f"body {name!r}: {type(law).__name__} is for layers; bodies take elastic laws")
-            if self.kinematics.law(law).traits.compiled:
-                raise ModelError(
-                    f"body {name!r}: the plane stress of {type(law).__name__} is found point by point, which layers alone "
-                    "do; write a method plane_stress beside its stress, or use plane='strain'"
-                )
-            if law.traits.softens:
-                raise ModelError(
-                    f"body {name!r}: the stress of {type(law).__name__} falls as strains grow: all strain would "
-                    "gather in one row of cells; let a layer soften, on S"
-                )
+            require_body_law(name, law)
         return {name: laws[name] for name in regions}
 
     def _by_body(self, given: Eigenstrains | None) -> dict[str, Any]:
@@ -165,6 +155,34 @@ class Setup:
             if name not in regions:
                 raise ModelError(f"eigenstrain: {unknown('body', name, regions)}")
         return {name: each[name] for name in regions if each.get(name) is not None}
+
+
+def require_body_law(name: str, law: Law) -> None:
+    """Raise ModelError if a law is for layers alone, with the reason."""
+    traits, kind = law.traits, type(law).__name__
+    reason = ""
+    if not isinstance(law, BulkLaw):
+        reason = "it gives tractions for jumps, which a body has not"
+    elif law.sublayers[0][1] is not law:
+        reason = "its sublayers lie across the thickness of a layer; give regions laws of their own"
+    elif traits.constrained:
+        reason = "its pressure is a field of its own; take a nearly incompressible law, with nu = 0.4999, say"
+    elif traits.phases:
+        reason = "its phases are those of a layer's columns"
+    elif traits.compiled and _reads_director(law):  # others have none in a body, and say so
+        reason = "its stress depends on the normal of S, which a body has not"
+    if reason:
+        raise ModelError(f"body {name!r}: {kind} is for layers: {reason}")
+    if traits.softens:
+        raise ModelError(
+            f"body {name!r}: the stress of {kind} falls as strains grow: all strain would gather in one row of cells; "
+            "let a layer soften, on S"
+        )
+
+
+def _reads_director(law: BulkLaw) -> bool:
+    with explained(law, law.methods[0]):
+        return needs_director(law)
 
 
 def _ordered(given: Any) -> Any:
