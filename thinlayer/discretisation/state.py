@@ -91,6 +91,7 @@ class Configuration:
             "layer BED/1", "contact BED".
         fields: unknowns beside the displacements, by the key of their part.
         stored: energy at the end of the step in the parts that are not forms of laws, by key.
+        at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
         reactions: (n, k) forces and moments about `Model.centre` by what holds the structure, in the order of
             `Model.holders`; None: not known.
         stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, m): the Mandel
@@ -102,6 +103,7 @@ class Configuration:
     memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     fields: Mapping[str, fem.Function] = field(default_factory=dict)
     stored: Mapping[str, float] = field(default_factory=dict)
+    at_rest: bool = False
     reactions: npt.NDArray[np.float64] | None = None
     stresses: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
 

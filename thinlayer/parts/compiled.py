@@ -80,7 +80,7 @@ class CompiledPart(Part):
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        old, self._given = (self._given_at(t) for t in (interval.old.t, interval.t))
+        old, self._given = self._given_at.before(interval.old), self._given_at(interval.t)
         self._growth = self._given - old
         self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old
         self._memory = interval.old.memory[self.key]
@@ -129,7 +129,7 @@ class CompiledPart(Part):
         return Outcome(*energies, response.memory, supplied=supplied, stress=stress)
 
     def _at_rest(self) -> float:
-        """Energy stored before the first step, by a given strain."""
+        """Energy stored before the first step, by a strain that has always been given."""
         if self.points.term.given is None:
             return 0.0
         return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))

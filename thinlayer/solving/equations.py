@@ -191,7 +191,7 @@ class Equations(PartSum):
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
         lost, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
-        return State(u, t, memory, stresses=stresses, model=model, report=report, dissipated=lost)
+        return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.

@@ -228,8 +228,11 @@ class Checkpoint:
         dissipated |= {place: found.get(column, np.nan) for column, place in dissipated_columns(self.model).items()}
         audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        parts = memory, fields, stored, self.comm.bcast(arrays.get(REACTIONS)), stresses
-        return State(u, t, *parts, model=self.model, report=report, audit=audit, dissipated=dissipated)
+        parts, reactions = (memory, fields, stored), self.comm.bcast(arrays.get(REACTIONS))
+        return State(
+            u, t, *parts, reactions=reactions, stresses=stresses,
+            model=self.model, report=report, audit=audit, dissipated=dissipated,
+        )  # fmt: skip
 
     def _read_values(self, row: int, rows: Array | None, key: str, rest: Array) -> Array:
         """Values (n, m) at the points of a part, from the rows of a state's file on rank 0."""
