@@ -63,7 +63,7 @@ def test_given_forces_and_prescribed_motions_are_conjugate(dim, kind):
         moved = RigidPlate(
             "TOP", motion={name: float(all_motions[name]) for name in held},
             force=[0.0 if name in held else f for name, f in zip(names, given.force, strict=True)],
-            moment=_number([0.0 if name in held else m for name, m in zip(turns, np.atleast_1d(given.moment), strict=True)]),
+            moment=_moment({name: 0.0 for name in held}, turns, given.moment),
         )  # fmt: skip
         structure = loaded.structure
         again = Structure(
@@ -79,7 +79,8 @@ def test_given_forces_and_prescribed_motions_are_conjugate(dim, kind):
     assert stored == pytest.approx(work / 2, rel=1e-9)
 
 
-def _number(values):
+def _moment(held, turns, given):
+    values = [held.get(name, m) for name, m in zip(turns, np.atleast_1d(given), strict=True)]
     return values[0] if len(values) == 1 else values
 
 
@@ -163,7 +164,7 @@ def test_tangent(theta):
 def test_by_conjugate_gradients():
     """Multigrid knows the rigid motions in the other unknowns: not many more iterations than a support needs."""
     joint = sandwich(2.0, 0.5, 0.6, 0.2, depth=1.0)
-    gamg = {"ksp_type": "cg", "pc_type": "gamg", "pc_factor_mat_solver_type": "petsc", "ksp_rtol": 1e-10}
+    gamg = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-10}
     parts = {"plate": [RigidPlate("TOP", force=(0.3, -2.0, 0.1))], "none": []}
     found = {}
     for name, part in parts.items():
@@ -208,8 +209,8 @@ def test_a_body_that_is_loose_beside_a_plate():
     [
         (dict(place="TOB"), "did you mean 'TOP'"),
         (dict(place="S"), "inside, or below a layer"),
-        (dict(place="TOP", force=(1.0,)), "needs|must be 2 finite components"),
-        (dict(place="TOP", moment=(1.0, 2.0)), "must be a finite number"),
+        (dict(place="TOP", force=(1.0,)), "it must be 2 finite components"),
+        (dict(place="TOP", moment=(1.0, 2.0)), "must be a number or a function"),
         (dict(place="TOP", motion={"z": 0.0}), "unknown motion 'z'"),
         (dict(place="TOP", motion={"x": "fixed"}), "must be a number or a function"),
         (dict(place="TOP", motion={"x": 0.0}, force=(1.0, 0.0)), "the motion 'x' is prescribed, and 1 is given"),

@@ -43,7 +43,8 @@ class Prescribed:
     normal, y has the components along the prescribed directions first, then those across. At nodes between facets of places
     with a normal component, facets whose normals differ by less than 30 degrees are one smooth surface with their mean
     normal; others are planes that meet in a corner, and the displacements along both normals are prescribed: in 2D the
-    corner is held, in 3D it moves along the edge.
+    corner is held, in 3D it moves along the edge. Straight facets of a curved side in 3D have normals of their own: where
+    they should slide freely, use curved cells (degree 2).
 
     A displacement that several places prescribe must have the same value by all. Its force is shared equally among them.
 
