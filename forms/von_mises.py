@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -10,7 +9,8 @@ from typing import Any, ClassVar
 from forms.base import is_number
 from forms.elastic import LinearElastic, isotropic_stiffness, require_moduli
 from forms.kernel import KernelLaw
-from forms.law import LawError, positive, require
+from forms.law import LawError, positive
+from forms.plastic import require_hardening
 
 LEAST_FRACTION, MOST_FRACTION = 1e-6, 1 - 1e-9  # of the stiffness that hardening leaves, in continuation
 
@@ -66,16 +66,7 @@ class VonMises(KernelLaw):
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
         positive(self, "strength")
-        for name in ("hardening", "kinematic", "saturation", "saturation_strain"):
-            value = getattr(self, name)
-            require(math.isfinite(value) and value >= 0, self, name, value, ">= 0, finite")
-        require(
-            self.saturation_strain > 0 or self.saturation == 0,
-            self,
-            "saturation_strain",
-            self.saturation_strain,
-            "> 0 where saturation > 0",
-        )
+        require_hardening(self, "hardening", "kinematic", "saturation")
 
     def eased(self, ease: float) -> VonMises:
         """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
