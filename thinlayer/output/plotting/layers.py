@@ -18,7 +18,7 @@ from geometry.parallel import on_root
 from geometry.topology import is_tensor
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.fields import at_corners
+from thinlayer.output.grid import at_corners
 from thinlayer.output.layer_report import CRUSHED, ELASTIC, NO_LAYER, OPEN, SLIDING, STATUSES, TORN, LayerReport
 from thinlayer.output.plotting.curves import put, require_name
 

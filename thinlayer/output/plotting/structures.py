@@ -23,8 +23,9 @@ from forms.base import is_number
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.fields import Shape, edges, gather, surface
+from thinlayer.output.grid import gather
 from thinlayer.output.plotting.curves import put, require_name
+from thinlayer.output.plotting.shapes import Shape, edges, surface
 
 LARGEST = 0.05  # largest drawn displacement, over the size of the structure
 VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
