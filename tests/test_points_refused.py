@@ -23,6 +23,7 @@ from forms import (
     TractionLaw,
 )
 from forms.law import Step
+from forms.planes import PLANES
 from forms.traction import JumpStep
 from tests.at_points import E2, respond
 from tests.laws_at_points import ELASTIC, KELVIN, LAWS, LMBDA, MAXWELL, MISES, MU, NORTON_3, SERIES, SOLID
@@ -81,7 +82,7 @@ def test_what_a_law_refuses(build, message):
 
 def test_jumps_know_no_plane():
     law = LAWS["traction"]
-    assert real_law(law, "stress").parameters() == law.parameters()
+    assert real_law(law, PLANES["stress"]).parameters() == law.parameters()
 
 
 def test_a_traction_law_has_no_powers_of_eps():

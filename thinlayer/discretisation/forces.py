@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import ufl
@@ -28,6 +29,7 @@ class Forces:
         tractions: facet name -> traction on the outer boundary.
         body_force: force per volume in the bodies, or region name -> force.
         at: coordinates for loads that are functions.
+        factor: of all measures, see `Kinematics`.
 
     Attributes:
         given: description of kind and place -> the load as given.
@@ -37,9 +39,14 @@ class Forces:
     """
 
     def __init__(
-        self, domain: Domain, tractions: Mapping[str, Load] | None, body_force: BodyForce | None, at: Coordinates
+        self,
+        domain: Domain,
+        tractions: Mapping[str, Load] | None,
+        body_force: BodyForce | None,
+        at: Coordinates,
+        factor: Any = 1,
     ) -> None:
-        self.domain, self.at = domain, at
+        self.domain, self.at, self._factor = domain, at, factor
         self.given: dict[str, Load] = {}
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
@@ -146,7 +153,7 @@ class Forces:
         """Virtual work of the loads at a moment, a UFL form linear in v."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         for _, load, measure in self._loads:
-            form += ufl.inner(load, v) * measure
+            form += ufl.inner(load, v) * self._factor * measure
         return moment.of(form)
 
     def not_finite(self, t: float) -> list[str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import basix.ufl
 import numpy as np
@@ -22,19 +24,27 @@ from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
-from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.layer import constants, in_plane, layers_of
-from thinlayer.discretisation.loads import Coordinates, Supports
+from thinlayer.discretisation.eigenstrains import Matter, given_strain
+from thinlayer.discretisation.family import Family
+from thinlayer.discretisation.forces import BodyForce, Forces
+from thinlayer.discretisation.given import added
+from thinlayer.discretisation.layer import constants, layers_of
+from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.supports import Given, Place, Supports
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
+from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.pointwise.quadrature import quadrature_degree
+
+Result = TypeVar("Result")
 
 
 class Model(ABC):
@@ -54,16 +64,22 @@ class Model(ABC):
             differ, as of a body and of its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
-        bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
-            periodic cell, see `State.bodies`.
+        bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
+            time; `State.bodies` and `State.layers` are those at the time of a state.
+        given, given_on: name of a body, and of a seam -> the strain (3, 3) that is added there to that of the
+            displacements, minus the eigenstrain; None: there is none.
         supports: prescribed displacements.
+        prescribed: the same as conditions at the nodes of V.
         forces: tractions and body forces.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
+        kinematics: strains of displacements on the mesh, and the factor of all measures.
         coordinates: place and time as arguments of loads.
+        centre: (d,) mean place of the mesh's points.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
+        family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
         made_from: description, as JSON, of the data at the time the model was built.
     """
 
@@ -73,48 +89,75 @@ class Model(ABC):
     def __init__(self, structure: Setup, layer: object, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
-        with on_all(structure.comm):
-            given = {} if layer is None else layers_of(self.joint, layer)
-            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
-            inflated = self._checked()
-        what = require_same(structure.comm, model=self.name, layer=layer, options=options)
-        self.mark = structure.mark + what
+        self._options, self.family = options, Family()
+        inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
+        self.centre = np.asarray(inflated.points.mean(axis=0), float)
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
+        self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
             self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
-            self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
+            self.forces = Forces(
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+            )
+            self.given = {name: self._given(name) for name in self.body_laws}
+            self.given_on = {name: one.given(self.coordinates) for name, one in self.layers.items()}
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
-        of_law = {
-            id(law): [name for name, one in self.body_laws.items() if one is law] for law in self.body_laws.values()
-        }
-        self.bodies = [
-            forms.body(
-                constants(in_plane(self.body_laws[names[0]], self.plane), mesh),
-                self.dx(self.domain.cell_values(*names), **self._rule),
-            )
-            for names in of_law.values()
-        ]
+        self.bodies = [self._body(names) for names in self._alike()]
         self.layer_terms = self._layer_terms()
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
+        if self.strain:
+            self.bodies = added(self.bodies, self.strain.expression)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
+        self.prescribed = Prescribed(self.supports, self.V)
         resistances = [partial(part.resistance, self) for part in self.parts]
         on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
         if self.joint.periods and not on_layers:
-            held = self.supports.held(self.V)
-            self.supports.anchored = free_translations(self.comm, self.V, self.joint, held, resistances)
+            conditions = self.prescribed.conditions
+            self.supports.anchored = free_translations(self.comm, self.V, self.joint, conditions, resistances)
+            self.prescribed = Prescribed(self.supports, self.V)
         if not on_layers:
-            require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
+            require_support(self.comm, self.V, self.joint, self.prescribed.conditions, resistances)
         self.made_from = self._data()
         self._laws_read = self._laws()
+
+    def _lay(self, layer: object, check: Callable[[], Result]) -> Result:
+        """Take the layers of the seams, or none, and return the result of a check of them. Collective."""
+        structure = self.structure
+        with on_all(structure.comm):
+            given = {} if layer is None else layers_of(self.joint, layer)
+            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
+            checked = check()
+        what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
+        self.mark = structure.mark + what
+        return checked
+
+    def _given(self, name: str) -> Expr | None:
+        """The strain that is added to that of the displacements in a body: less its eigenstrain; None: there is none."""
+        law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
+        body = Matter(f"the body {name!r}", law, n, self.kinematics.name, self.coordinates)
+        return given_strain(self.structure.eigenstrains.get(name), body)
+
+    def _alike(self) -> list[list[str]]:
+        """Names of the bodies, those of one law and one eigenstrain together."""
+        found: dict[tuple[int, int], list[str]] = {}
+        for name, law in self.body_laws.items():
+            found.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
+        return [*found.values()]
+
+    def _body(self, names: list[str]) -> forms.Term:
+        """The term of bodies of one law and one eigenstrain."""
+        law = constants(self.kinematics.law(self.body_laws[names[0]]), self.domain.mesh)
+        term = forms.body(law, self.dx(self.domain.cell_values(*names), **self._rule), self.kinematics)
+        return replace(term, given=self.given[names[0]])
 
     # ---------------------------------------------------------------- differences between kinds of models
     @property
@@ -149,6 +192,54 @@ class Model(ABC):
     @abstractmethod
     def _layer_terms(self) -> list[forms.Term]:
         """The terms of the layer's law."""
+
+    # ---------------------------------------------------------------- other models of the family
+    def with_loads(
+        self,
+        *,
+        tractions: Mapping[str, Load] | None = None,
+        body_force: BodyForce | None = None,
+        supports: Given | None = None,
+    ) -> Self:
+        """The same model under other loads; it shares mesh, space, matrices and their factor. Collective.
+
+        Args:
+            tractions, body_force: as in `Structure`; None: those of this model stay.
+            supports: other values at the same places and components; None: those of this model stay.
+
+        Raises:
+            ModelError, GeometryError: as in `Structure`; supports of other places or components.
+        """
+        loads = {"tractions": tractions, "body_force": body_force, "supports": supports}
+        given = {name: value for name, value in loads.items() if value is not None}
+        new = self._derived()
+        new.structure = structure = self.structure.with_loads(given)
+        new.mark = digest([self.mark, structure.mark])
+        with on_all(self.comm):
+            if supports is not None:
+                new.supports = Supports(self.domain, supports, self.coordinates, self._clamped)
+                new.supports.anchored = self.supports.anchored
+                new.prescribed = Prescribed(new.supports, self.V)
+                places = [
+                    [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
+                ]
+                if places[0] != places[1]:
+                    raise ModelError(
+                        f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
+                    )
+            new.forces = Forces(
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+            )
+        new.made_from = new._data()
+        return new
+
+    def _derived(self) -> Self:
+        """A copy that shares all that this model has."""
+        new = copy.copy(self)
+        for name in ("linear", "symmetric"):
+            vars(new).pop(name, None)
+        self.family.several = True
+        return new
 
     # ---------------------------------------------------------------- spaces
     @cached_property
@@ -219,6 +310,13 @@ class Model(ABC):
             for name, one in several.items()
         }
 
+    @property
+    def holders(self) -> list[Place]:
+        """What holds it, as rows of `Configuration.reactions`: supports, clamped facets, plates, bases below layers."""
+        based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
+        plates = [part.place for part in self.parts if part.ties_nodes]
+        return [*(place for place, _ in self.supports.entries), *plates, *based]
+
     @cached_property
     def linear(self) -> bool:
         """Whether all laws and all additions are linear."""
@@ -230,6 +328,11 @@ class Model(ABC):
         """Whether all laws and all additions have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
+
+    @property
+    def substituted(self) -> bool:
+        """Whether solvers have other unknowns than displacements: supports are inclined, or parts of the boundary rigid."""
+        return self.prescribed.frames is not None or any(part.ties_nodes for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:
@@ -268,6 +371,7 @@ class Model(ABC):
             "parts": described(list(self.parts)),
             **({"strain": described(self.structure.strain)} if self.strain else {}),
             **({"stress": described(self.structure.stress)} if self.stress else {}),
+            **({"eigenstrains": described(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
 
     def _laws(self) -> dict[str, Any]:

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
 
 from forms.law import BulkLaw, Law
+from forms.planes import PLANES, Kinematics
 from forms.tangent import Array, require_stable_body, tangent_at_rest
 from geometry.errors import unknown
 from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.layer import in_plane
-from thinlayer.discretisation.loads import Given, Load
+from thinlayer.discretisation.loads import Load
 from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.supports import Given
 from thinlayer.errors import ModelError
+from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
-PLANES = ("strain", "stress")
+Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]
 
 
 class Setup:
@@ -36,6 +40,7 @@ class Setup:
         element: the finite element of displacements.
         body_laws: law of each body.
         supports, tractions, body_force, parts, strain, stress: as given.
+        eigenstrains: eigenstrain of each body that has one, as given.
         comm: MPI communicator; None stands for the world.
         mark: hash of the data, equal on all ranks.
     """
@@ -53,6 +58,7 @@ class Setup:
         parts: Sequence[Addition] = (),
         strain: Strain | None = None,
         stress: Strain | None = None,
+        eigenstrain: Eigenstrains | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
         self.joint, self.plane, self.comm = joint, plane, comm
@@ -62,17 +68,32 @@ class Setup:
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
             self._check_choices()
             self.body_laws = self._laws_of(body)
+            self.eigenstrains = self._by_body(eigenstrain)
             for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
                 require_stable_body(law, C, joint.dim)
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
+            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress, eigenstrain=eigenstrain,
         )  # fmt: skip
+
+    def with_loads(self, loads: Mapping[str, Any]) -> Self:
+        """The same data with other loads, unchecked: argument -> value. Collective."""
+        new = copy.copy(self)
+        for name, value in loads.items():
+            setattr(new, name, value)
+        given = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
+        new.mark = digest([self.mark, require_same(self.comm, **given)])
+        return new
 
     @property
     def degree(self) -> int:
         """Polynomial degree of the displacements."""
         return int(self.element[1])
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Strains of displacements, without a mesh."""
+        return PLANES[self.plane]
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -83,7 +104,7 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        return [tangent_at_rest(in_plane(law, self.plane), n) for law in self.body_laws.values()]
+        return [tangent_at_rest(self.kinematics.law(law), n) for law in self.body_laws.values()]
 
     @property
     def size(self) -> float:
@@ -94,8 +115,8 @@ class Setup:
         joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
         if self.plane not in PLANES:
             raise ModelError(unknown("plane", self.plane, PLANES))
-        if self.plane == "stress" and joint.dim == 3:
-            raise ModelError("plane='stress' needs a two-dimensional joint")
+        if joint.dim == 3 and self.plane != "strain":
+            raise ModelError(f"plane={self.plane!r} needs a two-dimensional joint")
         if self.element not in elements:
             raise ModelError(
                 f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"
@@ -120,6 +141,15 @@ class Setup:
                     "gather in one row of cells; let a layer soften, on S"
                 )
         return {name: laws[name] for name in regions}
+
+    def _by_body(self, given: Eigenstrains | None) -> dict[str, Any]:
+        """The eigenstrain of each body that has one, in the same order on all ranks."""
+        regions = self.joint.bodies
+        each = dict(given) if isinstance(given, Mapping) else dict.fromkeys(regions, given)
+        for name in each:
+            if name not in regions:
+                raise ModelError(f"eigenstrain: {unknown('body', name, regions)}")
+        return {name: each[name] for name in regions if each.get(name) is not None}
 
 
 def _ordered(given: Any) -> Any:

@@ -238,7 +238,7 @@ def _balance(state: State, held: npt.NDArray[np.int32]) -> tuple[float, float]:
         return math.nan, math.nan
     v = ufl.TestFunction(model.V)
     stresses, loads = (
-        nodal_forces(model.V, work(state.bodies + model.layer_terms, state.u, v) + model.added_work(state.u, v)),
+        nodal_forces(model.V, work(state.bodies + state.layers, state.u, v) + model.added_work(state.u, v)),
         nodal_forces(model.V, model.external_work(v, state.t)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec

@@ -12,9 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 import dolfinx
 import pyvista
-from mpi4py import MPI
-
-from geometry.parallel import on_root
+from geometry.parallel import on_root, world
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.blocks import blocks
@@ -22,10 +20,8 @@ from thinlayer.output.grid import nodal_displacement
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import History
 
-BYTES = {
-    ".bp": (128, 24),
-    ".pvd": (0, 200),
-}  # approximate size in a file of a node: its mesh, once; its values, each time
+# approximate size of a node in a file: its mesh, once; its values, each time
+BYTES = {".bp": (128, 24), ".pvd": (0, 200)}
 VTX, VTK = ".bp", ".pvd"
 
 
@@ -55,7 +51,7 @@ def write(solution: State | History, path: str | Path) -> None:
         RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
-    comm = solution.model.comm if isinstance(solution, (State, History)) else MPI.COMM_WORLD
+    comm = solution.model.comm if isinstance(solution, (State, History)) else world()
     with on_all(comm):
         states = _states(solution)
         if not isinstance(path, (str, Path)):

@@ -31,7 +31,7 @@ class LawPoints:
 
     Attributes:
         state: the state.
-        term: the term, with the mean strain of a periodic cell.
+        term: the term, with the strains that are given or found beside those of u.
         quadrature: its points.
         key: of what its law remembers, in `State.memory`; "" for a law that has neither memory nor rate.
     """
@@ -68,7 +68,7 @@ class LawPoints:
 def law_points(state: State) -> Iterator[LawPoints]:
     """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
     model = state.model
-    terms = state.bodies + model.layer_terms
+    terms = state.bodies + state.layers
     keys = {id(term): key for key, term in compiled_terms(model.terms).items()}
     for own, term, quadrature in zip(model.terms, terms, _quadratures(model), strict=True):
         yield LawPoints(state, term, quadrature, keys.get(id(own), ""))

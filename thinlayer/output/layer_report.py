@@ -18,6 +18,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
 from thinlayer.output.law_points import tensors
+from thinlayer.parts.given_at_points import GivenAtPoints
 from thinlayer.parts.places import compiled_terms
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import memory_slots
@@ -130,7 +131,7 @@ class LayerReport:
                 continue
             points = CompiledTerm(model.V, term, model.origin)
             points.at_time(state.t)
-            e, memory = points.strain(state.u.x.petsc_vec), state.memory[key]
+            e, memory = points.strain(state.u.x.petsc_vec) + GivenAtPoints(points)(state.t), state.memory[key]
             stress = points.respond(e, e, memory, 0.0, 1.0).stress  # nothing changes at these strains
             parts = [fraction * memory[:, k : k + len(MANDEL)] for fraction, _, k in slots]
             strains, stresses = tensors(e, points.slots), tensors(stress, points.slots)

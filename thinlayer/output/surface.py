@@ -95,7 +95,7 @@ class Surface:
     def _compiled(self, f: Expr, make: Callable[[Any], Any]) -> Any:
         """Result of `make` for the integral over S of a scalar expression."""
         try:
-            return make(f * self.sides.measure)
+            return make(f * self._factor * self.sides.measure)
         except ValueError as error:  # UFL's
             raise ModelError(f"an expression cannot be integrated over S: {error}") from error
 
@@ -103,6 +103,11 @@ class Surface:
     def sides(self) -> Interface:
         """The two sides of S, or of the seam."""
         return self.model.sides_of(self.seam)
+
+    @property
+    def _factor(self) -> Any:
+        """Factor of the measure of S."""
+        return self.model.kinematics.factor
 
     @property
     def _on_base(self) -> bool:
@@ -390,7 +395,7 @@ class Surface:
 
     def _mass_of(self, V: fem.FunctionSpace, *sides: Callable[[Expr], Expr]) -> SurfaceMass:
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        form = sum(ufl.inner(side(u), side(v)) for side in sides) * self.sides.measure
+        form = sum(ufl.inner(side(u), side(v)) for side in sides) * self._factor * self.sides.measure
         return SurfaceMass(self.model, V, form, self.entity_maps)
 
 

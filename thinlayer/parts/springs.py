@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
@@ -13,6 +14,8 @@ from forms.base import is_number
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.loads import refuse_seam
+from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
+from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
 
@@ -64,7 +67,14 @@ class Springs(Addition):
         """Virtual work of the springs, a UFL form."""
         n = ufl.FacetNormal(model.V.mesh)
         across = (self.normal - self.tangential) * ufl.dot(u, n) * ufl.dot(v, n)
-        return (across + self.tangential * ufl.inner(u, v)) * model.ds(model.domain.values(self.place))
+        work = across + self.tangential * ufl.inner(u, v)
+        return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
+
+    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:
+        """As in `Addition`: the force and moment of the springs."""
+        motion = fem.Constant(model.domain.mesh, np.zeros(count(model.joint.dim)))
+        v = rigid_expression(model.domain.mesh, motion, model.centre)
+        return [(self.place, -work_in_motions(model.comm, self.work(model, u, v), motion))]
 
     def part(self, model: Host) -> FormPart:
         """The springs as a part of a model's balance. Collective."""

@@ -25,6 +25,7 @@ from thinlayer.time.history import History, dissipated_columns
 Array = npt.NDArray[Any]
 TABLE = "table.csv"
 REQUIRED = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}  # columns to resume from
+REACTIONS = "reactions"
 MEMORY, FIELD, STORED = "memory ", "field ", "stored "  # prefixes of the keys of parts in a state's file
 
 
@@ -132,6 +133,8 @@ class Checkpoint:
             order = self._orders[key]
             arrays[MEMORY + key] = self._gather(order.numbers, order.ordered(values))
         arrays["t"] = np.array(state.t)
+        if state.reactions is not None:
+            arrays[REACTIONS] = state.reactions
         arrays |= {STORED + key: np.array(energy) for key, energy in state.stored.items()}
         arrays["march"] = np.array(digest(self.mark))
 
@@ -225,7 +228,11 @@ class Checkpoint:
         dissipated |= {seam: found.get(column, np.nan) for column, seam in dissipated_columns(self.model).items()}
         audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        return State(u, t, memory, fields, stored, model=self.model, report=report, audit=audit, dissipated=dissipated)
+        reactions = self.comm.bcast(arrays.get(REACTIONS))
+        return State(
+            u, t, memory, fields, stored, reactions,
+            model=self.model, report=report, audit=audit, dissipated=dissipated,
+        )  # fmt: skip
 
     def _arrays(self, row: int, table: Table) -> dict[str, Array]:
         """The arrays of a state's file; on rank 0."""
