@@ -12,6 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 import dolfinx
 import pyvista
+
 from geometry.parallel import on_root, world
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
