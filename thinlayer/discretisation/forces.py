@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
 
 from forms.kinematics import Expr
+from forms.planes import Kinematics
+from forms.work import LIFTED
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
+from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.load_curves import Moment
 from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, refuse_seam, vector
 from thinlayer.errors import ModelError, warn
@@ -29,7 +31,7 @@ class Forces:
         tractions: facet name -> traction on the outer boundary.
         body_force: force per volume in the bodies, or region name -> force.
         at: coordinates for loads that are functions.
-        factor: of all measures, see `Kinematics`.
+        kinematics: of the mesh; all measures have their factor.
 
     Attributes:
         given: description of kind and place -> the load as given.
@@ -44,9 +46,9 @@ class Forces:
         tractions: Mapping[str, Load] | None,
         body_force: BodyForce | None,
         at: Coordinates,
-        factor: Any = 1,
+        kinematics: Kinematics = LIFTED,
     ) -> None:
-        self.domain, self.at, self._factor = domain, at, factor
+        self.domain, self.at, self._kinematics = domain, at, kinematics
         self.given: dict[str, Load] = {}
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
@@ -84,6 +86,7 @@ class Forces:
         refuse_seam(self.domain.joint, name, f"a traction on {what} is what the model computes; load another facet set")
         values = self.domain.values(name)
         refuse_periodic(self.domain.joint, name, "traction")
+        refuse_axis(self._kinematics, self.domain.joint, name, "a traction")
         if not self.domain.is_outer(name):
             raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
         if not values and not name.endswith(f"/{LAYER}"):
@@ -153,7 +156,7 @@ class Forces:
         """Virtual work of the loads at a moment, a UFL form linear in v."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         for _, load, measure in self._loads:
-            form += ufl.inner(load, v) * self._factor * measure
+            form += ufl.inner(load, v) * self._kinematics.factor * measure
         return moment.of(form)
 
     def not_finite(self, t: float) -> list[str]:

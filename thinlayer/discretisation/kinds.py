@@ -20,6 +20,7 @@ from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.seam import BASE, S
+from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.joint_fields import director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
@@ -88,6 +89,8 @@ class FullModel(LayeredModel):
 
     def _checked(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
+        if self._bodies == "kept":
+            require_shifts(self.structure.kinematics, self.joint)
         gaps = self._checked_layers()
         if self._junctions is not None and self._junctions not in [*self.joint.seams]:
             raise ModelError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
@@ -109,6 +112,7 @@ class FullModel(LayeredModel):
             gaps=tuple(gaps),
         )
         self._check_junctions(inflated)
+        require_revolution(self.structure.kinematics, inflated)
         return inflated
 
     def _checked_layers(self) -> dict[str, Gap]:

@@ -99,9 +99,9 @@ class Model(ABC):
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
-            self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
+            self.supports = self._supports(structure.supports)
             self.forces = Forces(
-                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics
             )
             self.given = {name: self._given(name) for name in self.body_laws}
             self.given_on = {name: one.given(self.coordinates) for name, one in self.layers.items()}
@@ -122,10 +122,13 @@ class Model(ABC):
         on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
         if self.joint.periods and not on_layers:
             conditions = self.prescribed.conditions
-            self.supports.anchored = free_translations(self.comm, self.V, self.joint, conditions, resistances)
+            self.supports.anchored = free_translations(
+                self.comm, self.V, self.joint, conditions, resistances, self.kinematics
+            )
             self.prescribed = Prescribed(self.supports, self.V)
         if not on_layers:
-            require_support(self.comm, self.V, self.joint, self.prescribed.conditions, resistances)
+            conditions = self.prescribed.conditions
+            require_support(self.comm, self.V, self.joint, conditions, resistances, self.kinematics)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -158,6 +161,9 @@ class Model(ABC):
         law = constants(self.kinematics.law(self.body_laws[names[0]]), self.domain.mesh)
         term = forms.body(law, self.dx(self.domain.cell_values(*names), **self._rule), self.kinematics)
         return replace(term, given=self.given[names[0]])
+
+    def _supports(self, given: Given) -> Supports:
+        return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     @property
@@ -217,7 +223,7 @@ class Model(ABC):
         new.mark = digest([self.mark, structure.mark])
         with on_all(self.comm):
             if supports is not None:
-                new.supports = Supports(self.domain, supports, self.coordinates, self._clamped)
+                new.supports = self._supports(supports)
                 new.supports.anchored = self.supports.anchored
                 new.prescribed = Prescribed(new.supports, self.V)
                 places = [
@@ -228,7 +234,7 @@ class Model(ABC):
                         f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
                     )
             new.forces = Forces(
-                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics.factor
+                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics
             )
         new.made_from = new._data()
         return new
@@ -278,9 +284,9 @@ class Model(ABC):
     @property
     def _rule(self) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
-        if not is_tensor(self.joint.cell_type):
+        if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
 
     @property
     def terms(self) -> list[forms.Term]:

@@ -18,6 +18,7 @@ from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.axis import require_revolution
 from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
 from thinlayer.discretisation.loads import Load
@@ -36,7 +37,7 @@ class Setup:
 
     Attributes:
         joint: the joint before inflating.
-        plane: "strain" or "stress".
+        plane: "strain", "stress" or "axisymmetric".
         element: the finite element of displacements.
         body_laws: law of each body.
         supports, tractions, body_force, parts, strain, stress: as given.
@@ -117,6 +118,11 @@ class Setup:
             raise ModelError(unknown("plane", self.plane, PLANES))
         if joint.dim == 3 and self.plane != "strain":
             raise ModelError(f"plane={self.plane!r} needs a two-dimensional joint")
+        require_revolution(self.kinematics, joint)
+        if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
+            raise ModelError(
+                f"plane={self.plane!r}: a mean strain or stress is for periodic cells in plane strain, plane stress or 3D"
+            )
         if self.element not in elements:
             raise ModelError(
                 f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"
@@ -135,6 +141,11 @@ class Setup:
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             if law.traits.compiled or law.traits.constrained or law.traits.of_jumps:
                 raise ModelError(f"body {name!r}: {type(law).__name__} is for layers; bodies take elastic laws")
+            if self.kinematics.law(law).traits.compiled:
+                raise ModelError(
+                    f"body {name!r}: the plane stress of {type(law).__name__} is found point by point, which layers alone "
+                    "do; write a method plane_stress beside its stress, or use plane='strain'"
+                )
             if law.traits.softens:
                 raise ModelError(
                     f"body {name!r}: the stress of {type(law).__name__} falls as strains grow: all strain would "

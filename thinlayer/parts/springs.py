@@ -13,6 +13,7 @@ from dolfinx import fem
 from forms.base import is_number
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
+from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.loads import refuse_seam
 from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
 from thinlayer.discretisation.supports import Place
@@ -62,6 +63,7 @@ class Springs(Addition):
             raise ModelError(f"springs on {self.place!r}: this facet set is empty")
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
+        refuse_axis(model.kinematics, model.joint, self.place, "springs")
 
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
         """Virtual work of the springs, a UFL form."""

@@ -125,9 +125,13 @@ class CompiledTerm(Quadrature):
         at = np.flatnonzero(np.isnan(response.stress[:, 0]))[:1]
         if not len(at):
             return ""
-        k, name = int(at[0]), type(self.term.law).__name__
+        k = int(at[0])
         what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
-        return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])})"
+        law = self.term.law
+        plane = any(one.in_space is not one for _, one in law.sublayers)
+        why = ", or no strain out of the plane makes the stresses there zero" if plane else ""
+        name = type(law.in_space).__name__
+        return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])}){why}"
 
     def falls(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
         """Number of this rank's points where stresses fall as the layer opens or slips, at strains e or since e_old.
