@@ -194,6 +194,17 @@ class Quadrature:
         form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
+    def values(self, f: Expr) -> Array:
+        """Values (points, m) of a vector expression (m,), as integrands of the measure may have it. Collective."""
+        q = self.region.side(ufl.TestFunction(self._space(f.ufl_shape)))
+        return self._integrated(f, q) / self._integrals[:, None]
+
+    def means(self, values: Array) -> Array:
+        """Means (cells, ...) of values (points, ...) over each cell or facet of the region that this rank owns."""
+        of_cells, weights = values[self.cells], self.weights[self.cells]
+        whole = weights.sum(axis=1).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(np.einsum("cp,cp...->c...", weights, of_cells) / whole)
+
     @cached_property
     def joint_x(self) -> Array:
         """Places (d, points) of the points in the joint before inflating; in a mesh without a joint their places."""
