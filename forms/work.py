@@ -53,7 +53,7 @@ class Term:
         traits = self.law.traits
         if not traits.linear or traits.remembers or traits.rate:
             return False
-        return all(isinstance(self._unstrained(law), Zero) for _, law in self.law.sublayers)
+        return all(isinstance(self._unstrained(law.in_space), Zero) for _, law in self.law.sublayers)
 
     def _unstrained(self, law: BulkLaw) -> Expr:
         n = lift(self.n) if self.n is not None and self.law.traits.compiled else self.n

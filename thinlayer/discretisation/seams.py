@@ -17,6 +17,7 @@ from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
+from thinlayer.discretisation.axis import is_across
 from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.layer import CONTACT, LAYER, LawOnS, Layer, ThinLayer, real_law
 from thinlayer.discretisation.loads import Coordinates
@@ -118,6 +119,11 @@ class SeamLayer:
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
         if not self.sheet.planar:
             raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
+        if not is_across(self.structure.kinematics, self.sheet.mean_normal[None]):
+            raise ModelError(
+                "order=1 needs an S across the axis of revolution, its normal along y: that of a tube is curved, and the "
+                "law leaves out the curvature's part of the next term"
+            )
         if self.sheet.tip is not None:
             raise ModelError(
                 f"order=1 needs an S that does not end inside the bodies, and {self} ends at {place(self.sheet.tip)}: its "

@@ -19,6 +19,7 @@ from forms.law import explained
 from forms.work import Term
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, transfer
@@ -270,6 +271,6 @@ class JunctionTractions:
 
 def _is_told(layer: SeamLayer) -> bool:
     """Whether the jump alone tells the traction of a law without contact, by an expression."""
-    traits = layer.law.traits
+    traits = real_law(layer.layer, layer.structure.kinematics).traits
     hidden = traits.compiled or traits.remembers or traits.rate or traits.constrained or traits.varies
     return traits.in_ufl and not hidden

@@ -40,6 +40,8 @@ class LawForms(FormPart):
     """
 
     def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+        terms = list(terms)
+        everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -58,7 +60,7 @@ class LawForms(FormPart):
         super().__init__(
             key,
             u,
-            _stiffness(V, linear, bodies) if linear or bodies else None,
+            _stiffness(V, linear, everywhere) if linear or everywhere else None,
             work(_given(others, over.balanced), u, v) if others else None,
             stored,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
