@@ -48,7 +48,8 @@ class Term:
         traits = self.law.traits
         if not traits.linear or traits.remembers or traits.rate:
             return False
-        return all(isinstance(self._unstrained(law), Zero) for _, law in self.law.sublayers)
+        laws = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for _, law in self.law.sublayers]
+        return all(isinstance(self._unstrained(law), Zero) for law in laws)
 
     def _unstrained(self, law: BulkLaw) -> Expr:
         n = lift(self.n) if self.n is not None and self.law.traits.compiled else self.n
@@ -101,14 +102,23 @@ def of_jumps(law: BulkLaw, sides: Interface) -> Term:
     return Term(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)
 
 
-def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0) -> list[Term]:
+def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0, relaxed: BulkLaw | None = None) -> list[Term]:
     """A layer's law on S.
 
     Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
     e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
     e1 = `BulkLaw.gradient` of sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the
     thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+
+    Args:
+        law: the law, with real parameters.
+        sides: the sides of S.
+        eps: the thickness.
+        order: of the interface law.
+        relaxed: the law whose `gradient` is taken (default: `law`), with expressions on S where the law's parameters are
+            functions.
     """
+    relaxed = relaxed or law
 
     def jump_part(u: Expr) -> Expr:
         return jump_strain(sides.jump(u), sides.n) / eps
@@ -123,7 +133,7 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0) -> list[T
     def at(z: float) -> Callable[[Expr], Expr]:
         def point_strain(u: Expr) -> Expr:
             upper, lower = along(u, sides.upper), along(u, sides.lower)
-            return jump_part(u) + (upper + lower) / 2 + z * law.gradient(upper - lower, sides.n)
+            return jump_part(u) + (upper + lower) / 2 + z * relaxed.gradient(upper - lower, sides.n)
 
         return point_strain
 

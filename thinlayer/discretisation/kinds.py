@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
@@ -17,7 +18,7 @@ from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.seam import BASE, S
-from thinlayer.discretisation.joint_fields import director, relative_thickness
+from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import LawOnS, Layers, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
@@ -202,7 +203,8 @@ class InterfaceModel(Model):
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
         mesh, law, layer = self.domain.mesh, real_law(one.layer, self.plane), one.thin
-        law = law if law.traits.compiled else constants(law, mesh)
+        relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
+        law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)
         sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
         if layer is None:
@@ -210,7 +212,17 @@ class InterfaceModel(Model):
         eps: Expr = fem.Constant(mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
-        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order)]
+        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order, relaxed)]
+
+    def _relaxed(self, law: BulkLaw, one: SeamLayer) -> BulkLaw:
+        """The law with parameters that are functions as expressions on S, linear between vertices, for `gradient`."""
+        joint, upper, on_s = self.joint, self.sides_of(one.name).upper, {}
+        vertices = np.unique(joint.table.vertices[joint.rows_of(one.name)])
+        for name, found in law.fields_at(joint.points[vertices].T).items():
+            values = np.full(len(joint.points), found[0])  # elsewhere without meaning
+            values[vertices] = found
+            on_s[name] = upper(cellwise(self.domain, ("Lagrange", 1), values[joint.corners][..., None]))
+        return constants(law, self.domain.mesh).with_parameters(on_s)
 
 
 class BondedModel(Model):

@@ -29,6 +29,7 @@ from thinlayer.discretisation.loads import Coordinates, Supports
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.placed import placed
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
@@ -95,7 +96,7 @@ class Model(ABC):
             id(law): [name for name, one in self.body_laws.items() if one is law] for law in self.body_laws.values()
         }
         self.bodies = [term for names in of_law.values() for term in self._body_terms(names)]
-        self.layer_terms = self._layer_terms()
+        self.layer_terms = [placed(term, self.V, self.origin) for term in self._layer_terms()]
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
         self.parts = structure.parts
@@ -186,9 +187,9 @@ class Model(ABC):
         law = in_plane(self.body_laws[names[0]], self.plane)
         if not law.traits.compiled:
             cells = self.dx(self.domain.cell_values(*names), **self._rule)
-            return [forms.body(constants(law, self.domain.mesh), cells)]
-        cells = [self.dx(self.domain.cell_values(name), **self._rule) for name in names]
-        return [replace(forms.body(law, where), key=f"{BODY} {name}") for name, where in zip(names, cells, strict=True)]
+            return [placed(forms.body(constants(law, self.domain.mesh), cells), self.V, self.origin)]
+        each = {f"{BODY} {name}": self.dx(self.domain.cell_values(name), **self._rule) for name in names}
+        return [placed(replace(forms.body(law, one), key=key), self.V, self.origin) for key, one in each.items()]
 
     @property
     def _rule(self) -> dict[str, Any]:
