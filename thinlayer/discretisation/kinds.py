@@ -22,6 +22,7 @@ from thinlayer.discretisation.joint_fields import cellwise, director, relative_t
 from thinlayer.discretisation.layer import LawOnS, Layers, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
+from thinlayer.discretisation.placed import known_at
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
@@ -222,7 +223,7 @@ class InterfaceModel(Model):
             values = np.full(len(joint.points), found[0])  # elsewhere without meaning
             values[vertices] = found
             on_s[name] = upper(cellwise(self.domain, ("Lagrange", 1), values[joint.corners][..., None]))
-        return constants(law, self.domain.mesh).with_parameters(on_s)
+        return known_at(law, self.domain.mesh, on_s)
 
 
 class BondedModel(Model):

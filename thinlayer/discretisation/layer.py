@@ -17,7 +17,6 @@ from dolfinx.mesh import Mesh
 from forms.base import is_number
 from forms.contact import ContactLaw
 from forms.declarations import require_declarations
-from forms.fields import is_field
 from forms.law import BulkLaw, LawError
 from forms.traction import TractionLaw
 from geometry.errors import unknown
@@ -155,5 +154,8 @@ def in_plane(law: BulkLaw, plane: str) -> BulkLaw:
 
 
 def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """A law whose numbers are Constants, so that forms are compiled once for all their values; functions stay."""
-    return law.mapped(lambda value, _: value if is_field(value) else fem.Constant(mesh, np.asarray(value, float)))
+    """A law whose parameters are Constants, so that forms are compiled once for all their values.
+
+    A law with parameters that are functions is given back as it is: `placed` makes what forms need.
+    """
+    return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 
+from forms.kinematics import Expr
+from forms.law import BulkLaw
 from forms.work import Term
 from thinlayer.discretisation.layer import constants
 from thinlayer.parallel.agreement import on_all
@@ -31,5 +35,9 @@ def placed(term: Term, V: fem.FunctionSpace, origin: Origin) -> Term:
     if law.traits.compiled:
         return term
     f = points.function(np.column_stack([values[name] for name in law.fields]))
-    known = constants(law, V.mesh).with_parameters({name: f[k] for k, name in enumerate(law.fields)})
-    return replace(term, law=known, measure=points.measure)
+    return replace(term, law=known_at(law, V.mesh, dict(zip(law.fields, f, strict=True))), measure=points.measure)
+
+
+def known_at(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -> BulkLaw:
+    """A law with UFL expressions for the parameters that are functions, and Constants for the others."""
+    return constants(law.with_parameters(dict.fromkeys(values, 1.0)), mesh).with_parameters(values)
