@@ -37,6 +37,9 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
         law: the law, with numbers for parameters.
         n: director, (d,).
     """
+    if law.in_space is not law:
+        C = tangent_at_rest(law.in_space, n)
+        return None if C is None else law.condensed(C)
     declared = law.stiffness(n)
     if declared is not None:
         return declared
@@ -69,6 +72,9 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """
     if not law.traits.linear:
         return None
+    if law.in_space is not law:
+        C = tangent_over(law.in_space, n, dt)
+        return None if C is None else law.condensed(C)
     n = np.pad(n, (0, 3 - len(n)))
     if not law.traits.in_ufl:
         return _of_kernel(law, n, dt)
@@ -89,6 +95,7 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 def needs_director(law: BulkLaw) -> bool:
     """Whether the stress of a law depends on the director n; a kernel in C says so itself (`KernelLaw.isotropic`)."""
+    law = law.in_space
     if law.traits.in_ufl:
         return traces_director(law)
     assert isinstance(law, KernelLaw)

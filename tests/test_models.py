@@ -285,7 +285,7 @@ def test_meshed_layers_that_cannot_be_built():
 def test_options_are_in_the_signatures():
     """Python itself, editors and type checkers know them."""
     known = set(inspect.signature(Structure).parameters)
-    loads = {"supports", "tractions", "body_force", "strain", "stress"}
+    loads = {"supports", "tractions", "body_force", "strain", "stress", "eigenstrain"}
     assert known == {"joint", "body", "parts", "plane", "element", "comm"} | loads
     with pytest.raises(TypeError, match="unexpected keyword argument 'traction'"):
         Structure(JOINT, **SETUP, traction={})

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
+    from thinlayer.discretisation.eigenstrains import Eigenstrain, Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Gap, ThinLayer
     from thinlayer.discretisation.loads import Pressure, piecewise
     from thinlayer.discretisation.model import Model
@@ -24,6 +25,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
+    from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.layer_report import LayerReport
     from thinlayer.output.surface import Surface
@@ -45,6 +47,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
 __version__ = "0.1.0"
 _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
+    "discretisation.eigenstrains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
     "discretisation.layer": ["Gap", "ThinLayer"],
     "discretisation.loads": ["Pressure", "piecewise"],
     "discretisation.model": ["Model"],
@@ -59,6 +62,7 @@ _NAMES = {
     "output.homogenised": ["homogenised_stiffness"],
     "output.layer_report": ["LayerReport"],
     "output.surface": ["Surface"],
+    "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.contact": ["ContactPart"],

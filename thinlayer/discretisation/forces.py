@@ -11,10 +11,13 @@ import ufl
 from dolfinx import fem
 
 from forms.kinematics import Expr
+from forms.planes import Kinematics
+from forms.work import LIFTED
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
+from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.load_curves import Moment
 from thinlayer.discretisation.loads import Coordinates, Load, Pressure, refuse_periodic, refuse_seam, vector
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
@@ -50,6 +53,7 @@ class Forces:
         at: coordinates for loads that are functions.
         loads: loads at points and along lines.
         forms: makes the forms of these.
+        kinematics: of the mesh; all measures have their factor.
 
     Attributes:
         given: description of kind and place -> the load as given.
@@ -66,8 +70,9 @@ class Forces:
         at: Coordinates,
         loads: Sequence[Concentrated] = (),
         forms: Callable[[], ConcentratedForms] | None = None,
+        kinematics: Kinematics = LIFTED,
     ) -> None:
-        self.domain, self.at = domain, at
+        self.domain, self.at, self._kinematics = domain, at, kinematics
         self.given: dict[str, Any] = {}
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         self._in_layers: list[tuple[str, Expr, Weighted]] = []
@@ -129,6 +134,7 @@ class Forces:
         refuse_seam(self.domain.joint, name, f"a traction on {what} is what the model computes; load another facet set")
         values = self.domain.values(name)
         refuse_periodic(self.domain.joint, name, "traction")
+        refuse_axis(self._kinematics, self.domain.joint, name, "a traction")
         if not self.domain.is_outer(name):
             raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
         if not values and not name.endswith(f"/{LAYER}"):
@@ -199,9 +205,9 @@ class Forces:
         """Virtual work of the loads at a moment, a UFL form linear in v."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         for _, load, measure in self._loads:
-            form += ufl.inner(load, v) * measure
+            form += ufl.inner(load, v) * self._kinematics.factor * measure
         for _, load, one in self._in_layers:
-            form += ufl.inner(load, one.mean(v)) * one.measure
+            form += ufl.inner(load, one.mean(v)) * self._kinematics.factor * one.measure
         return moment.of(form)
 
     def not_finite(self, t: float) -> list[str]:

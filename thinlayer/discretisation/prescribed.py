@@ -55,7 +55,7 @@ class Prescribed:
     Attributes:
         held: (n,) local numbers of the prescribed entries of y on this rank, increasing.
         frames: Q of this rank, (m, m) sparse and orthogonal; None: the identity.
-        entry: (k,) for each condition the number of its support in `supports.entries`; -1 for an anchor.
+        entry: (k,) for each condition the number of its support in `supports.entries`; -1: an anchor, or the axis.
         blocks: (k,) local number of its node.
         conditions: (k, m) sparse, the conditions on the displacements of this rank.
 
@@ -105,11 +105,11 @@ class Prescribed:
             source.append(np.full(len(dofs), number))
             dof.append(dofs)
             direction.append(np.tile(np.eye(d)[axes.index(one.axis)], (len(dofs), 1)))
-        anchors = self.supports.anchors(self.V)
-        anchors = anchors[anchors < self._size]
-        source.append(np.full(len(anchors), -1))
-        dof.append(anchors)
-        direction.append(np.eye(d)[anchors % d])
+        for others in (self.supports.anchors(self.V), self.supports.axis(self.V)):  # zero by themselves
+            owned = others[others < self._size]
+            source.append(np.full(len(owned), -1))
+            dof.append(owned)
+            direction.append(np.eye(d)[owned % d])
         for some, numbers in zip(self._normal_conditions(), (source, dof, direction), strict=True):
             numbers.append(some)
         self._source_of, self._dof, self._direction = (
@@ -262,6 +262,8 @@ class Prescribed:
         return f"contradictory supports{f' at {at_place(x)}' if x is not None else ''}: " + " and ".join(said)
 
     def _said(self, row: int, values: Array) -> str:
+        if self._source_of[row] < 0:
+            return "on the axis of revolution x = 0"
         one = self._sources[self._source_of[row]]
         return f"{one.place!r} prescribes {one.axis} = {values[row]:.6g}"
 

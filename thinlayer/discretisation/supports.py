@@ -9,12 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
+from dolfinx.mesh import entities_to_geometry
 
 from forms.base import is_number
 from forms.kinematics import Expr
+from forms.planes import Kinematics
+from forms.work import LIFTED
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S
+from thinlayer.discretisation.axis import on_axis
 from thinlayer.discretisation.loads import AXES, Coordinates, Value, called, refuse_periodic, refuse_seam, scalar
 from thinlayer.errors import ModelError
 
@@ -37,18 +41,27 @@ class Supports:
             inclined or curved facets: see `Prescribed`. Where places overlap, their values must agree.
         at: coordinates for these functions.
         clamped: facet names where nothing moves, whatever supports say that end there.
+        kinematics: on an axis of revolution the component x is zero.
 
     Attributes:
         functions: (number of the entry, component) -> a function as a UFL vector (d,) of equal entries.
         given: (place, components) as given; `entries` has the clamped ones too.
         anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
             that translation; no force acts there.
+        on_axis: (n,) which points of the joint lie on an axis of revolution.
 
     Raises:
         GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
     """
 
-    def __init__(self, domain: Domain, given: Given, at: Coordinates, clamped: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        domain: Domain,
+        given: Given,
+        at: Coordinates,
+        clamped: Sequence[str] = (),
+        kinematics: Kinematics = LIFTED,
+    ) -> None:
         if not isinstance(given, Mapping):
             raise ModelError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
         self.domain, self.at, self.clamped = domain, at, tuple(clamped)
@@ -75,6 +88,7 @@ class Supports:
             if callable(value)
         }
         self.anchored: tuple[str, ...] = ()
+        self.on_axis = on_axis(kinematics, domain.joint)
 
     @property
     def entries(self) -> tuple[tuple[Place, Components], ...]:
@@ -138,7 +152,8 @@ class Supports:
         """
         anchors = self.anchors(V) if entries is None else np.empty(0, np.int32)
         entries = self.entries if entries is None else entries
-        found = [anchors, *(self.dofs(V, place, axis) for place, components in entries for axis in components)]
+        found = [self.dofs(V, place, axis) for place, components in entries for axis in components]
+        found += [anchors, self.axis(V)]
         return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
 
     def anchors(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
@@ -154,6 +169,20 @@ class Supports:
         mark.x.scatter_reverse(la.InsertMode.add)  # this rank may have the cell, and another one own its corner
         mark.x.scatter_forward()
         return np.flatnonzero(mark.x.array).astype(np.int32)
+
+    def axis(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """Local degrees of freedom (unrolled, ghosts included) of the component x on an axis of revolution. Collective."""
+        if not self.on_axis.any():
+            return np.empty(0, np.int32)
+        domain, topology = self.domain, self.domain.mesh.topology
+        points, d = domain.original_points, domain.joint.dim
+        for dim in (0, d - 1):
+            topology.create_connectivity(dim, d)
+        local = [np.arange(m.size_local + m.num_ghosts, dtype=np.int32) for m in map(topology.index_map, (0, d - 1))]
+        vertices = local[0][self.on_axis[points[entities_to_geometry(domain.mesh, 0, local[0]).ravel()]]]
+        facets = local[1][self.on_axis[domain.joint.table.vertices[domain.numbers(d - 1, local[1])]].all(axis=1)]
+        along = fem.locate_dofs_topological(V.sub(0), d - 1, facets)
+        return np.union1d(along, vertex_dofs(V, vertices, 0)).astype(np.int32)
 
 
 def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component: int) -> npt.NDArray[np.int32]:

@@ -18,6 +18,7 @@ from forms.kinematics import Expr
 from geometry.errors import place as at_place
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.addition import Addition, Host
+from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.load_curves import symbols
 from thinlayer.discretisation.loads import has_finite_numbers, refuse_seam
 from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
@@ -135,6 +136,7 @@ class Springs(Addition):
             raise ModelError(f"springs on {self.place!r}: this facet set is empty")
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
+        refuse_axis(model.kinematics, model.joint, self.place, "springs")
         self._check_functions(model)
 
     def _check_functions(self, model: Host) -> None:
@@ -155,7 +157,8 @@ class Springs(Addition):
             stiffness(given, model, f"springs on {self.place!r}") for given in (self.normal, self.tangential)
         )
         across = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n)
-        return (across + tangential * ufl.inner(u, v)) * model.ds(model.domain.values(self.place))
+        work = across + tangential * ufl.inner(u, v)
+        return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
 
     def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:
         """As in `Addition`: the force and moment of the springs."""

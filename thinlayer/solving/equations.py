@@ -19,10 +19,11 @@ from thinlayer.discretisation.reactions import rigid_values
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import PRESSURE, Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.making import parts_of
+from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
+from thinlayer.solving.kept import Kept
 from thinlayer.solving.layout import Layout
 from thinlayer.solving.linear_solvers import orthonormal, rigid_modes
 from thinlayer.solving.part_sum import PartSum
@@ -43,11 +44,13 @@ class Equations(PartSum):
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
+        external: these less the parts' forces that do not depend on the unknowns.
         held: numbers of the unknowns of this rank that are prescribed.
         prescribed: their values at the end of the step.
         substitution: the unknowns in place of displacements; None: the unknowns are the displacements.
-        mean_stiffness: mean size of the diagonal entries of K.
+        mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
         eased: ease of the parts; 0 is the parts themselves.
+        factor: linear solver with the factor of a tangent, of this model or of another one of its family.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
     """
 
@@ -55,11 +58,15 @@ class Equations(PartSum):
         self.model, self.comm = model, model.comm
         self.history = LoadHistory(model)
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        super().__init__(parts_of(model, self.history.held))
+        self._kept = kept = Kept.of(model)
+        kept.bodies = kept.bodies or body_parts(model)
+        self._of_layers = layer_parts(model, self.history.held, kept.bodies)
+        super().__init__([*kept.bodies, *self._of_layers])
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
-        self._matrix = TangentMatrix(self.comm, self._layout.sizes)
+        kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
+        self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
         ties = {part.key: part.tie for part in self._with_own if part.tie is not None}
         frames = model.prescribed.frames
@@ -67,13 +74,13 @@ class Equations(PartSum):
         held, _ = self._prescribed(None)
         self._held_order = np.argsort(held)
         self.held = held[self._held_order].astype(np.int32)
-        diagonal = self.K.getDiagonal()
+        diagonal = diagonal_at_rest(self.parts)
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
         self._tangent: PETSc.Mat | None = None
-        self._forces, self.loads = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
+        self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
 
     # ---------------------------------------------------------------- unknowns
@@ -114,12 +121,15 @@ class Equations(PartSum):
         """Global numbers of the held unknowns."""
         return self._layout.rows(self.held)
 
+    @property
+    def _linear(self) -> list[PETSc.Mat]:
+        return [part.K for part in self.parts if part.K is not None]
+
     @cached_property
     def K(self) -> PETSc.Mat:
         """Matrix of the forces that are linear in the displacements."""
-        first, *others = [part.K for part in self.parts if part.K is not None]
-        K = first if not others else first.copy()
-        for other in others:
+        K = self._linear[0].copy()
+        for other in self._linear[1:]:
             K.axpy(1.0, other, DIFFERENT)
         return K
 
@@ -128,7 +138,7 @@ class Equations(PartSum):
         if not self.substitution:
             return rigid_modes(self.model)
         found = []
-        for motion in rigid_motions(self.model.V, self.model.joint).values():
+        for motion in rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values():
             x, n = self.vector(), self.n_displacements
             values, own = self._layout.split(x.array), self.substitution.followed(motion.x.array[:n])
             values[DISPLACEMENTS][:] = motion.x.array[:n]
@@ -179,14 +189,15 @@ class Equations(PartSum):
     def rest(self, t: float) -> State:
         """The state at rest, before the first step."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
-        lost = dict.fromkeys(model.by_seam({}), 0.0)
-        return State(fem.Function(model.V), t, self.memory_at_rest, model=model, report=report, dissipated=lost)
+        lost, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
+        memory, stresses = self.memory_at_rest, self.stresses_at_rest
+        return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
 
         Raises:
-            ModelError: loads or supports that are not finite at the times of the step.
+            ModelError: loads, supports or given strains that are not finite at the times of the step.
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
@@ -196,6 +207,7 @@ class Equations(PartSum):
                 self.loads.axpy(share, b)
                 b.destroy()
         self.prescribed = self._prescribed(interval.t)[1][self._held_order]
+        self.history.strains_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         if self.model.strain:  # moves the sides of the cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
@@ -203,6 +215,10 @@ class Equations(PartSum):
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
         self.begin_parts(interval)
+        self.external.set(0.0)
+        for part in self.parts:
+            part.add_fixed(self.external)
+        self.external.aypx(-1.0, self.loads)
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Compute the residual at the displacements before the step, and tell the force scale its norm.
@@ -276,7 +292,7 @@ class Equations(PartSum):
             sum(one.remainder for one in every),
             sum(one.after for one in every),
         )
-        dissipated = self.model.by_seam({key: one.dissipated for key, one in found.items()})
+        dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
         return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
 
     # ---------------------------------------------------------------- reactions
@@ -357,9 +373,12 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self.parts, self.K, self._matrix, self.substitution, self._forces, self.loads):
+        for thing in (*self._of_layers, self.substitution, self._forces, self.loads, self.external):
             if thing is not None:
                 thing.destroy()
+        if "K" in vars(self):
+            self.K.destroy()
+        self._kept.give_back(self.model)
 
     @property
     def comms(self) -> list[MPI.Intracomm]:

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import is_number
+from geometry.parallel import world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import LooseBody, ModelError, SolveError, warn
@@ -88,7 +89,7 @@ def solve(
         except SolveError as error:
             if not solver.yields:
                 raise
-            advice = "loads on a layer that yields may have a limit: let them grow in time, and march in small steps"
+            advice = "loads on what yields may have a limit: let them grow in time, and march in small steps"
             raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
     warn_of_states([state])
     return state
@@ -105,8 +106,8 @@ def require_hardening(model: Model, what: str) -> None:
 
 
 def comm_of(model: Any) -> MPI.Intracomm:
-    """Communicator of a model; MPI.COMM_WORLD if `model` is no model."""
-    return model.comm if isinstance(model, Model) else MPI.COMM_WORLD
+    """Communicator of a model; the world if `model` is no model."""
+    return model.comm if isinstance(model, Model) else world()
 
 
 def _require_model(model: Any) -> None:
@@ -384,8 +385,8 @@ class Solver:
 
     @property
     def yields(self) -> bool:
-        """Whether the layer's law bounds stresses, so that loads may have a limit."""
-        return any(p.law.traits.bounded for p in self.model.layer_terms)
+        """Whether a law bounds stresses, so that loads may have a limit."""
+        return any(p.law.traits.bounded for p in self.model.terms)
 
     @property
     def _searches(self) -> tuple[str | None, ...]:

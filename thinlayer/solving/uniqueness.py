@@ -117,7 +117,7 @@ class RigidMotions:
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
         of[dofs] = model.domain.on_cells(number)[: len(dofs), None]
-        rigid = [f.x.array[: owned * bs] for f in rigid_motions(V, joint).values()]
+        rigid = [f.x.array[: owned * bs] for f in rigid_motions(V, joint, model.kinematics).values()]
         self._per = len(rigid)
         return np.column_stack(rigid), of[:owned].repeat(bs)
 
@@ -172,10 +172,11 @@ class RigidMotions:
         each = motions.reshape(len(self._names), -1, motions.shape[1])
         of_pieces = each[..., -1]
         k = int(np.abs(of_pieces).max(axis=1).argmax())
-        shift, turn = of_pieces[k, :d], of_pieces[k, d:]
+        axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
+        shift[axes], turn = of_pieces[k, : len(axes)], of_pieces[k, len(axes) :]
         where = f" at {place(self._places[k])}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
-        if np.linalg.matrix_rank(each[k], tol=SEVERAL) == len(each[k]):
+        if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=SEVERAL) == len(each[k]):
             return f"{body} can move and turn freely"
         if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:

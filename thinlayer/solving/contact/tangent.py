@@ -62,7 +62,7 @@ class Tangent:
         M.setOption(PETSc.Mat.Option.SPD, True)
         M.setBlockSize(nodes.dim)
         M.setNearNullSpace(problem.near)
-        self._matrix = in_blocks(M, nodes.dim)
+        self._matrix: PETSc.Mat = in_blocks(M, nodes.dim)
         self._cycle = PETSc.PC().create(problem.comm)
         self._cycle.setOptionsPrefix(PREFIX)
         self._cycle.setOperators(M)
