@@ -65,7 +65,7 @@ class Setup:
             self._check_choices()
             self.body_laws = self._laws_of(body)
             for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
-                require_stable_body(law, C, joint.dim)
+                require_stable_body(law, C, self.kinematics.slots(joint.dim))
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
             plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
