@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
+    from thinlayer.discretisation.eigenstrains import Eigenstrain, Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Gap, ThinLayer
-    from thinlayer.discretisation.loads import piecewise
+    from thinlayer.discretisation.loads import Pressure, piecewise
     from thinlayer.discretisation.model import Model
+    from thinlayer.discretisation.point_loads import LineLoad, PointLoad
+    from thinlayer.discretisation.reactions import Resultant
     from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import LimitLoad, LooseBody, ModelError, RangeWarning, SolveError, ThinlayerError
@@ -29,6 +32,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.contact import ContactPart
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
@@ -43,9 +47,12 @@ if TYPE_CHECKING:  # for editors and mypy alone
 __version__ = "0.1.0"
 _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
+    "discretisation.eigenstrains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
     "discretisation.layer": ["Gap", "ThinLayer"],
-    "discretisation.loads": ["piecewise"],
+    "discretisation.loads": ["Pressure", "piecewise"],
     "discretisation.model": ["Model"],
+    "discretisation.point_loads": ["LineLoad", "PointLoad"],
+    "discretisation.reactions": ["Resultant"],
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
@@ -60,6 +67,7 @@ _NAMES = {
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.contact": ["ContactPart"],
     "parts.phases": ["PhaseReport"],
+    "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],

@@ -26,7 +26,9 @@ class Family:
         self._kept: dict[str, Destroyable] = {}
 
     def keep(self, name: str, thing: Destroyable) -> None:
-        """Keep an object for later solves, in place of another one of this name."""
+        """Keep an object for later solves, in place of another one of this name, which is freed."""
+        if name in self._kept:
+            self._kept[name].destroy()
         self._kept[name] = thing
 
     def take(self, name: str) -> Destroyable | None:

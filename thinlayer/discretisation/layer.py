@@ -22,9 +22,11 @@ from forms.planes import Kinematics
 from forms.traction import TractionLaw
 from geometry.errors import unknown
 from geometry.joint import Joint, Profile
+from thinlayer.discretisation.eigenstrains import Given
 from thinlayer.errors import ModelError
 
-LAYER, CONTACT = "layer", "contact"  # keys of what laws remember and store, in states and in files
+LAYER, CONTACT, BODY = "layer", "contact", "body"  # keys of what laws remember and store, in states and in files
+BODIES = "bodies"  # name of all bodies together, beside the names of seams
 LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 
 
@@ -43,6 +45,9 @@ class ThinLayer:
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
             > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
             those of the thickness eps, everywhere.
+        eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through the
+            thickness. On S the strain is [u] (x) n/eps less it, so that it enters the tractions of a soft layer at order
+            eps: it changes the limit only if it is itself of the size of [u]/eps.
 
     Raises:
         LawError: a law of jumps or of nodes, which is a layer by itself; eps or order out of range; order 1 of a Stack or
@@ -53,6 +58,7 @@ class ThinLayer:
     eps: float
     order: int = 0
     profile: Profile | None = None
+    eigenstrain: Given | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -70,12 +71,12 @@ def _resisted(
     comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     motions: list[fem.Function],
-    held: npt.NDArray[np.int32],
+    conditions: scipy.sparse.csr_matrix,
     resistances: Sequence[Resistance],
 ) -> npt.NDArray[np.float64]:
     """Gram matrix (m, m) of motions at supports, and the work of parts against them, scaled. Collective."""
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    rows = np.array([f.x.array[held[held < owned]] for f in motions])
+    rows = np.array([conditions @ f.x.array[:owned] for f in motions])
     resisted = comm.allreduce(rows @ rows.T)
     for resistance in resistances:
         work = resistance(motions)
@@ -89,14 +90,14 @@ def free_translations(
     comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     joint: Joint,
-    held: npt.NDArray[np.int32],
+    conditions: scipy.sparse.csr_matrix,
     resistances: Sequence[Resistance],
     kinematics: Kinematics = LIFTED,
 ) -> tuple[str, ...]:
     """The axes along which nothing prevents a translation. Collective. Arguments as in `require_support`."""
     axes = [AXES[i] for i in kinematics.translations(joint.dim)]
     motions = [*rigid_motions(V, joint, kinematics).values()][: len(axes)]
-    resisted = np.diag(_resisted(comm, V, motions, held, resistances))
+    resisted = np.diag(_resisted(comm, V, motions, conditions, resistances))
     return tuple(axis for axis, much in zip(axes, resisted, strict=True) if much <= SMALLEST * max(resisted.max(), 1.0))
 
 
@@ -104,19 +105,19 @@ def require_support(
     comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     joint: Joint,
-    held: npt.NDArray[np.int32],
+    conditions: scipy.sparse.csr_matrix,
     resistances: Sequence[Resistance],
     kinematics: Kinematics = LIFTED,
 ) -> None:
-    """Raise ModelError if a rigid motion moves no held degree of freedom and nothing else resists it. Collective.
+    """Raise ModelError if supports allow a rigid motion and nothing else resists it. Collective.
 
     Args:
         comm, V, joint, kinematics: attributes of the model.
-        held: local degrees of freedom that supports prescribe.
+        conditions: (n, k) conditions of supports on the displacements of this rank.
         resistances: functions of the m rigid motions, see `Addition.resistance`.
     """
     motions = rigid_motions(V, joint, kinematics)
-    resisted = _resisted(comm, V, [*motions.values()], held, resistances)
+    resisted = _resisted(comm, V, [*motions.values()], conditions, resistances)
     values, vectors = np.linalg.eigh(resisted)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]

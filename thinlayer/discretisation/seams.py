@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.contact import ContactLaw
+from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.errors import place
@@ -17,7 +18,9 @@ from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
 from thinlayer.discretisation.axis import is_across
+from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.layer import CONTACT, LAYER, LawOnS, Layer, ThinLayer, real_law
+from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -77,6 +80,14 @@ class SeamLayer:
         """The law at rest, of a layer without contact."""
         return AtRest(real_law(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
+    def given(self, at: Coordinates) -> Expr | None:
+        """The strain (3, 3) that is added to that of the displacements: less the eigenstrain; None: there is none."""
+        if self.thin is None:
+            return None
+        kinematics = self.structure.kinematics
+        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics.name, at)
+        return given_strain(self.thin.eigenstrain, matter)
+
     def check(self) -> None:
         """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable."""
         joint, element = self.structure.joint, self.structure.element
@@ -91,6 +102,8 @@ class SeamLayer:
         if self.thin:
             if self.thin.order == 1:
                 self._check_order_1()
+            if self.thin.law.traits.constrained and self.thin.eigenstrain is not None:
+                raise ModelError(f"{type(self.thin.law).__name__} keeps its volume; {self} takes no eigenstrain")
             if self.thin.law.traits.constrained and element not in ("P2", "Q2"):
                 raise ModelError(
                     f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"
@@ -135,12 +148,13 @@ class SeamLayer:
     def zero_tractions(self, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
         """Which tractions are zero because supports of both bodies hold the jump at zero, see `AtRest.zero_tractions`.
 
-        All are False for contact laws and for order 1, whose tractions also depend on gradients along S.
+        All are False for contact laws, for layers with an eigenstrain, and for order 1, whose tractions also depend on
+        gradients along S.
 
         Args:
             moving: whether supports move in time.
         """
-        if self.contact or (self.thin and self.thin.order):
+        if self.contact or (self.thin and (self.thin.order or self.thin.eigenstrain is not None)):
             return np.zeros(self.structure.joint.dim, bool), False
         return self.at_rest.zero_tractions(self.sheet.planar, moving)
 
@@ -152,6 +166,7 @@ class SeamLayer:
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
             "profile": None if shape is None else described(shape),
+            **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
 
 

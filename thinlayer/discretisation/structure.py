@@ -29,6 +29,10 @@ class Structure(Setup):
             has the jump [u]. Translations that nothing prevents are held at one vertex: `supports={}` will do.
         stress: mean stress instead, likewise: the mean strain is then unknown, see `State.mean_strain`. The joint is
             periodic in all directions, and bodies are linear.
+        eigenstrain: strain that the bodies would have without stress, or region name -> strain: a number (times the
+            identity in three dimensions, so that in plane strain it also stresses across the plane), a symmetric table
+            (d, d) or (3, 3), a function (x, t) of UFL coordinates that returns one of these, `ThermalExpansion`,
+            `Prestress`, or a list of several that add up. Layers have their own, `ThinLayer(..., eigenstrain=...)`.
         comm: MPI communicator (default: the world).
 
     Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import dolfinx.fem.petsc
@@ -12,7 +13,7 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.parallel.communicator import communicator
-from thinlayer.parts.part import Array, Block, Outcome, Part
+from thinlayer.parts.part import Array, Block, Interval, Outcome, Part
 
 
 class FormPart(Part):
@@ -49,8 +50,7 @@ class FormPart(Part):
         if F is not None:
             self._F = compiled_summands(F)
             self._J = compiled_summands(ufl.derivative(F, u, ufl.TrialFunction(V)))
-        if g is not None:
-            self._F += compiled_summands(g)
+        self._g = [] if g is None else compiled_summands(g)
 
     def _owned(self) -> Array:
         dofmap = self._u.function_space.dofmap
@@ -58,7 +58,7 @@ class FormPart(Part):
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._end, self._mid = u, mid
-        if self._F:
+        if self._F or self._g:
             self._take(mid.x.petsc_vec)
 
     def _take(self, u: PETSc.Vec) -> None:
@@ -66,27 +66,33 @@ class FormPart(Part):
         u.copy(self._u.x.petsc_vec)
         self._u.x.scatter_forward()
 
-    def _nonlinear(self) -> PETSc.Vec:
-        """Nodal forces F; the caller destroys the vector."""
-        first, *others = self._F
+    def _assembled(self, forms: Sequence[fem.Form]) -> PETSc.Vec:
+        """Nodal forces of forms; the caller destroys the vector."""
+        first, *others = forms
         b = dolfinx.fem.petsc.assemble_vector(first)
         for form in others:
             dolfinx.fem.petsc.assemble_vector(b, form)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         return b
 
+    def add_fixed(self, out: PETSc.Vec) -> None:
+        if self._g:
+            b = self._assembled(self._g)
+            out.axpy(1.0, b)
+            b.destroy()
+
     def add_forces(self, out: PETSc.Vec) -> float:
         return self._add(self._mid.x.petsc_vec, out)
 
     def _add(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Add the forces at displacements u, which `_take` has got; returns the larger norm of K u and F."""
+        """Add the forces at displacements u, which `_take` has got; returns the larger norm of K u and F + g."""
         size = 0.0
         if self.K is not None:
             self.K.mult(u, self._product)
             size = float(self._product.norm())
             out.axpy(1.0, self._product)
-        if self._F:
-            b = self._nonlinear()
+        if self._F or self._g:
+            b = self._assembled(self._F + self._g)
             size = max(size, float(b.norm()))
             out.axpy(1.0, b)
             b.destroy()
@@ -105,7 +111,7 @@ class FormPart(Part):
         return found
 
     def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
-        if self._F:
+        if self._F or self._g:
             self._take(u.x.petsc_vec)
         self._add(u.x.petsc_vec, forces)
         return super().error_measure(u, forces)
@@ -120,13 +126,13 @@ class FormPart(Part):
         before, after, of_change = (self._quadratic(v) for v in (old, now, change))
         supplied = 0.0
         remainder = (2 * theta - 1) * of_change
-        if self._F:
-            b = self._nonlinear()
+        if self._F or self._g:
+            b = self._assembled(self._F + self._g)
             supplied = self._supplied()
             worked = float(b.dot(change)) + supplied
             b.destroy()
             taken = self._u.x.array.copy()  # `now` may be the vector of these values
-            last, first = self._stored(now, self.interval.t), self._stored(old, self.interval.old.t)
+            last, first = self._stored(now, self.interval), self._stored(old, self.interval, before=True)
             self._u.x.array[:] = taken
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
         return Outcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
@@ -146,8 +152,8 @@ class FormPart(Part):
     def _energy_form(self) -> fem.Form | None:
         return None if self._energy is None else compiled(self._energy)
 
-    def _stored(self, u: PETSc.Vec, t: float) -> float:
-        """The energy of F and g at displacements u and time t; NaN if they have none."""
+    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+        """The energy of F and g at displacements u at the end of a step, or `before` it; NaN if they have none."""
         if self._energy_form is None:
             return float("nan")
         self._take(u)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import dolfinx.fem.petsc
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -29,15 +30,18 @@ from thinlayer.parts.softening import Softening
 class LawForms(FormPart):
     """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
 
-    If no law is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those of the
-    displacements cause constant forces by linear laws, and do work as they grow.
+    If no law of bodies is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those
+    of the displacements cause constant forces by linear laws, and do work as they grow.
 
     Args:
+        key: key of the part.
         V: space of the displacements.
-        terms: all terms; those whose laws are compiled are left out.
+        terms: the terms; those whose laws are compiled are left out.
     """
 
-    def __init__(self, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+        terms = list(terms)
+        everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -47,57 +51,67 @@ class LawForms(FormPart):
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
         strained, bodies = [p for p in linear if p.given is not None], [p for p in terms if p.n is None]
-        self._over = over = OverStep(*(p.given for p in terms if p.given is not None))
+        self._over = over = OverStep(V.mesh, terms)
+        self._strained = any(p.given is not None for p in terms)
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             stored = energy(_given(others, over.now), u) + sum(_beyond(p, u) for p in _given(strained, over.now))
         super().__init__(
-            "forms",
+            key,
             u,
-            _stiffness(V, linear, bodies),
+            _stiffness(V, linear, everywhere) if linear or everywhere else None,
             work(_given(others, over.balanced), u, v) if others else None,
             stored,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
         )
-        self._power = self._of_growth(u)
         self._opposing = _Opposing.of([p for p in _given(others, over.balanced) if p.n is None], u)
         self._in_layer = len(bodies) < len(terms)
+        self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
         self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
 
     # ---------------------------------------------------------------- given strains
-    def _of_growth(self, u: fem.Function) -> fem.Form | None:
-        """Work of the stresses at u in the growth of given strains over the step; None: they do not grow."""
-        grown = [
-            ufl.inner(stress(now, u), growth) * p.weight * p.measure
-            for p, now in zip(self._terms, _given(self._terms, self._over.balanced), strict=True)
-            if p.given is not None and (growth := self._over.growth(p.given)) is not None
-        ]
-        return compiled(sum(grown)) if grown else None
+    @cached_property
+    def _power(self) -> fem.Form:
+        """Work of the stresses at the last evaluation in the growth of given strains over the step."""
+        over, grown = self._over, [p for p in self._terms if p.given is not None]
+        stresses = [stress(p, self._u) for p in _given(grown, over.balanced)]
+        return compiled(
+            sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in zip(stresses, grown, strict=True))
+        )
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        self._over.begin(interval.old.t, interval.t, interval.theta)
+        self._over.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
 
     def _supplied(self) -> float:
-        return 0.0 if self._power is None else float(self.comm.allreduce(fem.assemble_scalar(self._power)))
+        grows = self._strained and self._over.grows
+        return float(self.comm.allreduce(fem.assemble_scalar(self._power))) if grows else 0.0
 
     def add_forces(self, out: PETSc.Vec) -> float:
         size = super().add_forces(out)
         return size if self._opposing is None else max(size, self._opposing.force(self.comm))
 
-    def _stored(self, u: PETSc.Vec, t: float) -> float:
-        self._over.look_at(t)
-        return super()._stored(u, t)
+    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
+        if (form := self._of_layer(tuple(sorted(keys)))) is not None:
+            self._take(self._mid.x.petsc_vec)
+            b = dolfinx.fem.petsc.assemble_vector(form)
+            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            out.axpy(1.0, b)
+            b.destroy()
 
-    @property
-    def largest(self) -> float:
-        """Largest diagonal entry of K."""
-        assert self.K is not None
-        diagonal = self.K.getDiagonal()
-        largest = float(diagonal.max()[1])
-        diagonal.destroy()
-        return largest
+    def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
+        """Virtual work of the layers' terms with these keys; None: there are none."""
+        if keys not in self._layer_forms:
+            terms = _given([p for p in self._terms if p.n is not None and p.key in keys], self._over.balanced)
+            v = ufl.TestFunction(self._u.function_space)
+            self._layer_forms[keys] = compiled(work(terms, self._u, v)) if terms else None
+        return self._layer_forms[keys]
+
+    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+        old = interval.old
+        self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
+        return super()._stored(u, interval, before=before)
 
     @property
     def resists_rigid(self) -> bool:

@@ -1,0 +1,266 @@
+"""Files for ParaView, read again: stresses, tractions, jumps and internal variables against closed forms."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import pyvista
+
+from forms import LinearElastic, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
+from geometry import sandwich
+from tests.fields_run import (
+    BODY,
+    EPS,
+    SIZE,
+    STRESS,
+    K,
+    axes,
+    cell,
+    network,
+    on_a_base,
+    slipping,
+    uniform,
+    write_all,
+)  # fmt: skip
+from tests.ranks import mpirun
+from thinlayer import ContactReport, ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
+
+SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+
+
+@pytest.fixture
+def written(tmp_path, capfd):
+    """Writes a solution and reads the blocks of its last time again; VTK must have nothing to complain of."""
+
+    def write(solution, name="a.pvd"):
+        fields.write(solution, tmp_path / name)
+        found = last(tmp_path / name)
+        assert "ERR" not in capfd.readouterr().err
+        return found
+
+    return write
+
+
+def last(path):
+    reader = pyvista.get_reader(path)
+    reader.set_active_time_value(reader.time_values[-1])
+    return reader.read()[0]
+
+
+def packed(stress, nu):
+    """Six components of a (d, d) stress; in 2D plane strain."""
+    whole = np.zeros((3, 3))
+    whole[: len(stress), : len(stress)] = stress
+    if len(stress) == 2:
+        whole[2, 2] = nu * np.trace(stress)
+    return np.array([whole[i, j] for i, j in SIX])
+
+
+CASES = [(2, "triangle", "P1"), (2, "quadrilateral", "S2"), (3, "tetrahedron", "P2"), (3, "hexahedron", "Q1")]
+
+
+@pytest.mark.parametrize(("d", "cell_type", "element"), CASES)
+def test_uniform_stresses_are_read_again(written, d, cell_type, element):
+    """All times; traction and jump by hand; t_N and w_N along n, t_T and w_T along S."""
+    structure, stress, jump = uniform(d, cell_type, element)
+    history = march(structure.interface(ThinLayer(K, EPS)), [0.4, 1.0])
+    found = written(history)
+    bodies, on_s = found["bodies"], found["S"]
+    wanted = packed(stress, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu)))
+    assert bodies["stress"] == pytest.approx(np.tile(wanted, (bodies.n_cells, 1)), rel=1e-9, abs=1e-10)
+    p, s = wanted[:3], wanted[3:]
+    mises = np.sqrt(((p - np.roll(p, 1)) ** 2).sum() / 2 + 3 * (s**2).sum())
+    assert bodies["von Mises"] == pytest.approx(mises, rel=1e-9)
+    assert bodies.volume if d == 3 else bodies.area == pytest.approx(np.prod(SIZE[d]), rel=1e-9)
+    assert list(bodies.field_data["regions"]) == ["LOWER", "UPPER"]
+
+    n, t = axes(d)[1], STRESS[d][1] @ axes(d)
+    for name, vector in {"traction": t, "jump": jump, "normal": n}.items():
+        assert on_s[name][:, :d] == pytest.approx(np.tile(vector, (on_s.n_points, 1)), rel=1e-8, abs=1e-9), name
+        assert not on_s[name][:, d:].any()
+    assert on_s["u_upper"] - on_s["u_lower"] == pytest.approx(on_s["jump"], abs=1e-12)
+    assert on_s["u"] == pytest.approx((on_s["u_upper"] + on_s["u_lower"]) / 2, abs=1e-12)
+    assert on_s["t_N"] == pytest.approx(STRESS[d][1, 1], rel=1e-8)
+    assert on_s["w_N"] == pytest.approx(STRESS[d][1, 1] / (K.lmbda + 2 * K.mu), rel=1e-8)
+    for name, k in (("t_T", 1.0), ("w_T", K.mu)):
+        along = STRESS[d][1] * np.array([1.0, 0.0, 1.0])[:d] / k @ axes(d)
+        signed = along @ axes(d)[0]  # (n_2, -n_1) is the first turned axis
+        wanted_there = np.full(on_s.n_points, signed) if d == 2 else np.tile(along, (on_s.n_points, 1))
+        assert on_s[name] == pytest.approx(wanted_there, rel=1e-8, abs=1e-9)
+        assert on_s[name] != pytest.approx(-wanted_there, rel=1e-2)
+    area = on_s.compute_cell_sizes()["Area" if d == 3 else "Length"].sum()
+    assert area == pytest.approx(np.prod(SIZE[d]) / SIZE[d][1], rel=1e-9)
+
+
+def test_all_times_are_there(written, tmp_path):
+    structure, stress, _ = uniform()
+    written(march(structure.interface(ThinLayer(K, EPS)), [0.4, 0.7, 1.0]))
+    reader = pyvista.get_reader(tmp_path / "a.pvd")
+    assert reader.time_values == pytest.approx([0.0, 0.4, 0.7, 1.0])
+    reader.set_active_time_value(0.4)
+    assert reader.read()[0]["bodies"]["stress"][:, 0] == pytest.approx(0.4 * stress[0, 0], rel=1e-9)
+    written(solve(structure.interface(ThinLayer(K, EPS))))
+    assert sorted(one.name for one in (tmp_path / "a_pvd").iterdir()) == ["0000", "0000.vtm"]  # no old times
+
+
+def test_meshed_layer_is_a_block(written):
+    """Confined and pressed by p: across p everywhere, along it nu/(1 - nu) p, in bodies and layer."""
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(joint, body=BODY, supports=rollers, tractions={"TOP": (0.0, -0.3)})
+    found = written(solve(structure.full(ThinLayer(Stack((0.3, K), (0.7, LinearElastic(1.0, 5.0))), EPS))))
+    assert list(found.keys()) == ["bodies", "layer"]
+    laws = {"LOWER": BODY, "UPPER": BODY, "LAYER/1": K, "LAYER/2": LinearElastic(1.0, 5.0)}
+    heights = {"LAYER/1": 0.3 * EPS, "LAYER/2": 0.7 * EPS}
+    regions = list(found["layer"].field_data["regions"])
+    assert sorted(regions) == sorted(laws)
+    for part in found:
+        for number in np.unique(part["region"]):
+            name = regions[number]
+            here, law = part["region"] == number, laws[name]
+            along = -0.3 * law.lmbda / (law.lmbda + 2 * law.mu)
+            wanted = np.tile([along, -0.3, along, 0.0, 0.0, 0.0], (here.sum(), 1))
+            assert part["stress"][here] == pytest.approx(wanted, rel=1e-8, abs=1e-10), name
+            if name in heights:
+                area = part.extract_cells(here).area
+                assert area == pytest.approx(2.0 * heights[name])
+    assert set(found["layer"]["seam"]) == {0}
+
+
+@pytest.mark.parametrize("stacked", [False, True])
+def test_slip_of_a_layer_is_what_its_traction_says(written, stacked):
+    """t_T = mu (w_T - slip): the plastic strain in the file against traction and jump, which do not come from the law."""
+    law = MohrCoulombMonodirectional(3.0, 2.0, cohesion=0.05, friction_angle=20.0, elastic_fraction=0.1)
+    name, fraction = "plastic", 1.0
+    if stacked:
+        law, name, fraction = Stack((0.4, LinearElastic(4.0, 3.0)), (0.6, law)), "plastic 2", 0.6
+    on_s = written(slipping(law=law))["S"]
+    names = set(on_s.cell_data)
+    assert name in names
+    assert ("plastic" in names) != stacked
+    assert set(on_s["status"]) <= {0, 1}
+    assert list(on_s.field_data["status codes"])[:2] == ["0 elastic", "1 sliding"]
+    t_T, w_T, n = (_means(on_s, one) for one in ("t_T", "w_T", "normal"))
+    tangent = np.column_stack([n[:, 1], -n[:, 0]])
+    e = on_s[name]
+    plastic = np.stack([e[:, [0, 3]], e[:, [3, 1]]], axis=1)
+    slip = 2 * EPS * fraction * np.einsum("fi,fij,fj->f", tangent, plastic, n[:, :2])
+    compliance = 1 / 2.0 if not stacked else 0.4 / 3.0 + 0.6 / 2.0
+    inner = slice(2, -2)  # tractions are projected, jumps are of degree 2
+    assert np.abs(slip).max() > 0.05
+    order = np.argsort(centres_of(on_s))[inner]
+    assert 0.9 * slip[order] == pytest.approx((w_T - compliance * t_T)[order], rel=2e-2)  # an elastic fraction of .1
+    assert slip[order] != pytest.approx((w_T - compliance * t_T)[order], rel=5e-2)
+
+
+def _means(block, name):
+    return block.point_data_to_cell_data()[name]
+
+
+def centres_of(block):
+    """First coordinate of the centres of facets in 2D."""
+    return block.points[block.cells_dict[4]][:, [0, -1], 0].mean(axis=1)
+
+
+def test_phases_are_on_facets(written):
+    law = NonMonotoneUnrelaxed(3.0, 2.0, alpha=0.1, transformation_energy=0.02, chi=[[0, 0], [0, 1]])
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    load = {"TOP": lambda x, t: (0.0, t * (0.2 + x[0]))}
+    model = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0}}, tractions=load).interface(
+        ThinLayer(law, EPS)
+    )
+    history = march(model, [0.5, 1.0, 1.5])
+    x, phase = PhaseReport(history.last).profile()
+    on_s = written(history)["S"]
+    centres = centres_of(on_s)
+    order = np.argsort(centres)
+    assert centres[order] == pytest.approx(x[:, 0])
+    assert on_s["phase"][order] == pytest.approx(phase, abs=1e-12)
+    assert phase.max() == 1.0
+
+
+def test_contact(written):
+    """Status, slip and pressure at nodes, as the report has them; the base does not move."""
+    history = on_a_base()
+    on_s, report = written(history)["S"], ContactReport(history.last)
+    codes = {code.split()[1]: int(code.split()[0]) for code in on_s.field_data["contact codes"]}
+    place = [np.linalg.norm(report.x - x, axis=1).argmin() for x in on_s.points]
+    assert [codes[str(one)] for one in report.status[place]] == list(on_s["contact"])
+    assert len(set(report.status)) > 1
+    free = report.status[place] != "pinned"
+    assert -on_s["t_N"][free] == pytest.approx(report.p[place][free], rel=1e-6, abs=1e-9)
+    slip = np.einsum("nk,nkj->nj", report.slip, report.frames[:, :-1])
+    assert on_s["slip"] == pytest.approx(slip[place], abs=1e-12)
+    assert np.abs(slip).max() > 1e-4
+    assert not on_s["u_lower"].any()
+
+
+def test_network(written):
+    """Tractions jump at T-junctions: each facet has nodes of its own; forces are the loads."""
+    found = written(network())
+    on_s = found["S"]
+    assert list(on_s.field_data["seams"]) == ["BED", "HEAD"]
+    beds = on_s.extract_cells(on_s["seam"] == 0)
+    integral = beds.integrate_data()
+    heights = np.unique(beds.cell_centers().points[:, 1].round(9))
+    assert integral["traction"][0, :2] == pytest.approx(len(heights) * np.array([0.05, -0.1]) * 4.0, rel=1e-6)
+    assert not np.isnan(beds["plastic"]).any()
+    assert np.isnan(on_s["plastic"][on_s["seam"] == 1]).all()
+
+
+def test_cells_at_periodic_sides_are_whole(written):
+    state = cell()
+    bodies = written(state)["bodies"]
+    x = state.model.joint.points
+    assert bodies.area == pytest.approx(np.prod(np.ptp(x, axis=0)), rel=1e-9)
+    sizes = bodies.compute_cell_sizes()["Area"]
+    mean = (bodies["stress"] * sizes[:, None]).sum(axis=0) / sizes.sum()
+    assert mean[[0, 1, 3]] == pytest.approx(state.mean_stress()[[0, 1, 0], [0, 1, 1]], rel=1e-9)
+
+
+def test_files_do_not_depend_on_the_ranks(tmp_path):
+    """To rounding, and in the same order."""
+    (tmp_path / "1").mkdir()
+    write_all(tmp_path / "1")
+    (tmp_path / "2").mkdir()
+    done = mpirun(2, "-m", "tests.fields_run", str(tmp_path / "2"))
+    assert done.returncode == 0, done.stderr
+    for path in sorted((tmp_path / "1").glob("*.pvd")):
+        one, two = last(path), last(tmp_path / "2" / path.name)
+        assert one.keys() == two.keys()
+        for a, b in zip(one, two, strict=True):
+            assert np.array_equal(a.cells, b.cells)
+            assert a.points == pytest.approx(b.points, abs=1e-12)
+            assert sorted(a.array_names) == sorted(b.array_names)
+            for name in [*a.point_data, *a.cell_data]:
+                size = np.nanmax(np.abs(a[name]))
+                assert a[name] == pytest.approx(b[name], rel=1e-9, abs=1e-10 * size, nan_ok=True), name
+
+
+def test_files_on_a_full_disk(tmp_path, monkeypatch):
+    """Writers of VTK's files say nothing of a file that was cut short."""
+    path = tmp_path / "a.pvd"
+    state = solve(uniform()[0].interface(ThinLayer(K, EPS)))
+    fields.write(state, path)
+    name = next(tmp_path.glob("a_pvd/*/*.vtu"))
+    name.write_bytes(name.read_bytes()[:1000])
+    with pytest.raises(OSError, match="not whole"):
+        fields._require_whole(tmp_path / "a_pvd" / "0000.vtm")
+    monkeypatch.setattr(fields.shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    for kind in ("pvd", "bp"):
+        with pytest.raises(OSError, match="disk is full"):
+            fields.write(state, tmp_path / f"b.{kind}")
+    with pytest.raises(ModelError, match=r"allowed endings: \.pvd"):
+        fields.write(state, tmp_path / "u.xdmf")
+
+
+def test_surface_agrees_with_the_file(written):
+    """Tractions that are not uniform: the same as `Surface.profile` has at the vertices."""
+    history = slipping()
+    on_s = written(history)["S"]
+    surface = Surface(history.model)
+    x, t = surface.profile(surface.traction(history.last))
+    at = [np.linalg.norm(on_s.points[:, :2] - place, axis=1).argmin() for place in x]
+    assert on_s["traction"][at, :2] == pytest.approx(t, rel=1e-9)

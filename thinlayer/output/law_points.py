@@ -1,0 +1,103 @@
+"""Stresses and internal variables of all laws of a state, at the quadrature points where the laws act."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.declarations import SIZES
+from forms.kinematics import MANDEL, ROOT2, mandel
+from forms.law import BulkLaw
+from forms.work import Term, stress
+from geometry.topology import IntArray
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.places import compiled_terms, quadratures
+from thinlayer.discretisation.state import State
+from thinlayer.pointwise.quadrature import Quadrature
+
+Array = npt.NDArray[np.float64]
+MEMORY = "memory"  # name of the internal values of a law that does not name them
+_FOUND: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
+class LawPoints:
+    """The quadrature points of one term in a state, those of this rank.
+
+    Attributes:
+        state: the state.
+        term: the term, with the strains that are given or found beside those of u.
+        quadrature: its points.
+        key: of what its law remembers, in `State.memory`; "" for a law that has neither memory nor rate.
+    """
+
+    state: State
+    term: Term
+    quadrature: Quadrature
+    key: str
+
+    @cached_property
+    def entities(self) -> IntArray:
+        """Numbers in the joint of this rank's cells, or rows of its table of facets, of the points."""
+        return self.quadrature.original[: len(self.quadrature.cells)]
+
+    def stress(self) -> Array:
+        """Stresses (points, 3, 3); not a number where a compiled law has no stress that is known. Collective."""
+        if self.term.law.traits.compiled:
+            return np.full((self.quadrature.count, 3, 3), np.nan)
+        return tensors(self.quadrature.values(mandel(stress(self.term, self.state.u))))
+
+    def internal(self) -> list[dict[str, Array]]:
+        """Internal variables by name, (points, *shape), of each sublayer from the lower to the upper face of the layer."""
+        memory = self.state.memory.get(self.key)
+        if memory is None:
+            return [{}]
+        sublayers = [law for _, law in self.term.law.sublayers]
+        start, found = self.term.law.memory - sum(law.memory for law in sublayers), []
+        for law in sublayers:
+            found.append(unpacked(law, memory[:, start : start + law.memory]))
+            start += law.memory
+        return found
+
+
+def law_points(state: State) -> Iterator[LawPoints]:
+    """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
+    model = state.model
+    terms = state.bodies + state.layers
+    keys = {id(term): key for key, term in compiled_terms(model.terms).items()}
+    for own, term, quadrature in zip(model.terms, terms, _quadratures(model), strict=True):
+        yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
+
+
+def _quadratures(model: Model) -> list[Quadrature]:
+    """The quadrature points of all terms of a model, made once. Collective."""
+    if model not in _FOUND:
+        compiled = {id(one.term): one for one in quadratures(model).values()}
+        _FOUND[model] = [compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
+    return _FOUND[model]
+
+
+def unpacked(law: BulkLaw, memory: Array) -> dict[str, Array]:
+    """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
+    if not law.internal:
+        return {MEMORY: memory} if memory.shape[1] else {}
+    found, start = {}, 0
+    for name, shape in law.internal.items():
+        part = memory[:, start : start + SIZES[shape]]
+        found[name] = tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
+        start += SIZES[shape]
+    return found
+
+
+def tensors(values: Array, slots: Sequence[int] = range(6)) -> Array:
+    """Symmetric tensors (n, 3, 3) from Mandel's components (n, m) in these slots; the others are zero."""
+    out = np.zeros((len(values), 3, 3))
+    for column, slot in enumerate(slots):
+        i, j = MANDEL[slot]
+        out[:, i, j] = out[:, j, i] = values[:, column] / (1.0 if i == j else ROOT2)
+    return out
