@@ -11,6 +11,7 @@ from forms.series import Stack
 from forms.temperature import Tabulated
 from forms.traction import JumpStep, TractionLaw
 from forms.viscous import KelvinVoigt, Maxwell, Norton
+from forms.von_mises import VonMises
 
 __all__ = [
     "Anisotropic",
@@ -37,5 +38,6 @@ __all__ = [
     "Tabulated",
     "TractionLaw",
     "Tresca",
+    "VonMises",
     "choice",
 ]

@@ -15,6 +15,10 @@ from forms.declarations import LawError
 from forms.limits_bar import Bar as Bar
 from forms.limits_non_monotone import NonMonotoneLimit as NonMonotoneLimit
 from forms.limits_non_monotone import lamination as lamination
+from forms.limits_plastic import PlasticCylinder as PlasticCylinder
+from forms.limits_plastic import prandtl_pressure as prandtl_pressure
+from forms.limits_plastic import von_mises_fixed_opening as von_mises_fixed_opening
+from forms.limits_plastic import von_mises_shear as von_mises_shear
 
 Array = npt.NDArray[np.float64]
 
@@ -247,13 +251,17 @@ def penalised_coulomb(
     n: Array,
     *,
     unilateral: bool = False,
+    hardening: float = 0.0,
+    accumulated: float = 0.0,
 ) -> tuple[Array, Array]:
     """Traction and new slip w^p of the monodirectional law, one step: t = K_L (w - w^p), |t_T| <= C - tan(Omega) t_N.
 
     Equations (36)-(38) with the elastic strain, the moduli per thickness, t_T = stress n in place of tau_i, and slip along
-    t_T whatever its sign. Where t_N > C cot(Omega) no shear is left. Unilateral: t_N <= 0.
+    t_T whatever its sign. Where t_N > C cot(Omega) no shear is left. Unilateral: t_N <= 0. With linear hardening C is the
+    cohesion at first, and `accumulated` the sum of the |dw^p| so far.
     """
-    return _coulomb(elastic_stiffness(lmbda, mu, n), cohesion, friction_angle, w, slip, n, unilateral)
+    K, C = elastic_stiffness(lmbda, mu, n), cohesion + hardening * accumulated
+    return _coulomb(K, C, friction_angle, w, slip, n, unilateral, hardening)
 
 
 def stratified_coulomb(
@@ -274,12 +282,15 @@ def stratified_coulomb(
 
 
 def _coulomb(
-    K: Array, cohesion: float, friction_angle: float, w: Array, slip: Array, n: Array, unilateral: bool
+    K: Array, cohesion: float, friction_angle: float, w: Array, slip: Array, n: Array, unilateral: bool, H: float = 0.0
 ) -> tuple[Array, Array]:
     n, slip = np.asarray(n, float), np.asarray(slip, float)
     trial = K @ (np.asarray(w, float) - slip)
     t_N = min(float(trial @ n), 0.0) if unilateral else float(trial @ n)
     shear = trial - (trial @ n) * n
-    bound, size = max(cohesion - np.tan(np.radians(friction_angle)) * t_N, 0.0), np.linalg.norm(shear)
-    t_T = shear * min(1.0, bound / size) if size else shear
+    bound, size = cohesion - np.tan(np.radians(friction_angle)) * t_N, np.linalg.norm(shear)
+    if H and size > bound:
+        mu = shear @ K @ shear / size**2
+        bound = (bound * mu + size * H) / (mu + H)
+    t_T = shear * min(1.0, max(bound, 0.0) / size) if size else shear
     return t_N * n + t_T, slip + np.linalg.solve(K, shear - t_T)

@@ -1,18 +1,43 @@
 /* Mohr-Coulomb at one point, in three dimensions: return to faces, edges and apex of the yield surface.
  *
  * Tensors are in Mandel's order 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23. Principal stresses descend, s_1 >= s_2 >= s_3. The
- * planes (i, j) of the yield surface are n.s <= 2 C cos(Omega) with n_i = 1 + sin(Omega), n_j = -(1 - sin(Omega)); flow along
- * them is m, the same with psi. Ideal plasticity: in principal stresses every return is linear. */
+ * planes (i, j) of the yield surface are n.s <= 2 c cos(Omega) with n_i = 1 + sin(Omega), n_j = -(1 - sin(Omega)); flow along
+ * them is m, the same with psi. In principal stresses every return is linear in its flow, along a plane or along both planes of
+ * an edge together. The cohesion is c = C + H p + Q p/(p_0 + p), where the strain p grows by 2 cos(Omega) times this flow. */
 #include <math.h>
 #include <string.h>
 
 static const double root2 = 1.4142135623730951, degree = 0.017453292519943295;
 
 typedef struct {
-    double lmbda, mu, strength; /* 2 C cos(Omega) */
-    double friction, dilatancy; /* sines */
-    double apex;                /* mean stress C cot(Omega) */
+    double lmbda, mu;
+    double cohesion, linear, saturation, strain; /* C, H, Q, p_0 */
+    double friction, dilatancy;                  /* sines */
+    double shear, cotangent;                     /* 2 cos(Omega), cot(Omega) */
+    double old;                                  /* p at the beginning of the step */
 } material;
+
+static double cohesion(const material *k, double p)
+{
+    return k->cohesion + k->linear * p + (k->saturation > 0 ? k->saturation * p / (k->strain + p) : 0);
+}
+
+static double cohesion_slope(const material *k, double p)
+{
+    const double d = k->strain + p;
+    return k->linear + (k->saturation > 0 ? k->saturation * k->strain / (d * d) : 0);
+}
+
+/* The flow x > 0 with excess = a x + w (c(p + 2 cos(Omega) x) - c(p)), a quadratic equation, and its slope by the excess. */
+static double flow_of(const material *k, double excess, double a, double w, double *slope)
+{
+    const int saturates = k->saturation > 0;
+    const double d = saturates ? k->strain + k->old : 1, c = k->shear, A = a + w * c * k->linear;
+    const double B = saturates ? w * c * k->saturation * k->strain / d : 0, b = A * d + B - c * excess;
+    const double root = sqrt(b * b + 4 * A * c * excess * d), x = b > 0 ? 2 * excess * d / (b + root) : (root - b) / (2 * A * c);
+    *slope = 1 / (A + B * d / ((d + c * x) * (d + c * x)));
+    return x;
+}
 
 static void elastic(const material *k, const double *e, double *s)
 {
@@ -87,56 +112,87 @@ static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1]
 
 static int ordered(const double *s, double tolerance) { return s[0] >= s[1] - tolerance && s[1] >= s[2] - tolerance; }
 
-static int to_apex(const material *k, double *s, double T[3][3])
+/* The apex, mean stress c cot(Omega): without dilatancy no flow changes the mean stress, and what is beyond is cut off; the
+ * flow is that which takes away the deviator. */
+static int to_apex(const material *k, double *s, double T[3][3], double *flow)
 {
-    for (int a = 0; a < 3; a++) s[a] = k->apex;
-    memset(T, 0, 9 * sizeof(double));
+    const double mean = (s[0] + s[1] + s[2]) / 3, bulk = k->lmbda + 2 * k->mu / 3;
+    double apex, slopes[3];
+    if (k->dilatancy > 0) {
+        double slope;
+        const double fall = 2 * bulk * k->dilatancy;
+        *flow = flow_of(k, mean - k->cotangent * cohesion(k, k->old), fall, k->cotangent, &slope);
+        apex = mean - fall * *flow;
+        for (int b = 0; b < 3; b++) slopes[b] = (1 - fall * slope) / 3;
+    } else {
+        const int upper = s[0] - mean > mean - s[2];
+        *flow = (upper ? s[0] - mean : mean - s[2]) / (2 * k->mu);
+        const double p = k->old + k->shear * *flow;
+        apex = k->cotangent * cohesion(k, p);
+        const double by_flow = k->cotangent * cohesion_slope(k, p) * k->shear / (2 * k->mu);
+        for (int b = 0; b < 3; b++) slopes[b] = by_flow * (upper ? (b == 0) - 1.0 / 3 : 1.0 / 3 - (b == 2));
+    }
+    for (int a = 0; a < 3; a++) {
+        s[a] = apex;
+        for (int b = 0; b < 3; b++) T[a][b] = slopes[b];
+    }
     return 1;
+}
+
+/* Whether, without dilatancy, the mean stress is beyond that of the apex. */
+static int is_torn(const material *k, const double *s)
+{
+    const double mean = (s[0] + s[1] + s[2]) / 3, flow = fmax(s[0] - mean, mean - s[2]) / (2 * k->mu);
+    return k->dilatancy == 0 && k->friction > 0 && mean >= k->cotangent * cohesion(k, k->old + k->shear * flow);
 }
 
 /* The edge where the two lower stresses are equal (minor), or the two higher ones: their mean x and the other stress y flow
  * along the sum of two planes. Planes that are next to parallel, as near 90 degrees, do not matter so. */
-static int to_edge(const material *k, double *s, double T[3][3], int minor, double tolerance)
+static int to_edge(const material *k, double *s, double T[3][3], int minor, double tolerance, double *flow)
 {
     const int a = minor ? 1 : 0, b = a + 1, c = minor ? 0 : 2;
     const double n_x = minor ? -(1 - k->friction) : 1 + k->friction, n_y = minor ? 1 + k->friction : -(1 - k->friction);
     const double m_x = minor ? -(1 - k->dilatancy) : 1 + k->dilatancy, m_y = minor ? 1 + k->dilatancy : -(1 - k->dilatancy);
     const double volume = 2 * k->lmbda * k->dilatancy;
     const double d_x = k->mu * m_x + volume, d_y = 2 * k->mu * m_y + volume, slope = n_x * d_x + n_y * d_y;
-    const double x = (s[a] + s[b]) / 2, flow = (n_x * x + n_y * s[c] - k->strength) / slope;
-    const double on_x = x - flow * d_x, on_y = s[c] - flow * d_y;
-    const double apart = s[a] - s[b] - 2 * k->mu * fabs(m_x) * flow; /* > 0: one of the planes would have to flow back */
+    double by;
+    const double x = (s[a] + s[b]) / 2, strength = k->shear * cohesion(k, k->old);
+    *flow = flow_of(k, n_x * x + n_y * s[c] - strength, slope, k->shear, &by);
+    const double on_x = x - *flow * d_x, on_y = s[c] - *flow * d_y;
+    const double apart = s[a] - s[b] - 2 * k->mu * fabs(m_x) * *flow; /* > 0: one of the planes would have to flow back */
     if (!(apart <= tolerance) || !((minor ? on_y - on_x : on_x - on_y) >= -tolerance)) return 0;
     s[a] = s[b] = on_x, s[c] = on_y;
-    T[a][a] = T[a][b] = T[b][a] = T[b][b] = (1 - d_x * n_x / slope) / 2;
-    T[a][c] = T[b][c] = -d_x * n_y / slope, T[c][a] = T[c][b] = -d_y * n_x / slope / 2;
-    T[c][c] = 1 - d_y * n_y / slope;
+    T[a][a] = T[a][b] = T[b][a] = T[b][b] = (1 - d_x * n_x * by) / 2;
+    T[a][c] = T[b][c] = -d_x * n_y * by, T[c][a] = T[c][b] = -d_y * n_x * by / 2;
+    T[c][c] = 1 - d_y * n_y * by;
     return 1;
 }
 
-/* Return principal stresses s to the yield surface, T their slopes by the trial ones; whether anything flows. */
-static int yield(const material *k, double *s, double T[3][3])
+/* Return principal stresses s to the yield surface, T their slopes by the trial ones; whether anything flows, and how much. */
+static int yield(const material *k, double *s, double T[3][3], double *flow)
 {
     double n1[3], d1[3], trial[3], found[3];
     memcpy(trial, s, sizeof trial);
     for (int a = 0; a < 3; a++)
         for (int b = 0; b < 3; b++) T[a][b] = a == b;
     plane(k, 0, 2, n1, d1);
-    const double f1 = dot3(n1, s) - k->strength;
-    if (f1 <= 1e-14 * (fabs(s[0]) + fabs(s[2]) + k->strength)) return 0;
-    if (k->dilatancy == 0 && (s[0] + s[1] + s[2]) / 3 >= k->apex) return to_apex(k, s, T);
+    const double strength = k->shear * cohesion(k, k->old), f1 = dot3(n1, s) - strength;
+    if (f1 <= 1e-14 * (fabs(s[0]) + fabs(s[2]) + strength)) return 0;
+    if (is_torn(k, s)) return to_apex(k, s, T, flow);
 
-    const double tolerance = 1e-11 * (s[0] - s[2] + fabs(s[0]) + fabs(s[2])), a11 = dot3(n1, d1);
-    for (int a = 0; a < 3; a++) found[a] = trial[a] - f1 / a11 * d1[a];
+    double by;
+    const double tolerance = 1e-11 * (s[0] - s[2] + fabs(s[0]) + fabs(s[2]));
+    *flow = flow_of(k, f1, dot3(n1, d1), k->shear, &by);
+    for (int a = 0; a < 3; a++) found[a] = trial[a] - *flow * d1[a];
     if (ordered(found, tolerance)) {
         for (int a = 0; a < 3; a++) {
             s[a] = found[a];
-            for (int b = 0; b < 3; b++) T[a][b] -= d1[a] * n1[b] / a11;
+            for (int b = 0; b < 3; b++) T[a][b] -= d1[a] * n1[b] * by;
         }
         return 1;
     }
     const int minor = found[1] < found[2]; /* the middle stress meets the lowest one, or the highest */
-    return to_edge(k, s, T, minor, tolerance) || to_edge(k, s, T, !minor, tolerance) || to_apex(k, s, T);
+    return to_edge(k, s, T, minor, tolerance, flow) || to_edge(k, s, T, !minor, tolerance, flow) || to_apex(k, s, T, flow);
 }
 
 /* Tangent of a stress that is coaxial with the trial strain, from its slopes T in principal stresses. */
@@ -179,11 +235,12 @@ static void add_elastic(const material *k, double share, double *D)
 
 int kernel(double *out, const void *unused, const double *in)
 {
-    const double *e = in, *e_old = in + 6, *q = in + 12, theta = in[22], *parameters = in + 23;
-    double *stress = out, *q_new = out + 6, *D = out + 12, *energies = out + 48;
+    const double *e = in, *e_old = in + 6, *q = in + 12, theta = in[23], *parameters = in + 24;
+    double *stress = out, *q_new = out + 6, *D = out + 13, *energies = out + 49, size = 0;
     const double h = parameters[4], angle = parameters[3] * degree;
-    material k = {parameters[0], parameters[1], 2 * parameters[2] * cos(angle), sin(angle), sin(parameters[5] * degree), 0};
-    k.apex = k.friction > 0 ? k.strength / (2 * k.friction) : INFINITY;
+    material k = {parameters[0], parameters[1], parameters[2], parameters[5], parameters[6], parameters[7],
+                  sin(angle),    sin(parameters[8] * degree), 2 * cos(angle), 0, q[6]};
+    if (k.friction > 0) k.cotangent = cos(angle) / k.friction;
 
     double mid[6], strain[6], s[6], beside[6], value[3], V[3][3], T[3][3];
     for (int i = 0; i < 6; i++) mid[i] = theta * e[i] + (1 - theta) * e_old[i], strain[i] = mid[i] - q[i];
@@ -192,7 +249,7 @@ int kernel(double *out, const void *unused, const double *in)
     double A[3][3] = {{s[0], s[3] / root2, s[4] / root2}, {s[3] / root2, s[1], s[5] / root2}, {s[4] / root2, s[5] / root2, s[2]}};
     principal(A, value, V);
     double trial[3] = {value[0], value[1], value[2]}, flow[6] = {0};
-    if (yield(&k, value, T)) {
+    if (yield(&k, value, T, &size)) {
         double fall[6];
         for (int i = 0; i < 6; i++) {
             static const int row[6] = {0, 1, 2, 0, 0, 1}, column[6] = {0, 1, 2, 1, 2, 2};
@@ -216,6 +273,7 @@ int kernel(double *out, const void *unused, const double *in)
         elastic_change[i] = change[i] - flow[i] / theta;
         end[i] = e[i] - q_new[i];
     }
+    q_new[6] = q[6] + k.shear * size / theta;
     energies[0] = (1 - h) * energy(&k, end) + h * energy(&k, e);
     energies[1] = (1 - h) * dot(s, flow) / theta;
     energies[2] = (2 * theta - 1) * ((1 - h) * energy(&k, elastic_change) + h * energy(&k, change));

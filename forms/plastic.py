@@ -1,9 +1,9 @@
-"""Mohr-Coulomb elasto-plasticity: the full law, and the one whose slip planes are parallel to S."""
+"""Mohr-Coulomb elasto-plasticity with hardening: the full law, and the one whose slip planes are parallel to S."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,6 +21,15 @@ LIKELY_RADIANS = 1.6  # degrees; smaller friction angles were probably meant in 
 LEAST_FRACTION = 1e-6  # elastic fraction from which continuation starts if the law itself has none
 
 
+def require_hardening(law: BulkLaw, *names: str) -> None:
+    """Raise LawError unless these parameters and the saturation strain are >= 0, the latter > 0 if it is used."""
+    for name in (*names, "saturation_strain"):
+        value = law.parameters()[name]
+        require(math.isfinite(value) and value >= 0, law, name, value, ">= 0, finite")
+    strain, saturation = (law.parameters()[name] for name in ("saturation_strain", "saturation"))
+    require(strain > 0 or saturation == 0, law, "saturation_strain", strain, "> 0 where saturation > 0")
+
+
 @dataclass(frozen=True)
 class Plastic(BulkLaw):
     """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear reaches its bound.
@@ -30,11 +39,18 @@ class Plastic(BulkLaw):
     With h > 0 problems have a solution that have none with ideal plasticity (a layer without cohesion has no strength
     at its free ends). h belongs to the law: the meshed layer and S have the same.
 
+    The cohesion grows with the accumulated plastic strain p: it is c = C + H p + Q p/(p_0 + p), the work of which is
+    dissipated. p is the strain that, times c, is the work of the plastic flow if this is associated: see the laws.
+
     Attributes:
         lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
         cohesion: C in the formulas, stress, also in a layer (it and the angles do not scale with its thickness); >= 0.
         friction_angle: Omega in the formulas, in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
         elastic_fraction: 0 <= elastic_fraction < 1.
+        hardening: H, stress (in a layer: stress per thickness); >= 0.
+        saturation: Q, largest increase of the cohesion beside H p, stress, also in a layer; >= 0.
+        saturation_strain: p_0, at which half of Q is reached, strain (in a layer: strain times thickness, a length); > 0
+            where Q > 0.
 
     Raises:
         LawError: a parameter out of range.
@@ -45,9 +61,12 @@ class Plastic(BulkLaw):
     cohesion: float
     friction_angle: float
     elastic_fraction: float = 0.0
-    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    hardening: float = field(default=0.0, kw_only=True)
+    saturation: float = field(default=0.0, kw_only=True)
+    saturation_strain: float = field(default=0.0, kw_only=True)
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "hardening": 1, "saturation_strain": -1}
     symmetric: ClassVar = False
-    internal: ClassVar = {"plastic": (3, 3)}
+    internal: ClassVar = {"plastic": (3, 3), "accumulated": ()}
     quadratic: ClassVar = True
     bounded: ClassVar = True
     stiffness = isotropic_stiffness
@@ -78,6 +97,7 @@ class Plastic(BulkLaw):
         require(
             0 <= self.elastic_fraction < 1, self, "elastic_fraction", self.elastic_fraction, "0 <= elastic_fraction < 1"
         )
+        require_hardening(self, "hardening", "saturation")
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
@@ -99,16 +119,38 @@ class Plastic(BulkLaw):
         """Trial stress of the plastic part at t + theta dt: without plastic flow in the step."""
         return lame(self.lmbda, self.mu, self._elastic_strain(step.mid, step.q))
 
-    def _flow(self, step: Step) -> Expr:
-        """Increment of plastic strain up to t + theta dt, (3, 3), traceless."""
+    def _flow(self, step: Step) -> tuple[Expr, Expr]:
+        """Increments up to t + theta dt of the plastic strain, (3, 3), traceless, and of the accumulated one."""
         raise NotImplementedError
 
+    def _hardened(self, p: Expr) -> Expr:
+        """Cohesion at the accumulated plastic strain p."""
+        return self.cohesion + self.hardening * p + self.saturation * p / (self._half + p)
+
+    @property
+    def _half(self) -> Expr:
+        """p_0, or 1 where nothing saturates."""
+        return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
+
+    def _size(self, p: Expr, excess: Expr, slope: Expr, weight: Expr, growth: Expr) -> Expr:
+        """The flow x > 0 with excess = slope x + weight (c(p + growth x) - c(p)): a root of a quadratic equation."""
+        d = self._half + p
+        a = slope + weight * growth * self.hardening
+        b = a * d + weight * growth * self.saturation * self._half / d - growth * excess
+        root = ufl.sqrt(b * b + 4 * a * growth * excess * d)
+        small, large = 2 * excess * d / (b + root), (root - b) / (2 * a * growth)
+        return ufl.conditional(ufl.gt(b, 0), small, large)
+
     def stress(self, step: Step) -> Expr:
-        plastic = self._trial(step) - 2 * self.mu * self._flow(step)
+        plastic = self._trial(step) - 2 * self.mu * self._flow(step)[0]
         return (1 - self.elastic_fraction) * plastic + self.elastic_fraction * lame(self.lmbda, self.mu, step.mid)
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        return {"plastic": step.q["plastic"] + self._flow(step) / step.theta}
+        flow, growth = self._flow(step)
+        return {
+            "plastic": step.q["plastic"] + flow / step.theta,
+            "accumulated": step.q["accumulated"] + growth / step.theta,
+        }
 
     def energy(self, step: Step) -> Expr:
         stored = isotropic_energy(self.lmbda, self.mu, self._elastic_strain(step.e, step.q))
@@ -117,7 +159,7 @@ class Plastic(BulkLaw):
         )
 
     def dissipated(self, step: Step) -> Expr:
-        flow = self._flow(step)
+        flow, _ = self._flow(step)
         stress = self._trial(step) - 2 * self.mu * flow
         return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta
 
@@ -126,8 +168,9 @@ class Plastic(BulkLaw):
 class MohrCoulomb(Plastic):
     """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= C - tan(Omega) normal stress.
 
-    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= C cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if
-    the angle were psi. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one
+    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if
+    the angle were psi. p grows by cos(Omega) times the largest plastic shear strain (engineering) where the flow has no
+    trace. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one
     plane, which is not coaxial with the stress: there are two such planes, and the flow here is their mean. In (31) and
     (33) the plastic strains lack a factor 2, and the plastic strain has no trace.
 
@@ -169,35 +212,38 @@ class MohrCoulomb(Plastic):
 
     def holds(self, step: Step) -> Expr:
         trial = self._trial(step)
-        centre, radius2, bound = self._circle(trial)
+        centre, radius2, bound = self._circle(trial, step.q)
         in_plane = ufl.And(ufl.eq(trial[0, 2], 0), ufl.eq(trial[1, 2], 0))
         between = ufl.le((trial[2, 2] - centre) ** 2, ufl.min_value(radius2, bound**2))
         return ufl.And(ufl.And(in_plane, between), ufl.And(ufl.ge(bound, 0), ufl.eq(self.dilatancy_angle, 0)))
 
-    def _circle(self, trial: Expr) -> tuple[Expr, Expr, Expr]:
-        """Centre and squared radius of the in-plane circle of a trial stress, and the bound of the radius."""
+    def _circle(self, trial: Expr, q: Any) -> tuple[Expr, Expr, Expr]:
+        """Centre and squared radius of the in-plane circle of a trial stress, and the old bound of the radius."""
         angle = ufl.pi / 180 * self.friction_angle
         centre = (trial[0, 0] + trial[1, 1]) / 2
         radius2 = (trial[0, 0] - trial[1, 1]) ** 2 / 4 + trial[0, 1] ** 2
-        return centre, radius2, self.cohesion * ufl.cos(angle) - centre * ufl.sin(angle)
+        return centre, radius2, self._hardened(q["accumulated"]) * ufl.cos(angle) - centre * ufl.sin(angle)
 
-    def _flow(self, step: Step) -> Expr:
-        trial = self._trial(step)
-        centre, radius2, bound = self._circle(trial)
+    def _flow(self, step: Step) -> tuple[Expr, Expr]:
+        trial, shear = self._trial(step), 2 * ufl.cos(ufl.pi / 180 * self.friction_angle)
+        centre, radius2, bound = self._circle(trial, step.q)
         beyond = ufl.gt(radius2, bound**2)
-        excess = ufl.conditional(beyond, 1 - bound / ufl.sqrt(radius2), 0)
+        radius = ufl.sqrt(ufl.conditional(beyond, radius2, 1))
+        excess = ufl.conditional(beyond, radius - bound, 1)
+        size = ufl.conditional(beyond, self._size(step.q["accumulated"], excess, 2 * self.mu, shear / 2, shear), 0)
         deviator = [[trial[0, 0] - centre, trial[0, 1], 0], [trial[0, 1], trial[1, 1] - centre, 0], [0, 0, 0]]
-        return excess * ufl.as_tensor(deviator) / (2 * self.mu)
+        return size / radius * ufl.as_tensor(deviator), shear * size
 
 
 @dataclass(frozen=True)
 class MohrCoulombReturn(KernelLaw, MohrCoulomb):
     """`MohrCoulomb` by the return to faces, edges and apex of its yield surface in principal stresses, in 3D.
 
-    Parameters (angles in degrees) and plastic strain are the same; it holds for all stresses, and is compiled from C.
+    Parameters (angles in degrees) and internal variables are the same; it holds for all stresses, and is compiled from C.
+    On edges and at the apex p grows by 2 cos(Omega) times the flow along both planes together.
     """
 
-    memory: ClassVar = 6
+    memory: ClassVar = 7
     energetic: ClassVar = True
     isotropic: ClassVar = True
     source: ClassVar = Path(__file__).with_name("mohr_coulomb.c")
@@ -207,7 +253,9 @@ class MohrCoulombReturn(KernelLaw, MohrCoulomb):
 
 @dataclass(frozen=True)
 class MohrCoulombMonodirectional(Plastic):
-    """Mohr-Coulomb elasto-plasticity that slips on planes parallel to S alone: |t_T| <= C - tan(Omega) t_N, t = stress n.
+    """Mohr-Coulomb elasto-plasticity that slips on planes parallel to S alone: |t_T| <= c - tan(Omega) t_N, t = stress n.
+
+    p grows by the plastic shear strain across S (engineering), as a layer's law by the slip |dw^p| over the thickness.
 
     Equations (37)-(38) and (54)-(55), with the sign of the shear stress in the flow: dw^p/dt = k t_T/|t_T|, k >= 0. As a
     layer's law, t = K_L ([u] - w^p): Coulomb's friction with penalties lmbda + 2 mu and mu. Where t_N > C cot(Omega) the
@@ -251,14 +299,17 @@ class MohrCoulombMonodirectional(Plastic):
             self.lmbda, self.mu, step.e
         )
 
-    def _flow(self, step: Step) -> Expr:
-        n = lift(step.n)
+    def _flow(self, step: Step) -> tuple[Expr, Expr]:
+        n, p = lift(step.n), step.q["accumulated"]
         e = self._elastic_strain(step.mid, step.q)  # needs only the traction: compiles 50 times faster than with _trial
         e_N = ufl.dot(n, ufl.dot(e, n))
         t_N, t_T = self.lmbda * ufl.tr(e) + 2 * self.mu * e_N, 2 * self.mu * (ufl.dot(e, n) - e_N * n)
         t_N = ufl.min_value(t_N, 0) if self.unilateral else t_N
-        bound = ufl.max_value(self.cohesion - ufl.tan(ufl.pi / 180 * self.friction_angle) * t_N, 0)
+        bound = self._hardened(p) - ufl.tan(ufl.pi / 180 * self.friction_angle) * t_N
         size2 = ufl.inner(t_T, t_T)
-        beyond = ufl.gt(size2, bound**2)
-        excess = ufl.conditional(beyond, 1 - bound / ufl.sqrt(size2), 0)
-        return excess * ufl.sym(ufl.outer(t_T, n)) / self.mu
+        beyond = ufl.gt(size2, ufl.max_value(bound, 0) ** 2)
+        size = ufl.sqrt(ufl.conditional(beyond, size2, 1))
+        excess = ufl.conditional(beyond, size - bound, 1)
+        slip = ufl.min_value(self._size(p, excess, self.mu, 1, 1), size / self.mu)  # no shear is left where t_N pulls
+        slip = ufl.conditional(beyond, slip, 0)
+        return slip / size * ufl.sym(ufl.outer(t_T, n)), slip

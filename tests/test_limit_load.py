@@ -142,7 +142,7 @@ def test_it_takes_few_solves(monkeypatch):
 
 
 def test_one_step_beyond_the_limit():
-    with pytest.raises(SolveError, match=r"loads on a layer that yields may have a limit: .* march in small steps"):
+    with pytest.raises(SolveError, match=r"loads on what yields may have a limit: .* march in small steps"):
         solve(sheared("S"), 0.7)
     with pytest.raises(SolveError, match=r"the sudden load at t = 0\.7: "):
         march(sheared("S"), [0.8], start=0.7)

@@ -179,7 +179,7 @@ def test_the_return_is_the_solution_of_the_six_planes(name, lmbda):
     assert counts[1:].sum() > 50
     if lmbda == LMBDA:
         assert (counts >= ((50, 50, 20, 3) if Omega else (0, 50, 50, 0))).all()
-    assert answer.q == pytest.approx(e - compliance(answer.stress, lmbda), abs=1e-14)
+    assert answer.q[:, :6] == pytest.approx(e - compliance(answer.stress, lmbda), abs=1e-14)
 
 
 def test_another_dilatancy_is_not_the_solution():

@@ -62,7 +62,8 @@ def test_no_direction_is_preferred(name, flip):
         answer = respond(law, e, old, q, n)
         other = respond(law, turned(e), turned(old), q_turned, n @ turn.T)
         assert other.stress == pytest.approx(turned(answer.stress), abs=1e-11 * np.abs(answer.stress).max())
-        assert other.q == pytest.approx(turned(answer.q), abs=1e-12 * np.abs(e).max())
+        same = [other.q[:, :6] - turned(answer.q[:, :6]), other.q[:, 6:] - answer.q[:, 6:]]
+        assert max(np.abs(one).max(initial=0.0) for one in same) < 1e-12 * np.abs(e).max()
         assert other.energies == pytest.approx(answer.energies, abs=1e-10 * np.abs(answer.energies).max())
         old, q, q_turned = e, answer.q, other.q
 

@@ -24,7 +24,7 @@ from tests.phases_of_bars import BAR
 from tests.ranks import mpirun
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, piecewise, solve
-from thinlayer.parts.places import quadratures
+from thinlayer.discretisation.places import quadratures
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
@@ -342,7 +342,9 @@ def test_refused(kind):
             make(Structure(joint(), **setup), ThinLayer(deep, 0.1))
         with pytest.raises(LawError, match=f"plane stress is not defined for {kind.__name__}; use plane='strain'"):
             make(Structure(joint(), plane="stress", **setup), layer)
-        with pytest.raises(ModelError, match=f"{kind.__name__} is for layers; bodies take elastic laws"):
+        with pytest.raises(
+            ModelError, match=f"{kind.__name__} is for layers: its phases are those of a layer's columns"
+        ):
             make(Structure(joint(), **setup | {"body": law}), layer)
     bonded = solve(Structure(joint(), **setup).bonded())
     elastic = solve(Structure(joint(), **setup).interface(ThinLayer(BODY, 0.1)))

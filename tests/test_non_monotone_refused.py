@@ -132,7 +132,7 @@ def test_where_the_laws_have_no_place():
             relaxed,
             relaxed,
             ModelError,
-            "body '.*': NonMonotone is for layers; bodies take elastic laws",
+            "body '.*': NonMonotone is for layers: its phases",
         ),
         (Structure.interface, relaxed, pure, ModelError, "NonMonotoneUnrelaxed is for layers"),
         (

@@ -13,7 +13,7 @@ from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed
 from forms.elastic import lame
 from geometry import sandwich
 from thinlayer import PhaseReport, SolveError, Structure, ThinLayer, march, piecewise
-from thinlayer.parts.places import quadratures
+from thinlayer.discretisation.places import quadratures
 from thinlayer.pointwise.columns import TIE
 
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])

@@ -14,8 +14,8 @@ from geometry import block, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import renumbered
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
+from thinlayer.discretisation.places import quadratures
 from thinlayer.discretisation.state import Audit, Report, State
-from thinlayer.parts.places import quadratures
 
 STEEL = LinearElastic(3.0, 2.0)
 PURE = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.05, np.diag([0.3, 0.7]))

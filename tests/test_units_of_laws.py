@@ -19,6 +19,7 @@ from forms import (
     NonMonotoneUnrelaxed,
     Norton,
     Stack,
+    VonMises,
 )
 from tests.own_laws import Mises, Slipping, StandardSolid
 from thinlayer import drive
@@ -65,6 +66,10 @@ def mohr_coulomb(u: Units, law: type = MohrCoulomb, C: float = 0.3, **more: floa
     return law(**moduli(u), cohesion=C * u.P * u.size, friction_angle=30.0, elastic_fraction=0.02, **more)
 
 
+def hardening(u: Units) -> dict[str, float]:
+    return {"hardening": 4.0 * u.P / u.L, "saturation": 0.2 * u.P * u.size, "saturation_strain": 0.01 * u.L * u.size}
+
+
 LAWS = {
     "elastic": lambda u: LinearElastic(**moduli(u)),
     "anisotropic": lambda u: Anisotropic(TRICLINIC * u.P / u.L),
@@ -80,6 +85,11 @@ LAWS = {
     "Mohr-Coulomb, dilatant": lambda u: mohr_coulomb(u, dilatancy_angle=12.0),
     "Mohr-Coulomb, return": lambda u: mohr_coulomb(u, MohrCoulombReturn),
     "monodirectional": lambda u: mohr_coulomb(u, MohrCoulombMonodirectional),
+    "Mohr-Coulomb, hardening": lambda u: mohr_coulomb(u, **hardening(u)),
+    "monodirectional, hardening": lambda u: mohr_coulomb(u, MohrCoulombMonodirectional, **hardening(u)),
+    "von Mises": lambda u: VonMises(
+        **moduli(u), strength=0.4 * u.P * u.size, kinematic=5.0 * u.P / u.L, **hardening(u)
+    ),
     "unilateral": lambda u: mohr_coulomb(u, MohrCoulombMonodirectional, unilateral=True),
     "non-monotone": lambda u: non_monotone(u, NonMonotone),
     "non-monotone, pure": lambda u: non_monotone(u, NonMonotoneUnrelaxed),

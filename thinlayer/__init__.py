@@ -15,8 +15,10 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
     from thinlayer.discretisation.eigenstrains import Eigenstrain, Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Gap, ThinLayer
-    from thinlayer.discretisation.loads import piecewise
+    from thinlayer.discretisation.loads import Pressure, piecewise
     from thinlayer.discretisation.model import Model
+    from thinlayer.discretisation.point_loads import LineLoad, PointLoad
+    from thinlayer.discretisation.reactions import Resultant
     from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import LimitLoad, LooseBody, ModelError, RangeWarning, SolveError, ThinlayerError
@@ -47,8 +49,10 @@ _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
     "discretisation.eigenstrains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
     "discretisation.layer": ["Gap", "ThinLayer"],
-    "discretisation.loads": ["piecewise"],
+    "discretisation.loads": ["Pressure", "piecewise"],
     "discretisation.model": ["Model"],
+    "discretisation.point_loads": ["LineLoad", "PointLoad"],
+    "discretisation.reactions": ["Resultant"],
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],

@@ -18,7 +18,7 @@ from forms.kinematics import Expr
 from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.joint import Joint
-from thinlayer.discretisation.layer import CONTACT, LAYER
+from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.prescribed import Prescribed
@@ -31,7 +31,7 @@ TAKEN = (
     LAYER,
     "pressure",
     CONTACT,
-    "bodies",
+    BODIES,
     "loads",
 )  # keys of parts that every model may have
 
@@ -122,7 +122,8 @@ class Addition(ABC):
 def check_additions(parts: Sequence[Any], model: Host) -> None:
     """Raise ModelError unless a model's parts are additions that fit it, with keys of their own. Collective."""
     of_seams = {f"{kind} {name}" for kind in (LAYER, CONTACT, "pressure") for name in model.joint.seams}
-    keys, sublayer = {*TAKEN, *of_seams}, re.compile(rf"{LAYER} \d+")
+    of_bodies = {f"{BODY} {name}" for name in model.joint.bodies}
+    keys, sublayer = {*TAKEN, *of_seams, *of_bodies}, re.compile(rf"{LAYER} \d+")
     for part in parts:
         if not isinstance(part, Addition):
             raise ModelError(f"one of parts is {part!r}; allowed: Springs, UflPart, or a dataclass that is an Addition")

@@ -40,41 +40,53 @@ def summed(*strains: Expr) -> Expr:
 
 
 class OverStep:
-    """Expressions of the time over a step: at its ends, and where forces balance, as constants that compiled forms read.
+    """Given strains over a step: at its ends, and where forces balance, as constants that compiled forms read.
+
+    At rest there are none: in the first step they come suddenly, as loads do.
 
     Args:
-        expressions: those that the others are of.
+        mesh: the mesh.
+        terms: the terms with given strains.
+
+    Attributes:
+        grows: whether one of them is another one at the end of the step.
     """
 
-    def __init__(self, *expressions: Expr) -> None:
-        self._clock = clock = clock_of(*expressions)
+    def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
+        clock = clock_of(*(p.given for p in terms if p.given is not None))
+        self._clock, self.grows = clock, True
+        self._before, self._theta, self._present = (fem.Constant(mesh, 1.0) for _ in range(3))
         if clock is not None:
             self._old, self._new, self._now = (Moment(clock, 0.0) for _ in range(3))
-            self._theta = fem.Constant(clock.mesh, 1.0)
 
-    def begin(self, old: float, new: float, theta: float) -> None:
-        """Begin a step from one time to another, in which forces balance at theta of it."""
+    def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
+        """Begin a step from one time, or from rest, to another, in which forces balance at theta of it."""
+        self._before.value, self._theta.value = 0.0 if at_rest else 1.0, theta
+        self.grows = at_rest or self._clock is not None
         if self._clock is not None:
             self._old.set(old)
             self._new.set(new)
-            self._theta.value = theta
 
     def balanced(self, f: Expr) -> Expr:
         """theta f(new) + (1 - theta) f(old), as displacements have it where forces balance."""
-        if clock_of(f) is None:
-            return f
-        return self._theta * self._new.of(f) + (1 - self._theta) * self._old.of(f)
+        new, old = self._ends(f)
+        return f if clock_of(f) is None else self._theta * new + (1 - self._theta) * self._before * old
 
-    def growth(self, f: Expr) -> Expr | None:
-        """f(new) - f(old); None: it does not depend on the time."""
-        return None if clock_of(f) is None else self._new.of(f) - self._old.of(f)
+    def growth(self, f: Expr) -> Expr:
+        """f(new) - f(old)."""
+        new, old = self._ends(f)
+        return new - self._before * old
+
+    def _ends(self, f: Expr) -> tuple[Expr, Expr]:
+        return (f, f) if clock_of(f) is None else (self._new.of(f), self._old.of(f))
 
     def now(self, f: Expr) -> Expr:
-        """f at the time that `look_at` sets."""
-        return f if clock_of(f) is None else self._now.of(f)
+        """f where `look_at` looks."""
+        return self._present * (f if clock_of(f) is None else self._now.of(f))
 
-    def look_at(self, t: float) -> None:
-        """Set the time of `now`."""
+    def look_at(self, t: float, *, at_rest: bool = False) -> None:
+        """Look at a time, or at rest."""
+        self._present.value = 0.0 if at_rest else 1.0
         if self._clock is not None:
             self._now.set(t)
 

@@ -21,8 +21,9 @@ from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
+from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import director, relative_thickness
-from thinlayer.discretisation.layer import Gap, LawOnS, Layers, constants, gaps_of, real_law
+from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
@@ -60,6 +61,7 @@ class LayeredModel(Model):
             new.given_on = {name: one.given(self.coordinates) for name, one in new.layers.items()}
         new.layer_terms = new._layer_terms()
         with on_all(self.comm):
+            new.forces = new._forces(new.structure)
             if new.strain or new.stress:
                 new.require_order_zero()
         new.made_from = new._data()
@@ -210,6 +212,12 @@ class FullModel(LayeredModel):
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
 
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        band = self.domain.joint.band
+        assert band is not None
+        shared = [region for region, seam in band.junctions.items() if seam == one.name]
+        return [Weighted(self.dx(self.domain.cell_values(*band.of_seam[one.name], *shared)))]
+
 
 class InterfaceModel(LayeredModel):
     """The model whose layer is replaced by its interface law on S."""
@@ -278,11 +286,22 @@ class InterfaceModel(LayeredModel):
         sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
         if layer is None:
             return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
-        eps: Expr = fem.Constant(mesh, float(layer.eps))
-        if layer.profile is not None:
-            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
+        eps = self._thickness(one.name, layer, sides)
         terms = forms.surface(law, sides, eps, layer.order, self.kinematics)
         return [replace(term, key=one.key, given=self.given_on[one.name]) for term in terms]
+
+    def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
+        eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
+        if layer.profile is not None:
+            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
+        return eps
+
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
+        sides = self.sides_of(one.name)
+        assert one.thin is not None
+        eps = self._thickness(one.name, one.thin, sides)
+        return [Weighted(sides.measure, eps, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2)]
 
 
 class BondedModel(Model):
@@ -301,4 +320,7 @@ class BondedModel(Model):
         return self.joint
 
     def _layer_terms(self) -> list[forms.Term]:
+        return []
+
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
         return []

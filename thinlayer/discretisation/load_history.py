@@ -8,11 +8,11 @@ import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from thinlayer.discretisation.given import GivenInTime
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 
@@ -28,7 +28,7 @@ class LoadHistory:
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
         self._moment = model.coordinates.moment(0.0)
-        self._work = fem.form(model.forces.work(ufl.TestFunction(model.V), self._moment))
+        self._work = compiled(model.forces.work(ufl.TestFunction(model.V), self._moment))
         self._prescribed = model.prescribed
         self._strains = GivenInTime(model.domain.mesh, model.terms)
 

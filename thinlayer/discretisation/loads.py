@@ -58,6 +58,24 @@ class Coordinates:
         return Moment(self.t, t)
 
 
+@dataclass(frozen=True)
+class Pressure:
+    """A traction -p n along the inner normal of facets, on any inclined or curved boundary.
+
+    Attributes:
+        p: stress, > 0 where it presses; a number or a function (x, t).
+    """
+
+    p: Value
+
+    def traction(self, at: Coordinates, what: str) -> Expr:
+        """The traction as a UFL vector (d,); raises ModelError if p is no number."""
+        if not callable(self.p) and not (is_number(self.p) and math.isfinite(self.p)):
+            raise ModelError(f"{what}: the pressure is {self.p!r}; it must be a finite number or a function (x, t)")
+        p = scalar(called(self.p, at, what), what) if callable(self.p) else fem.Constant(at.mesh, float(self.p))
+        return -p * ufl.FacetNormal(at.mesh)
+
+
 def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
     """A traction or body force as a UFL vector (d,); raises ModelError if it is not a vector of d finite components."""
     if not callable(load):

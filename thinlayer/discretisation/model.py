@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, Self, TypeVar
@@ -20,19 +20,21 @@ from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.joint import Joint
+from geometry.seam import S
 from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.family import Family
-from thinlayer.discretisation.forces import BodyForce, Forces
+from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added
-from thinlayer.discretisation.layer import constants, layers_of
+from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
@@ -100,16 +102,15 @@ class Model(ABC):
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
             self.supports = self._supports(structure.supports)
-            self.forces = Forces(
-                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics
-            )
             self.given = {name: self._given(name) for name in self.body_laws}
             self.given_on = {name: one.given(self.coordinates) for name, one in self.layers.items()}
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
-        self.bodies = [self._body(names) for names in self._alike()]
+        self.bodies = [term for names in self._alike() for term in self._body_terms(names)]
         self.layer_terms = self._layer_terms()
+        with on_all(self.comm):
+            self.forces = self._forces(structure)
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
         if self.strain:
@@ -156,16 +157,51 @@ class Model(ABC):
             found.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
         return [*found.values()]
 
-    def _body(self, names: list[str]) -> forms.Term:
-        """The term of bodies of one law and one eigenstrain."""
-        law = constants(self.kinematics.law(self.body_laws[names[0]]), self.domain.mesh)
-        term = forms.body(law, self.dx(self.domain.cell_values(*names), **self._rule), self.kinematics)
-        return replace(term, given=self.given[names[0]])
+    def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
+        """Terms of bodies with one law and one eigenstrain: one if they are parts of forms, else one a body, with a key."""
+        law, given = self.kinematics.law(self.body_laws[names[0]]), self.given[names[0]]
+        if not law.traits.compiled:
+            law, some = constants(law, self.domain.mesh), {"": names}
+        else:
+            some = {f"{BODY} {name}": (name,) for name in names}
+        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
+        return [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
 
     def _supports(self, given: Given) -> Supports:
         return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
+    def _forces(self, structure: Setup) -> Forces:
+        def forms() -> ConcentratedForms:
+            return ConcentratedForms(self.domain, self.joint, structure.degree, self.coordinates)
+
+        given = structure.tractions, structure.body_force, self.coordinates, structure.loads
+        forces = Forces(self.domain, *given, forms, self.kinematics)
+        for name, load in self._layer_loads(structure).items():
+            forces.add_layer(name, load, self._places_of(self.layers[name]))
+        return forces
+
+    def _layer_loads(self, structure: Setup) -> dict[str, Load]:
+        """Name of a seam -> force per volume of its layer."""
+        given = structure.body_force
+        found: dict[str, Load] = {}
+        for name, load in given.items() if isinstance(given, Mapping) else ():
+            if name not in (S, *self.joint.seams):
+                continue
+            for seam in self.joint.seams if name == S else (name,):
+                layer = self.layers.get(seam)
+                if self.name != "bonded" and (layer is None or not layer.thin):
+                    raise ModelError(
+                        f"body force in the layer {seam!r}: it is no layer with a thickness; its weight is not known"
+                    )
+                if layer is not None:
+                    found[seam] = load
+        return found
+
+    @abstractmethod
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        """Where a layer's volume is."""
+
     @property
     def _clamped(self) -> tuple[str, ...]:
         """Names of the facets that a rigid base holds."""
@@ -177,6 +213,8 @@ class Model(ABC):
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require_order_zero()
+            if found := [p.key for p in self.bodies if p.law.traits.compiled]:
+                raise ModelError(f"a mean strain or stress does not reach {found[0]!r}, whose law has memory or rate")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
@@ -205,19 +243,22 @@ class Model(ABC):
         *,
         tractions: Mapping[str, Load] | None = None,
         body_force: BodyForce | None = None,
+        loads: Sequence[Concentrated] | None = None,
         supports: Given | None = None,
     ) -> Self:
         """The same model under other loads; it shares mesh, space, matrices and their factor. Collective.
 
         Args:
-            tractions, body_force: as in `Structure`; None: those of this model stay.
+            tractions, body_force, loads: as in `Structure`; None: those of this model stay.
             supports: other values at the same places and components; None: those of this model stay.
 
         Raises:
             ModelError, GeometryError: as in `Structure`; supports of other places or components.
         """
-        loads = {"tractions": tractions, "body_force": body_force, "supports": supports}
-        given = {name: value for name, value in loads.items() if value is not None}
+        changed: dict[str, Any] = {"tractions": tractions, "body_force": body_force, "supports": supports}
+        with on_all(self.comm):
+            changed["loads"] = None if loads is None else check_loads(loads)
+        given = {name: value for name, value in changed.items() if value is not None}
         new = self._derived()
         new.structure = structure = self.structure.with_loads(given)
         new.mark = digest([self.mark, structure.mark])
@@ -233,9 +274,7 @@ class Model(ABC):
                     raise ModelError(
                         f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
                     )
-            new.forces = Forces(
-                self.domain, structure.tractions, structure.body_force, self.coordinates, self.kinematics
-            )
+            new.forces = new._forces(structure)
         new.made_from = new._data()
         return new
 
@@ -323,6 +362,16 @@ class Model(ABC):
         plates = [part.place for part in self.parts if part.ties_nodes]
         return [*(place for place, _ in self.supports.entries), *plates, *based]
 
+    @property
+    def bodies_remember(self) -> bool:
+        """Whether the law of a body depends on its history, and may dissipate energy."""
+        return any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
+
+    def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
+        """`by_seam`, and under "bodies" the sum of the values of bodies, by their keys, if they remember."""
+        of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
+        return self.by_seam(values) | ({BODIES: of_bodies} if self.bodies_remember else {})
+
     @cached_property
     def linear(self) -> bool:
         """Whether all laws and all additions are linear."""
@@ -343,7 +392,7 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """The break times of all loads, supports and temperatures of the model."""
-        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.layer_terms))
+        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""

@@ -43,7 +43,8 @@ class Prescribed:
     normal, y has the components along the prescribed directions first, then those across. At nodes between facets of places
     with a normal component, facets whose normals differ by less than 30 degrees are one smooth surface with their mean
     normal; others are planes that meet in a corner, and the displacements along both normals are prescribed: in 2D the
-    corner is held, in 3D it moves along the edge.
+    corner is held, in 3D it moves along the edge. Straight facets of a curved side in 3D have normals of their own: where
+    they should slide freely, use curved cells (degree 2).
 
     A displacement that several places prescribe must have the same value by all. Its force is shared equally among them.
 
@@ -67,6 +68,7 @@ class Prescribed:
         self._moment = supports.at.moment(0.0)
         self._bs = V.dofmap.bs
         self._size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        self._extent = float(np.ptp(supports.domain.joint.points, axis=0).max())
         self._sources = [
             self._source(number, place, axis, value)
             for number, (place, components) in enumerate(supports.entries)
@@ -242,9 +244,8 @@ class Prescribed:
     def _require_agreement(self, values: Array, asked: npt.NDArray[np.bool_], when: str = "") -> None:
         apart = np.where(asked, np.abs(values - self._same @ values), 0.0)
         largest = self.comm.allreduce(float(np.abs(values).max(initial=0.0)), max)
-        size = float(np.ptp(self.supports.domain.joint.points, axis=0).max())
         message = ""
-        if apart.max(initial=0.0) > max(AGREE * largest, ROUNDING * size):
+        if apart.max(initial=0.0) > max(AGREE * largest, ROUNDING * self._extent):
             message = self._contradiction(int(apart.argmax()), values) + when
         if messages := [one for one in self.comm.allgather(message) if one]:
             raise ModelError(f"{messages[0]}; where supports overlap, their values must agree")
@@ -253,9 +254,11 @@ class Prescribed:
         """Words for a condition that does not agree with the others at its node."""
         there = np.flatnonzero((self.blocks == self.blocks[row]) & (self.entry != self.entry[row]))
         across = np.abs(self._direction[there] @ self._direction[row])
-        there = there[across > INDEPENDENT]
-        said = [self._said(row, values), *(self._said(int(k), values) for k in there)]
+        there = np.append(there[across > INDEPENDENT], row)
+        said = [self._said(int(k), values) for k in there[np.argsort(self.entry[there], kind="stable")]]
         x = self.V.tabulate_dof_coordinates()[self.blocks[row], : self._bs] if self._nodal else None
+        if x is not None:
+            x = np.where(np.abs(x) > ROUNDING * self._extent, x, 0.0)
         return f"contradictory supports{f' at {at_place(x)}' if x is not None else ''}: " + " and ".join(said)
 
     def _said(self, row: int, values: Array) -> str:

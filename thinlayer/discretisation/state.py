@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,15 +12,16 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.kinematics import lift
-from forms.work import Term, energy, stress
+from forms.kinematics import Expr, lift
+from forms.work import Term, energy
 from thinlayer.discretisation.given import added, at_time
-from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.layer import BODIES, LAYER
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
+from thinlayer.discretisation.stresses import stressed
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import carry
@@ -85,12 +86,16 @@ class Configuration:
         u: displacement; in a periodic cell beside the motion by its mean strain.
         t: time.
         memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
-            (of sublayers "layer 1", "layer 2", ...), of a contact law "contact", its slip at this rank's nodes of S,
-            (nodes, d - 1). If there are several seams keys have their names: "layer BED", "layer BED/1", "contact BED".
+            (of sublayers "layer 1", "layer 2", ...), in a body "body NAME", of a contact law "contact", its slip at this
+            rank's nodes of S, (nodes, d - 1). If there are several seams keys have their names: "layer BED",
+            "layer BED/1", "contact BED".
         fields: unknowns beside the displacements, by the key of their part.
         stored: energy at the end of the step in the parts that are not forms of laws, by key.
+        at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
         reactions: (n, k) forces and moments about `Model.centre` by what holds the structure, in the order of
             `Model.holders`; None: not known.
+        stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, m): the Mandel
+            components that strains have here.
     """
 
     u: fem.Function
@@ -98,7 +103,9 @@ class Configuration:
     memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     fields: Mapping[str, fem.Function] = field(default_factory=dict)
     stored: Mapping[str, float] = field(default_factory=dict)
+    at_rest: bool = False
     reactions: npt.NDArray[np.float64] | None = None
+    stresses: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -109,8 +116,8 @@ class State(Configuration):
         model: the model; u is in model.V.
         report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
-        dissipated: name of a seam -> energy that its layer dissipated in this step, without what is lost in a snap; empty
-            if there is one seam only.
+        dissipated: name of a seam -> energy that its layer dissipated in this step, without what is lost in a snap, if
+            there are several seams; "bodies" -> energy that bodies dissipated, if their laws have memory or rate.
     """
 
     model: Model
@@ -158,14 +165,15 @@ class State(Configuration):
         """
         model = self.model
         added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts if not one.ties_nodes}
-        of_layers = {key: energy for key, energy in self.stored.items() if key not in added}
+        of_bodies = {p.key: self.stored[p.key] for p in model.bodies if p.key in self.stored}
+        of_layers = {key: energy for key, energy in self.stored.items() if key not in {*added, *of_bodies}}
         layers = self.layers
         for key in {p.key: None for p in layers}:
             in_forms = [p for p in layers if p.key == key and not p.law.traits.compiled]
             of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
         given = sum(part.load_work(model, self) for part in model.parts)
         return {
-            "bodies": self._stored(self.bodies),
+            BODIES: self._stored([p for p in self.bodies if not p.law.traits.compiled]) + sum(of_bodies.values()),
             LAYER: sum(of_layers.values()),
             **{f"{LAYER} {name}": energy for name, energy in model.by_seam(of_layers).items()},
             **added,
@@ -227,6 +235,22 @@ class State(Configuration):
         """The terms of the layers' laws, with the strains that are given beside those of u."""
         return at_time(self.model.layer_terms, self.t)
 
+    def stress(self, term: Term) -> Expr:
+        """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
+
+        That of a compiled law is known at the quadrature points of the term, and of its components those along which
+        strains of displacements are not zero; integrate it as `work` does. On S see `Surface.traction`.
+        """
+        ((_, found, _),) = self._stressed([term])
+        return found
+
+    def work(self, terms: Iterable[Term], v: Expr) -> Expr:
+        """Virtual work of the stresses of terms of bodies or meshed layers in the strains of v, a UFL form. Collective."""
+        return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._stressed(terms))
+
+    def _stressed(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
+        return stressed(self.model, terms, self.u, self.stresses)
+
     def mean_stress(self) -> npt.NDArray[np.float64]:
         """Mean stress (d, d) of the bodies. Collective.
 
@@ -235,7 +259,7 @@ class State(Configuration):
         model, d = self.model, self.model.joint.dim
         chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
         terms = self.bodies
-        part = compiled(sum(ufl.inner(stress(p, self.u), lift(chosen)) * p.weight * p.measure for p in terms))
+        part = compiled(sum(ufl.inner(s, lift(chosen)) * p.weight * measure for p, s, measure in self._stressed(terms)))
         volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
         out = np.zeros((d, d))
         for i, j in zip(*np.triu_indices(d), strict=True):

@@ -12,7 +12,6 @@ import numpy.typing as npt
 import ufl
 
 from forms.contact import Status
-from forms.work import work
 from geometry.joint import Joint
 from geometry.order import edges_of, order_on_s
 from geometry.splitting import connected
@@ -232,13 +231,13 @@ def _numbered(joint: Joint, seam: str, nodes: ContactNodes) -> tuple[npt.NDArray
 
 
 def _balance(state: State, held: npt.NDArray[np.int32]) -> tuple[float, float]:
-    """Sum of the forces on free nodes and the work balance, relative; NaN beside compiled laws. Collective."""
+    """Sum of the forces on free nodes and the work balance, relative; NaN beside compiled laws on S. Collective."""
     model, comm, d = state.model, state.model.comm, state.model.joint.dim
-    if any(p.law.traits.compiled for p in model.terms):
+    if any(p.law.traits.compiled for p in model.layer_terms):
         return math.nan, math.nan
     v = ufl.TestFunction(model.V)
     stresses, loads = (
-        nodal_forces(model.V, work(state.bodies + state.layers, state.u, v) + model.added_work(state.u, v)),
+        nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work(state.u, v)),
         nodal_forces(model.V, model.external_work(v, state.t)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec

@@ -49,7 +49,7 @@ def homogenised_stiffness(model: Model) -> Array:
         [replace(p, given=None) for p in some] for some in (model.bodies, model.layer_terms)
     )
     strained.bodies = added(bodies, strained.strain.expression)
-    strained.forces = Forces(model.domain, None, None, at, model.kinematics)
+    strained.forces = Forces(model.domain, None, None, at, kinematics=model.kinematics)
     with Solver(strained) as solver:
         times = map(float, range(len(PAIRS[model.joint.dim])))
         columns = [_components(solver.step(solver.rest(t), t).mean_stress()) for t in times]

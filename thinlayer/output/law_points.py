@@ -16,8 +16,8 @@ from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.topology import IntArray
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.places import compiled_terms, quadratures
 from thinlayer.discretisation.state import State
-from thinlayer.parts.places import compiled_terms, quadratures
 from thinlayer.pointwise.quadrature import Quadrature
 
 Array = npt.NDArray[np.float64]

@@ -13,13 +13,13 @@ from geometry.errors import unknown
 from geometry.seam import S
 from geometry.topology import IntArray
 from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.places import compiled_terms
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
 from thinlayer.output.law_points import tensors
 from thinlayer.parts.given_at_points import GivenAtPoints
-from thinlayer.parts.places import compiled_terms
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import memory_slots
 

@@ -12,7 +12,6 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.kinematics import Expr
-from forms.work import work
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -31,7 +30,7 @@ def reaction(state: State) -> fem.Function:
     W = model.space(1, broken_at_faces=True)
     v = ufl.TestFunction(W)
     # Each form by itself: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with unlike quadrature.
-    r = nodal_forces(W, work(state.bodies, state.u, v))
+    r = nodal_forces(W, state.work(state.bodies, v))
     if model.parts:
         r.x.array[:] += nodal_forces(W, model.added_work(state.u, v)).x.array
     r.x.array[:] -= nodal_forces(W, model.external_work(v, state.t)).x.array

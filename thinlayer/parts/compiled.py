@@ -45,7 +45,8 @@ class CompiledPart(Part):
         self._given_at = GivenAtPoints(self.points)
         self.comm = self.points.comm
         self.law = law = term.law
-        self._t = 0.0
+        self._t, self._in_body = 0.0, term.n is None
+        self.stress_width = len(self.points.slots)
         self.traits = PartTraits(
             uses_dt=not law.traits.switches,
             weakens=may_weaken(law),
@@ -79,7 +80,7 @@ class CompiledPart(Part):
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        old, self._given = (self._given_at(t) for t in (interval.old.t, interval.t))
+        old, self._given = self._given_at.before(interval.old), self._given_at(interval.t)
         self._growth = self._given - old
         self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old
         self._memory = interval.old.memory[self.key]
@@ -121,11 +122,14 @@ class CompiledPart(Part):
             worked = float(self.points.forces(response.stress).dot(change)) + supplied
             remainder = worked - (after - before) - dissipated
             change.destroy()
+        stress = response.stress
+        if interval.theta < 1:  # forces balance within the step
+            stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
         energies = before, float(after), float(dissipated), float(remainder)
-        return Outcome(*energies, response.memory, supplied=supplied)
+        return Outcome(*energies, response.memory, supplied=supplied, stress=stress)
 
     def _at_rest(self) -> float:
-        """Energy stored before the first step, by a given strain."""
+        """Energy stored before the first step, by a strain that has always been given."""
         if self.points.term.given is None:
             return 0.0
         return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))
@@ -152,8 +156,20 @@ class CompiledPart(Part):
         return True
 
     # ---------------------------------------------------------------- questions
+    def diagonal_at_rest(self) -> PETSc.Vec | None:
+        if not self._in_body:
+            return None
+        A = self.points.stiffness(self.points.tangent_at_rest())
+        diagonal = A.getDiagonal()
+        A.destroy()
+        return diagonal
+
+    @property
+    def resists_rigid(self) -> bool:
+        return not self._in_body
+
     def undeclared_softening(self) -> tuple[str, str] | None:
-        if not may_soften(self.law):
+        if self._in_body or not may_soften(self.law):
             return None
         count = self.comm.allreduce(self.points.falls(self._e, self._e_old, self._memory, self._response))
         return (type(self.law).__name__, f"at {count} points of the {self.key}") if count else None

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from thinlayer.discretisation.measures import compiled, compiled_summands
 from thinlayer.parallel.communicator import communicator
-from thinlayer.parts.part import Array, Block, Outcome, Part
+from thinlayer.parts.part import Array, Block, Interval, Outcome, Part
 
 
 class FormPart(Part):
@@ -132,7 +132,7 @@ class FormPart(Part):
             worked = float(b.dot(change)) + supplied
             b.destroy()
             taken = self._u.x.array.copy()  # `now` may be the vector of these values
-            last, first = self._stored(now, self.interval.t), self._stored(old, self.interval.old.t)
+            last, first = self._stored(now, self.interval), self._stored(old, self.interval, before=True)
             self._u.x.array[:] = taken
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
         return Outcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
@@ -152,8 +152,8 @@ class FormPart(Part):
     def _energy_form(self) -> fem.Form | None:
         return None if self._energy is None else compiled(self._energy)
 
-    def _stored(self, u: PETSc.Vec, t: float) -> float:
-        """The energy of F and g at displacements u and time t; NaN if they have none."""
+    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+        """The energy of F and g at displacements u at the end of a step, or `before` it; NaN if they have none."""
         if self._energy_form is None:
             return float("nan")
         self._take(u)

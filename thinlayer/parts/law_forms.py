@@ -40,6 +40,8 @@ class LawForms(FormPart):
     """
 
     def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+        terms = list(terms)
+        everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -49,7 +51,8 @@ class LawForms(FormPart):
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
         strained, bodies = [p for p in linear if p.given is not None], [p for p in terms if p.n is None]
-        self._over = over = OverStep(*(p.given for p in terms if p.given is not None))
+        self._over = over = OverStep(V.mesh, terms)
+        self._strained = any(p.given is not None for p in terms)
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
@@ -57,33 +60,33 @@ class LawForms(FormPart):
         super().__init__(
             key,
             u,
-            _stiffness(V, linear, bodies) if linear or bodies else None,
+            _stiffness(V, linear, everywhere) if linear or everywhere else None,
             work(_given(others, over.balanced), u, v) if others else None,
             stored,
             g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
         )
-        self._power = self._of_growth(u)
         self._opposing = _Opposing.of([p for p in _given(others, over.balanced) if p.n is None], u)
         self._in_layer = len(bodies) < len(terms)
         self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
         self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
 
     # ---------------------------------------------------------------- given strains
-    def _of_growth(self, u: fem.Function) -> fem.Form | None:
-        """Work of the stresses at u in the growth of given strains over the step; None: they do not grow."""
-        grown = [
-            ufl.inner(stress(now, u), growth) * p.weight * p.measure
-            for p, now in zip(self._terms, _given(self._terms, self._over.balanced), strict=True)
-            if p.given is not None and (growth := self._over.growth(p.given)) is not None
-        ]
-        return compiled(sum(grown)) if grown else None
+    @cached_property
+    def _power(self) -> fem.Form:
+        """Work of the stresses at the last evaluation in the growth of given strains over the step."""
+        over, grown = self._over, [p for p in self._terms if p.given is not None]
+        stresses = [stress(p, self._u) for p in _given(grown, over.balanced)]
+        return compiled(
+            sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in zip(stresses, grown, strict=True))
+        )
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        self._over.begin(interval.old.t, interval.t, interval.theta)
+        self._over.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
 
     def _supplied(self) -> float:
-        return 0.0 if self._power is None else float(self.comm.allreduce(fem.assemble_scalar(self._power)))
+        grows = self._strained and self._over.grows
+        return float(self.comm.allreduce(fem.assemble_scalar(self._power))) if grows else 0.0
 
     def add_forces(self, out: PETSc.Vec) -> float:
         size = super().add_forces(out)
@@ -105,9 +108,10 @@ class LawForms(FormPart):
             self._layer_forms[keys] = compiled(work(terms, self._u, v)) if terms else None
         return self._layer_forms[keys]
 
-    def _stored(self, u: PETSc.Vec, t: float) -> float:
-        self._over.look_at(t)
-        return super()._stored(u, t)
+    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+        old = interval.old
+        self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
+        return super()._stored(u, interval, before=before)
 
     @property
     def resists_rigid(self) -> bool:

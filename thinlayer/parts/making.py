@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +13,13 @@ from forms.work import Term
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.places import compiled_terms
 from thinlayer.discretisation.state import PRESSURE
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
-from thinlayer.parts.places import compiled_terms
 from thinlayer.parts.pressure import PressurePart
 
 
@@ -34,32 +34,25 @@ def body_parts(model: Model) -> list[Part]:
     return parts + [addition.part(model) for addition in model.parts]
 
 
-def layer_parts(model: Model, held: npt.NDArray[np.int32], K: PETSc.Mat) -> list[Part]:
+def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
     """The parts of a model's layers, each with another key. Collective.
 
     Args:
         model: the model.
         held: displacements of this rank that supports prescribe (local, unrolled).
-        K: matrix of the bodies.
+        bodies: those of `body_parts`.
     """
     in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
     parts: list[Part] = [LawForms("forms of layers", model.V, in_forms)] if in_forms else []
     parts += _compiled(model, model.layer_terms)
-    parts += [
-        PressurePart(model.V, term, _largest(K), model.origin, key)
-        for key, term in _constrained(model.layer_terms).items()
-    ]
+    if pressures := _constrained(model.layer_terms):
+        diagonal = diagonal_at_rest(bodies)
+        largest = float(diagonal.max()[1])
+        diagonal.destroy()
+        parts += [PressurePart(model.V, term, largest, model.origin, key) for key, term in pressures.items()]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts
-
-
-def _largest(K: PETSc.Mat) -> float:
-    """Largest diagonal entry."""
-    diagonal = K.getDiagonal()
-    largest = float(diagonal.max()[1])
-    diagonal.destroy()
-    return largest
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:
@@ -67,6 +60,16 @@ def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:
         CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
         for key, term in compiled_terms(terms).items()
     ]
+
+
+def diagonal_at_rest(parts: Sequence[Part]) -> PETSc.Vec:
+    """Diagonal of K and of the tangents at rest of bodies that are not in K; the caller destroys it. Collective."""
+    of_K = [part.K.getDiagonal() for part in parts if part.K is not None]
+    first, *others = of_K + [one for part in parts if (one := part.diagonal_at_rest()) is not None]
+    for other in others:
+        first.axpy(1.0, other)
+        other.destroy()
+    return first
 
 
 def _constrained(terms: Iterable[Term]) -> dict[str, Term]:

@@ -58,7 +58,7 @@ class MeanStressPart(Part):
         self._turned = PETSc.Mat()
         self.B.transpose(self._turned)
         of_given = [p for p in bodies if p.given is not None]
-        self._over = OverStep(*(p.given for p in of_given))
+        self._over = OverStep(mesh, of_given)
         stresses = [(p, p.law.stress(Step(self._over.now(p.given), p.n))) for p in of_given]
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
         self._own_of_given = fem.form(own) if of_given else None
@@ -79,15 +79,15 @@ class MeanStressPart(Part):
         new, old = (self._given.components(t) for t in (interval.t, interval.old.t))
         load = (interval.theta * new + (1 - interval.theta) * old) * self._volume / self._given.size
         self._load = np.asarray(load[: self.own_size], float)
-        new, old = (self._of_given(t) for t in (interval.t, interval.old.t))
+        new, old = self._of_given(interval.t), self._of_given(interval.old.t, at_rest=interval.old.at_rest)
         self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
         self._old.array[:] = self.own_start(interval.old)
 
-    def _of_given(self, t: float) -> Array:
-        """Own forces (own unknowns,) of the strains given to the bodies, at a time."""
+    def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
+        """Own forces (own unknowns,) of the strains given to the bodies, at a time or at rest."""
         if self._own_of_given is None:
             return np.zeros(self.own_size)
-        self._over.look_at(t)
+        self._over.look_at(t, at_rest=at_rest)
         b = dolfinx.fem.petsc.assemble_vector(self._own_of_given)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         found = b.array_r.copy()

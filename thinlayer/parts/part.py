@@ -96,6 +96,7 @@ class Outcome:
             varying parameters.
         memory: (n, values) internal variables at the end of the step; None: the part has no memory.
         supplied: work done on the part by strains that are prescribed, beside that of loads and supports.
+        stress: (n, components) stresses at the end of the step; None: the part keeps none.
         kept: whether the state keeps `after` under the part's key; it computes the energies of bodies and laws' forms.
     """
 
@@ -106,6 +107,7 @@ class Outcome:
     memory: Array | None = None
     kept: bool = True
     supplied: float = 0.0
+    stress: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -162,6 +164,7 @@ class Part(ABC):
         tie: (n, k) sparse, the displacements of this rank that follow all k own unknowns of the part, as those of a rigid
             plate do; other rows are empty. The forces on these displacements are added to the own residual. None: no
             displacement follows them.
+        stress_width: number of stress components that states keep at each point of the memory; 0: none.
     """
 
     key: str
@@ -171,6 +174,7 @@ class Part(ABC):
     K: PETSc.Mat | None = None
     cancelling: float = 0.0
     tie: Any = None
+    stress_width: int = 0
     interval: Interval
 
     # ---------------------------------------------------------------- a step
@@ -264,6 +268,13 @@ class Part(ABC):
         return int(dofmap.index_map.size_local * dofmap.index_map_bs)
 
     # ---------------------------------------------------------------- questions
+    def diagonal_at_rest(self) -> PETSc.Vec | None:
+        """Diagonal of the tangent at rest of bodies that are not in K, a scale of forces; None: there are none.
+
+        The caller destroys it.
+        """
+        return None
+
     @property
     def resists_rigid(self) -> bool:
         """Whether a rigid motion of a whole body may cause forces, as in layers and springs."""

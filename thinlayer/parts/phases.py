@@ -13,10 +13,10 @@ from forms.law import BulkLaw, Law
 from geometry.order import along, by_place
 from geometry.topology import IntArray
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.places import quadratures
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.parts.places import quadratures
 from thinlayer.pointwise.kernels import memory_slots
 from thinlayer.pointwise.quadrature import Quadrature
 

@@ -23,6 +23,7 @@ from geometry.errors import unknown
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam
+from thinlayer.discretisation.prescribed import ROUNDING
 from thinlayer.discretisation.reactions import Array, centroid, count, require_point, rigid
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.errors import ModelError
@@ -240,10 +241,10 @@ class PlatePart(Part):
         self._scale = np.ones(count(self._dim))
         self._scale[self._dim :] = given.size(model)
         self.tie = given.tie(model, given.point(model), given.size(model))
-        self._require_free_nodes(model)
+        self._require_free_nodes(model, given.size(model))
         self._load: Array = np.zeros(0)
 
-    def _require_free_nodes(self, model: Host) -> None:
+    def _require_free_nodes(self, model: Host, size: float) -> None:
         """Raise ModelError if supports act on nodes of the plate."""
         tied = np.flatnonzero(np.diff(self.tie.indptr)) // self._dim
         prescribed = model.prescribed
@@ -252,6 +253,7 @@ class PlatePart(Part):
         if len(rows):
             place, _ = model.supports.entries[prescribed.entry[rows[0]]]
             x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows[0]], : self._dim]
+            x = np.where(np.abs(x) > ROUNDING * size, x, 0.0)
             message = (
                 f"the support on {place!r} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; "
                 f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"

@@ -11,10 +11,10 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
-from ufl.classes import Zero
 
 from forms.kinematics import MANDEL, ROOT2, Expr
 from forms.law import LawError
+from forms.tangent import LONG
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
@@ -65,33 +65,27 @@ class CompiledTerm(Quadrature):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
-        of_strains = term.kinematics.slots(self.dim)
-        self.slots = [k for k in range(len(MANDEL)) if k in of_strains or self._is_given(k)]
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self.material = Material(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
-        self._at_rest = self._tangent_at_rest() if term.law.traits.singular else None
+        self._at_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
     def _strain_matrix(self, V: fem.FunctionSpace) -> None:
         """B: displacements -> strains at the points (m rows each); assembled once, as strains are linear."""
         W = self._space((len(self.slots),))
         du, q = ufl.TrialFunction(V), self.region.side(ufl.TestFunction(W))
         rows = _components(self.term.strain(du), self.slots)
-        form = fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
+        form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
         self.B = dolfinx.fem.petsc.assemble_matrix(form)
         self.B.assemble()
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
-
-    def _is_given(self, slot: int) -> bool:
-        """Whether the given strain may have this Mandel component."""
-        return self.term.given is not None and not isinstance(self.term.given[MANDEL[slot]], Zero)
 
     def form_of(self, strain: Expr) -> fem.Form:
         """A form from which `values_of` computes the values of a strain (3, 3) at the points."""
         q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
         rows = _components(strain, self.slots)
-        return fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
+        return fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
 
     def values_of(self, form: fem.Form) -> Array:
         """Values (points, m) of the strain of a form, with the present values of its constants."""
@@ -177,11 +171,11 @@ class CompiledTerm(Quadrature):
         if problem := next(filter(None, self.comm.allgather(problem)), None):
             raise LawError(problem)
 
-    def _tangent_at_rest(self) -> Array:
-        """Tangents (points, m, m) at rest; collective where parameters vary."""
+    def tangent_at_rest(self) -> Array:
+        """Tangents (points, m, m) at rest, where rates are zero; collective where parameters vary."""
         none = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
-        return self.respond(none, none, self.rest(), 0.0, 1.0).tangent
+        return self.respond(none, none, self.rest(), LONG if self.term.law.traits.rate else 0.0, 1.0).tangent
 
     def _regular(self, tangent: Array, relative_residual: float) -> Array:
         """The tangents, plus a small share of the tangent at rest where they differ from it."""

@@ -14,8 +14,9 @@ import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
+from ufl.classes import Zero
 
-from forms.kinematics import Expr, lift
+from forms.kinematics import MANDEL, Expr, lift
 from forms.work import Term
 from geometry.topology import IntArray
 from thinlayer.compiling.compat import create_submesh
@@ -133,6 +134,7 @@ class Quadrature:
         origin: the joint of the mesh, if there is one.
         comm: communicator for messages.
         degree: quadrature degree of the measure, or `quadrature_degree`.
+        measure: the term's measure with this degree.
         count: number of points of this rank.
         cells: (cells, points per cell) numbers of the points in the cells of the region that this rank owns.
         x: (points, d) places of the points.
@@ -146,13 +148,24 @@ class Quadrature:
         self.degree = metadata.setdefault("quadrature_degree", quadrature_degree(V, term.measure))
         self.region = Region(V.mesh, term.measure)
         self.comm = origin.comm if origin else communicator(V.mesh)
-        self._measure = term.measure.reconstruct(metadata=metadata)
+        self.measure = term.measure.reconstruct(metadata=metadata)
+        self._functions: dict[int, fem.FunctionSpace] = {}
         self._geometry()
 
     @property
     def dim(self) -> int:
         """Number of coordinates."""
         return int(self.region.parent_mesh.geometry.dim)
+
+    @cached_property
+    def slots(self) -> list[int]:
+        """Mandel components that strains may have here; the others are zero."""
+        given, of_strains = self.term.given, self.term.kinematics.slots(self.dim)
+        return [
+            k
+            for k, pair in enumerate(MANDEL)
+            if k in of_strains or (given is not None and not isinstance(given[pair], Zero))
+        ]
 
     def _space(self, shape: tuple[int, ...]) -> fem.FunctionSpace:
         cell = self.region.mesh.basix_cell()
@@ -178,7 +191,7 @@ class Quadrature:
 
     def _integrated(self, rows: Expr, q: Expr) -> Array:
         """Quadrature weight times the values (points, m) of m functions at each point."""
-        form = fem.form(ufl.inner(rows, q) * self._measure, entity_maps=self.region.maps)
+        form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
     def values(self, f: Expr) -> Array:
@@ -200,6 +213,18 @@ class Quadrature:
             return np.ascontiguousarray(self.x.T)
         q = self.region.side(ufl.TestFunction(self._space((self.dim,))))
         return np.ascontiguousarray((self._integrated(self.region.side(x), q) / self._integrals[:, None]).T)
+
+    def function(self, values: Array) -> fem.Function:
+        """Values (points, m) at points in cells as a function (m,) on the whole mesh, zero elsewhere, for `measure`."""
+        width, mesh = values.shape[1], self.region.parent_mesh
+        if width not in self._functions:
+            element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=(width,), degree=self.degree)
+            self._functions[width] = fem.functionspace(mesh, element)
+        f = fem.Function(self._functions[width])
+        points = np.asarray(f.function_space.dofmap.list)[self.region.parent[: len(self.cells)]]
+        f.x.array.reshape(-1, width)[points] = values[self.cells]
+        f.x.scatter_forward()
+        return f
 
     @property
     def original(self) -> IntArray:

@@ -19,7 +19,7 @@ from thinlayer.discretisation.reactions import rigid_values
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import PRESSURE, Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.making import body_parts, layer_parts
+from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
@@ -48,7 +48,7 @@ class Equations(PartSum):
         held: numbers of the unknowns of this rank that are prescribed.
         prescribed: their values at the end of the step.
         substitution: the unknowns in place of displacements; None: the unknowns are the displacements.
-        mean_stiffness: mean size of the diagonal entries of K.
+        mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
         eased: ease of the parts; 0 is the parts themselves.
         factor: linear solver with the factor of a tangent, of this model or of another one of its family.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
@@ -60,7 +60,7 @@ class Equations(PartSum):
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
         self._kept = kept = Kept.of(model)
         kept.bodies = kept.bodies or body_parts(model)
-        self._of_layers = layer_parts(model, self.history.held, kept.bodies[0].K)
+        self._of_layers = layer_parts(model, self.history.held, kept.bodies)
         super().__init__([*kept.bodies, *self._of_layers])
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
@@ -74,7 +74,7 @@ class Equations(PartSum):
         held, _ = self._prescribed(None)
         self._held_order = np.argsort(held)
         self.held = held[self._held_order].astype(np.int32)
-        diagonal = self._diagonal()
+        diagonal = diagonal_at_rest(self.parts)
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
@@ -121,15 +121,6 @@ class Equations(PartSum):
         """Global numbers of the held unknowns."""
         return self._layout.rows(self.held)
 
-    def _diagonal(self) -> PETSc.Vec:
-        """Diagonal of K; the caller destroys the vector."""
-        found = self._linear[0].getDiagonal()
-        for other in self._linear[1:]:
-            more = other.getDiagonal()
-            found.axpy(1.0, more)
-            more.destroy()
-        return found
-
     @property
     def _linear(self) -> list[PETSc.Mat]:
         return [part.K for part in self.parts if part.K is not None]
@@ -147,7 +138,7 @@ class Equations(PartSum):
         if not self.substitution:
             return rigid_modes(self.model)
         found = []
-        for motion in rigid_motions(self.model.V, self.model.joint).values():
+        for motion in rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values():
             x, n = self.vector(), self.n_displacements
             values, own = self._layout.split(x.array), self.substitution.followed(motion.x.array[:n])
             values[DISPLACEMENTS][:] = motion.x.array[:n]
@@ -198,8 +189,9 @@ class Equations(PartSum):
     def rest(self, t: float) -> State:
         """The state at rest, before the first step."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
-        lost = dict.fromkeys(model.by_seam({}), 0.0)
-        return State(fem.Function(model.V), t, self.memory_at_rest, model=model, report=report, dissipated=lost)
+        lost, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
+        memory, stresses = self.memory_at_rest, self.stresses_at_rest
+        return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
@@ -300,7 +292,7 @@ class Equations(PartSum):
             sum(one.remainder for one in every),
             sum(one.after for one in every),
         )
-        dissipated = self.model.by_seam({key: one.dissipated for key, one in found.items()})
+        dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
         return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
 
     # ---------------------------------------------------------------- reactions

@@ -95,7 +95,8 @@ def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
 
 def rigid_modes(model: Model) -> list[PETSc.Vec]:
     """Orthonormal rigid motions. Collective."""
-    return orthonormal([motion.x.petsc_vec.copy() for motion in rigid_motions(model.V, model.joint).values()])
+    motions = rigid_motions(model.V, model.joint, model.kinematics)
+    return orthonormal([motion.x.petsc_vec.copy() for motion in motions.values()])
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:

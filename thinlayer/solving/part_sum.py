@@ -7,6 +7,7 @@ from functools import reduce
 from operator import or_
 from typing import TypeVar
 
+import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
@@ -39,6 +40,15 @@ class PartSum:
     def memory_at_rest(self) -> dict[str, Array]:
         """Memory at rest of the parts that have one, by key."""
         return {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
+
+    @property
+    def stresses_at_rest(self) -> dict[str, Array]:
+        """Stresses at rest, zero, of the parts whose stresses states keep, by key."""
+        return {
+            part.key: np.zeros((len(rest), part.stress_width))
+            for part in self.parts
+            if part.stress_width and (rest := part.rest()) is not None
+        }
 
     def begin_parts(self, interval: Interval) -> None:
         """Begin a step in all parts."""
@@ -89,4 +99,5 @@ class PartSum:
         memory = {key: one.memory for key, one in found.items() if one.memory is not None}
         fields = {part.key: part.own_result() for part in self.parts if part.field is not None}
         stored = {key: one.after for key, one in found.items() if one.kept}
-        return found, Configuration(u.copy(), t, memory, fields, stored)
+        stresses = {key: one.stress for key, one in found.items() if one.stress is not None}
+        return found, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)

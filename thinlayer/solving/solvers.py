@@ -89,7 +89,7 @@ def solve(
         except SolveError as error:
             if not solver.yields:
                 raise
-            advice = "loads on a layer that yields may have a limit: let them grow in time, and march in small steps"
+            advice = "loads on what yields may have a limit: let them grow in time, and march in small steps"
             raise SolveError(error.reason, residuals=error.residuals, advice=advice) from error
     warn_of_states([state])
     return state
@@ -385,8 +385,8 @@ class Solver:
 
     @property
     def yields(self) -> bool:
-        """Whether the layer's law bounds stresses, so that loads may have a limit."""
-        return any(p.law.traits.bounded for p in self.model.layer_terms)
+        """Whether a law bounds stresses, so that loads may have a limit."""
+        return any(p.law.traits.bounded for p in self.model.terms)
 
     @property
     def _searches(self) -> tuple[str | None, ...]:

@@ -13,13 +13,13 @@ from petsc4py import PETSc
 from forms.kinematics import Expr
 from forms.law import LawError
 from forms.work import Term, work
+from thinlayer.discretisation.places import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
 from thinlayer.parts.part import DISPLACEMENTS, Array, Interval, Part
-from thinlayer.parts.places import compiled_terms
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.solving.balance import require_equilibrium
@@ -83,7 +83,7 @@ class StepProblem(PartSum):
         of_form = FormPart("forms", u, F=residual)
         super().__init__([of_form, *(CompiledPart(key, V, term) for key, term in compiled.items()), *parts])
         self.comm, self._u, self._bcs = communicator(V.mesh), u, list(bcs)
-        self.state = Configuration(u.copy(), 0.0, self.memory_at_rest)
+        self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
         size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         held = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))

@@ -26,7 +26,7 @@ Array = npt.NDArray[Any]
 TABLE = "table.csv"
 REQUIRED = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}  # columns to resume from
 REACTIONS = "reactions"
-MEMORY, FIELD, STORED = "memory ", "field ", "stored "  # prefixes of the keys of parts in a state's file
+MEMORY, FIELD, STORED, STRESS = "memory ", "field ", "stored ", "stress "  # prefixes of keys of parts in a state's file
 
 
 def fingerprint(model: Model, **choices: Any) -> str:
@@ -77,6 +77,7 @@ class Checkpoint:
         owned = mesh.topology.index_map(mesh.topology.dim).size_local
         self._owned, self._cells = np.arange(owned, dtype=np.int32), self.model.domain.original_cells
         self._rest = {part.key: rest for part in equations.parts if (rest := part.rest()) is not None}
+        self._unstressed = equations.stresses_at_rest
         self._orders = {part.key: part.file_order for part in equations.parts if part.file_order is not None}
         self._fields = {
             part.key: (part.field.function_space, order)
@@ -129,9 +130,10 @@ class Checkpoint:
         for key, f in state.fields.items():
             _, order = self._fields[key]
             arrays[FIELD + key] = self._gather(order.numbers, order.ordered(f.x.array[:, None]))
-        for key, values in state.memory.items():
-            order = self._orders[key]
-            arrays[MEMORY + key] = self._gather(order.numbers, order.ordered(values))
+        for start, kept in ((MEMORY, state.memory), (STRESS, state.stresses)):
+            for key, values in kept.items():
+                order = self._orders[key]
+                arrays[start + key] = self._gather(order.numbers, order.ordered(values))
         arrays["t"] = np.array(state.t)
         if state.reactions is not None:
             arrays[REACTIONS] = state.reactions
@@ -212,34 +214,38 @@ class Checkpoint:
                 fields[key] = f = fem.Function(space)
                 order.put(f.x.array[:, None], self._wanted(row, arrays.get(FIELD + key), order.numbers, order.width))
                 f.x.scatter_forward()
-        memory = {}
-        for key, rest in self._rest.items():
-            order = self._orders[key]
-            wanted = self._wanted(row, arrays.get(MEMORY + key), order.numbers, order.width * rest.shape[1])
-            memory[key] = np.zeros_like(rest)
-            order.put(memory[key], wanted)
+        memory, stresses = (
+            {key: self._read_values(row, arrays.get(start + key), key, rest) for key, rest in at_rest.items()}
+            for start, at_rest in ((MEMORY, self._rest), (STRESS, self._unstressed))
+        )
         single = {name: float(array) for name, array in arrays.items() if _is_single(name)}
         single = self.comm.bcast(single)
         t = single.pop("t")
         stored = {name.removeprefix(STORED): value for name, value in single.items()}
         numbers = {name: value for name, value in table.rows[row].items() if not isinstance(value, str)}
         found = {name: np.nan if value is None else float(value) for name, value in numbers.items()}
-        dissipated = dict.fromkeys(self.model.by_seam({}), 0.0)
-        dissipated |= {seam: found.get(column, np.nan) for column, seam in dissipated_columns(self.model).items()}
+        dissipated = dict.fromkeys(self.model.by_place({}), 0.0)
+        dissipated |= {place: found.get(column, np.nan) for column, place in dissipated_columns(self.model).items()}
         audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        reactions = self.comm.bcast(arrays.get(REACTIONS))
+        parts, reactions = (memory, fields, stored), self.comm.bcast(arrays.get(REACTIONS))
         return State(
-            u, t, memory, fields, stored, reactions,
+            u, t, *parts, reactions=reactions, stresses=stresses,
             model=self.model, report=report, audit=audit, dissipated=dissipated,
         )  # fmt: skip
+
+    def _read_values(self, row: int, rows: Array | None, key: str, rest: Array) -> Array:
+        """Values (n, m) at the points of a part, from the rows of a state's file on rank 0."""
+        order, values = self._orders[key], np.zeros_like(rest)
+        order.put(values, self._wanted(row, rows, order.numbers, order.width * rest.shape[1]))
+        return values
 
     def _arrays(self, row: int, table: Table) -> dict[str, Array]:
         """The arrays of a state's file; on rank 0."""
         try:
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays = dict(file)
-            wanted = {"u", "t", *(MEMORY + key for key in self._rest)}
+            wanted = {"u", "t", *(MEMORY + key for key in self._rest), *(STRESS + key for key in self._unstressed)}
             if lacking := (wanted | {"march"}) - arrays.keys():
                 raise ValueError(f"no {', '.join(sorted(lacking))} in it")
             for name in arrays.keys() - {"march"}:

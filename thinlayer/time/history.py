@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import is_number
+from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
@@ -40,9 +41,11 @@ class Snap:
 def dissipated_columns(model: Model) -> dict[str, str]:
     """Column of what the layer of a seam dissipates in a step -> its name; for layers that remember, of several seams.
 
-    What is lost in a snap, by layers and bodies together, is in the column "dissipated" alone.
+    If bodies remember there is a column "dissipated bodies" too. What is lost in a snap, by layers and bodies together, is
+    in the column "dissipated" alone.
     """
-    return {f"dissipated {name}": name for name in model.by_seam({}) if model.layers[name].remembers}
+    seams = {name for name, one in model.layers.items() if one.remembers}
+    return {f"dissipated {name}": name for name in model.by_place({}) if name in {*seams, BODIES}}
 
 
 def phase_columns(model: Model, seam: str) -> dict[str, str]:

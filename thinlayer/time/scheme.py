@@ -12,8 +12,8 @@ ALLOWED_THETA = "theta = 1"  # the last words of errors
 
 
 def remembers(model: Model) -> bool:
-    """Whether the layer's law depends on its history, so that a peak of the loads between two times matters."""
-    return any(one.remembers for one in model.layers.values())
+    """Whether a law depends on its history, so that a peak of the loads between two times matters."""
+    return model.bodies_remember or any(one.remembers for one in model.layers.values())
 
 
 def require_ends(model: Model, theta: float) -> None:
@@ -22,23 +22,21 @@ def require_ends(model: Model, theta: float) -> None:
         return
     if model.contact:
         raise ModelError(f"theta is {theta}; contact laws hold at the ends of steps: {ALLOWED_THETA}")
-    for body, law in model.body_laws.items():
-        if not law.traits.linear:
-            raise ModelError(f"theta is {theta}; {_oscillates(type(law).__name__)} (body {body!r})")
     for part in model.parts:
         if not part.is_linear(model):
             raise ModelError(f"theta is {theta}; {_oscillates(f'the part {part.key!r}')}")
-    for law in (one for p in model.layer_terms for _, one in p.law.sublayers):
+    of_layers = [(one, "") for p in model.layer_terms for _, one in p.law.sublayers]
+    for law, place in [*((law, f" (body {body!r})") for body, law in model.body_laws.items()), *of_layers]:
         name = type(law).__name__
         if law.traits.switches:
             raise ModelError(f"theta is {theta}; {name} holds at the ends of steps: {ALLOWED_THETA}")
         if law.traits.bounded:
             raise ModelError(
                 f"theta is {theta}; {name} bounds stresses: with theta < 1 they are kept within the bound at t + theta dt, "
-                f"where forces balance, and may exceed it at the end of the step; allowed: {ALLOWED_THETA}"
+                f"where forces balance, and may exceed it at the end of the step; allowed: {ALLOWED_THETA}{place}"
             )
         if not (law.traits.linear or law.traits.rate or law.traits.compiled):
-            raise ModelError(f"theta is {theta}; {_oscillates(name)}")
+            raise ModelError(f"theta is {theta}; {_oscillates(name)}{place}")
 
 
 def require_time_scale(equations: Equations, theta: float, times: Sequence[float]) -> None:

@@ -25,6 +25,8 @@ class Tangent:
         start: expected jumps, which choose the springs of the hierarchy; None: bonded.
     """
 
+    _matrix: PETSc.Mat
+
     def __init__(self, surface: SurfaceStiffness, start: Array | None) -> None:
         self.surface, self.problem, self.nodes = surface, surface.problem, surface.problem.nodes
         self._build(self._springs(start))

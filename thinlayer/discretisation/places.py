@@ -6,16 +6,15 @@ from collections.abc import Iterable
 from weakref import WeakKeyDictionary
 
 from forms.work import Term
-from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.model import Model
 from thinlayer.pointwise.quadrature import Quadrature
 
-BODY = "body"  # key of a law with memory in a body, in a script without a model
 _FOUND: WeakKeyDictionary[Model, dict[str, Quadrature]] = WeakKeyDictionary()
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
-    """The terms whose laws are compiled, by key: that of their layer, or "layer", or "body".
+    """The terms whose laws are compiled, by key: that of their layer or body, or "layer", or "body".
 
     Several of one key are numbered in their order (sublayers from below): "layer 1", "layer 2", ..., "layer BED/1", ...
     """

@@ -1,0 +1,213 @@
+"""Bodies with laws that yield, creep or relax: columns against closed forms, files, ranks, what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from forms import (
+    Incompressible,
+    IncrementalCoulomb,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    MohrCoulombMonodirectional,
+    NonMonotone,
+    Stack,
+    VonMises,
+)
+from geometry import block
+from tests.bodies_run import JOINT, SHEARED, YIELDING, numbers, yielding
+from tests.columns_in_time import column, joint
+from tests.own_laws import Slipping
+from tests.ranks import mpirun
+from thinlayer import (
+    Adaptive,
+    ContactReport,
+    LimitLoad,
+    ModelError,
+    Springs,
+    Structure,
+    Surface,
+    ThinLayer,
+    march,
+    piecewise,
+    solve,
+)
+
+MU, Y, H = 50.0, 1.0, 30.0
+METAL = VonMises(60.0, MU, strength=Y, hardening=H)
+GLUE = LinearElastic(60.0, 40.0)
+LAYER = ThinLayer(GLUE, 0.1)
+EXACT = 1e-9
+
+
+def top(state) -> float:
+    """Largest displacement: of the top."""
+    return float(np.abs(state.u.x.array).max())
+
+
+def models(body, mode: str, layer=LAYER, **ends):
+    structure = Structure(joint(), **column(mode, **ends) | {"body": body})
+    return structure.interface(layer), structure.full(layer, cells_through=2)
+
+
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+def test_relaxing_bodies_creep_in_shear(theta):
+    """Two Maxwell bodies, each 0.5 high: t/mu (1 + t/t1), and the layer's jump t/mu; tractions at the ends of steps."""
+    load, times = 0.5, [0.1, 0.3]
+    for model in models(Maxwell(60.0, MU, 0.7), "shear", load=load):
+        history = march(model, times, theta=theta)
+        for state in history:
+            assert top(state) == pytest.approx(load / MU * (1 + state.t / 0.7) + load / GLUE.mu, rel=EXACT)
+            assert state.mean_stress()[0, 1] == pytest.approx(load, rel=EXACT)
+        assert np.abs(history.table["imbalance"]).max() < 1e-10
+        stored, work = state.energies(), history.table["supplied"].sum()
+        assert stored["bodies"] == pytest.approx(load**2 / (2 * MU), rel=EXACT)
+        assert stored["layer"] == pytest.approx(load**2 / (2 * GLUE.mu), rel=EXACT)
+        lost = history.table["dissipated bodies"].sum()
+        assert lost == pytest.approx(load**2 / MU * 0.3 / 0.7, rel=1e-8)
+        assert lost == pytest.approx(history.table["dissipated"].sum())
+        assert work == pytest.approx(stored["bodies"] + stored["layer"] + lost + history.table["remainder"].sum())
+
+
+@pytest.mark.parametrize("theta", [1.0, 0.5, 0.7])
+@pytest.mark.parametrize("body", [Maxwell(60.0, MU, 0.7), KelvinVoigt(60.0, MU, 0.2, 0.3)], ids=["relaxes", "creeps"])
+def test_tractions_on_bodies_are_those_of_the_end_of_a_step(body, theta):
+    """Under a growing load; the stress that balances the forces within a step is another one."""
+    for model in models(body, "normal", load=lambda t: 1 + 3 * t):
+        state = march(model, [0.1, 0.25, 0.3], theta=theta).last
+        surface = Surface(model if model.broken else models(body, "normal", load=lambda t: 1 + 3 * t)[0])
+        if model.broken:
+            assert surface.integral(surface.traction(state)[1]) == pytest.approx(1.9, rel=1e-8)
+        assert state.mean_stress()[1, 1] == pytest.approx(1.9, rel=1e-8)
+
+
+def test_yielding_bodies_in_shear():
+    """tau = mu (gamma - gamma_p), sqrt(3) tau = Y + H gamma_p/sqrt(3): bilinear, and elastic on the way back."""
+    path = {0.0: 0.0, 0.5: 0.5, 1.0: 0.9, 1.5: 0.4}
+    load = partial(piecewise(path), None)
+
+    for model in models(METAL, "shear", load=load):
+        history = march(model, [0.5, 1.0, 1.5])
+        slip = 3 * (0.9 - Y / math.sqrt(3)) / H
+        for state, expected in zip(history.states.values(), (0, 0, slip, slip), strict=True):
+            tau = path[state.t]
+            assert top(state) == pytest.approx(tau / MU + tau / GLUE.mu + expected, rel=EXACT, abs=1e-12)
+        for key, memory in state.memory.items():
+            assert key in ("body LOWER", "body UPPER")
+            assert memory[:, 6] == pytest.approx(slip / math.sqrt(3), rel=EXACT)
+        wrong = replace(METAL, hardening=3 * H)
+        assert top(march(models(wrong, "shear", load=load)[0], [1.0]).last) < 0.9 * top(history.at(1.0))
+
+
+def test_both_models_agree_where_bodies_and_layer_yield():
+    mortar = ThinLayer(MohrCoulomb(60.0, 40.0, 0.2, 30.0, elastic_fraction=0.1), 0.1)
+    limit, full = models(replace(METAL, strength=0.3), "shear", mortar, move=lambda x, t: 0.05 * t)
+    a, b = (march(model, [0.3, 0.6, 1.0]) for model in (limit, full))
+    assert limit.bodies_remember
+    for name in ("supplied", "stored", "dissipated", "dissipated bodies"):
+        assert b.table[name] == pytest.approx(a.table[name], rel=1e-7, abs=1e-12), name
+    assert a.table["dissipated"][-1] > 1.5 * a.table["dissipated bodies"][-1] > 0
+    assert np.abs(a.table["imbalance"]).max() < 1e-9
+
+
+def test_order_one_knows_the_stresses_of_bodies():
+    layer = ThinLayer(GLUE, 0.1, order=1)
+    limit, full = models(METAL, "normal", layer, load=lambda t: 4.0 * t)
+    a, b = (march(model, [0.5, 1.0]).last for model in (limit, full))
+    surface = Surface(limit)
+    t = surface.traction(a)
+    assert surface.integral(t[1]) == pytest.approx(4.0, rel=1e-8)
+    assert surface.norm(surface.traction(b) - t) < 1e-7 * surface.norm(t)
+    assert a.dissipated["bodies"] > 0
+
+
+def test_bodies_reach_their_limit():
+    """Ideal plasticity in shear: Y/sqrt(3)."""
+    model = models(VonMises(60.0, MU, strength=Y), "shear", load=lambda t: t)[0]
+    with pytest.raises(LimitLoad) as found:
+        march(model, [0.1 * k for k in range(1, 9)])
+    assert found.value.t == pytest.approx(Y / math.sqrt(3), rel=2e-3)
+    assert found.value.t <= Y / math.sqrt(3) * (1 + 1e-9)
+
+
+def test_contact_with_a_body_that_yields():
+    square = block(1.0, 1.0, 0.25, structured=True)
+    loads = {"TOP": lambda x, t: (0.1 * t, -1.2 * t), "LEFT": lambda x, t: (0.1 * t, 0.0)}
+    soft = replace(METAL, strength=0.5)
+    structure = Structure(square, body=soft, supports={"RIGHT": {"x": 0.0}}, tractions=loads, element="P1")
+    history = march(structure.interface(IncrementalCoulomb(400.0, 200.0, friction=0.2)), [0.5, 1.0])
+    report = ContactReport(history.last)
+    assert report.normal_force == pytest.approx(1.2, rel=1e-8)
+    assert report.equilibrium < 1e-9
+    assert report.clapeyron < 1e-8
+    assert history.table["dissipated bodies"].sum() > 0
+
+
+def test_adaptive_steps_see_bodies_that_creep():
+    model = models(Maxwell(60.0, MU, 0.7), "shear", move=lambda x, t: 0.05 + 0 * t)[0]
+    fine = march(model, Adaptive(end=2.0, first=0.01, tolerance=1e-4), theta=0.5)
+    stiffness = 1 / (1 / MU + 1 / GLUE.mu)
+    rate = (1 / MU) * stiffness / 0.7  # of the stress, as the bodies relax into the layer
+    expected = 0.05 * stiffness * math.exp(-rate * 2.0)
+    assert fine.last.mean_stress()[0, 1] == pytest.approx(expected, rel=2e-3)
+    assert len(fine) > 5
+
+
+def test_a_march_is_resumed_with_the_stresses_of_bodies(tmp_path):
+    whole = march(yielding(), [0.25, 0.5, 0.75, 1.0])
+    march(yielding(), [0.25, 0.5], out=tmp_path)
+    again = march(yielding(), [0.25, 0.5, 0.75, 1.0], out=tmp_path, resume=True)
+    for state in (again.at(0.5), again.last):
+        other = whole.at(state.t)
+        assert state.stresses.keys() == {"body LOWER", "body UPPER"}
+        for key, stress in other.stresses.items():
+            assert np.abs(stress).max() > 0.1
+            assert state.stresses[key] == pytest.approx(stress, abs=1e-9)
+            assert state.memory[key] == pytest.approx(other.memory[key], abs=1e-12)
+        assert state.dissipated["bodies"] == pytest.approx(other.dissipated["bodies"], rel=1e-8)
+        assert state.energies() == pytest.approx(other.energies(), rel=1e-8)
+    with pytest.raises(ModelError, match=r"another march .*bodies"):
+        march(yielding(replace(YIELDING, hardening=1.0)), [0.25], out=tmp_path, resume=True)
+
+
+def test_ranks_agree():
+    one = numbers()
+    done = mpirun(2, "-m", "tests.bodies_run")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == pytest.approx(one, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (Stack((0.5, GLUE), (0.5, METAL)), "Stack is for layers: its sublayers lie across the thickness"),
+        (Incompressible(3.0), "Incompressible is for layers: its pressure is a field of its own"),
+        (NonMonotone(60.0, 40.0, 0.2, 0.02, ((0, 1), (1, 0))), "NonMonotone is for layers: its phases"),
+        (MohrCoulombMonodirectional(60.0, 40.0, 0.2, 30.0), "Monodirectional is for layers: .* normal of S"),
+        (Slipping(70.0, 30.0, 12.0, 90.0), "Slipping is for layers: it gives tractions for jumps"),
+    ],
+    ids=["stack", "incompressible", "phases", "director", "jumps"],
+)
+def test_laws_that_are_no_bodies(law, message):
+    with pytest.raises(ModelError, match=f"body 'UPPER': .*{message}"):
+        Structure(JOINT, body={"LOWER": GLUE, "UPPER": law}, supports={})
+
+
+def test_what_does_not_go_with_them_is_refused():
+    with pytest.raises(ModelError, match=r"VonMises bounds stresses.* theta = 1 \(body 'LOWER'\)"):
+        march(yielding(), [1.0], theta=0.5)
+    with pytest.raises(ModelError, match="KelvinVoigt depends on the strain rate: no equilibrium without time"):
+        solve(yielding(KelvinVoigt(60.0, 40.0, 0.1, 0.1)))
+    springs = Springs("TOP", normal=1.0)
+    object.__setattr__(springs, "key", "body UPPER")
+    structure = Structure(JOINT, body=METAL, supports={}, parts=[springs], tractions=SHEARED)
+    with pytest.raises(ModelError, match="two parts are called 'body UPPER'"):
+        structure.bonded()
