@@ -68,7 +68,9 @@ class Located:
         located = cls(joint, found, point[inside], cell[inside], X[inside])
         missing = np.setdiff1d(np.arange(len(found)), located.point)
         if len(missing):
-            raise ModelError(f"{len(missing)} of {len(found)} places are in no cell, the first at {place(found[missing[0]])}")
+            raise ModelError(
+                f"{len(missing)} of {len(found)} places are in no cell, the first at {place(found[missing[0]])}"
+            )
         return located
 
     def facets(self) -> tuple[IntArray, IntArray, IntArray]:
@@ -109,7 +111,9 @@ class Located:
         on_s = np.unique(self.point[at])
         without = np.setdiff1d(on_s, self.point[wanted])
         if len(without):
-            raise ModelError(f"there is no body on the {name} side of S at {place(self.x[without[0]])}, but a rigid base")
+            raise ModelError(
+                f"there is no body on the {name} side of S at {place(self.x[without[0]])}, but a rigid base"
+            )
         kept = ~np.isin(self.point, on_s)
         kept[wanted] = True
         return Located(self.joint, self.x, self.point[kept], self.cell[kept], self.X[kept])
