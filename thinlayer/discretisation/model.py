@@ -149,7 +149,7 @@ class Model(ABC):
     def _given(self, name: str) -> Expr | None:
         """The strain that is added to that of the displacements in a body: less its eigenstrain; None: there is none."""
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
-        body = Matter(f"the body {name!r}", law, n, self.kinematics.name, self.coordinates)
+        body = Matter(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return given_strain(self.structure.eigenstrains.get(name), body)
 
     def _alike(self) -> list[list[str]]:

@@ -96,7 +96,7 @@ class SeamLayer:
         if self.thin is None:
             return None
         kinematics = self.structure.kinematics
-        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics.name, at)
+        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics, at)
         return given_strain(self.thin.eigenstrain, matter)
 
     def check(self) -> None:
