@@ -36,6 +36,7 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.prescribed import Prescribed
+from thinlayer.discretisation.reactions import on_centre
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
@@ -78,7 +79,7 @@ class Model(ABC):
         origin: numbers, places and columns in the joint, for compiled laws.
         kinematics: strains of displacements on the mesh, and the factor of all measures.
         coordinates: place and time as arguments of loads.
-        centre: (d,) mean place of the mesh's points.
+        centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
         family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
@@ -95,7 +96,7 @@ class Model(ABC):
         inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
-        self.centre = np.asarray(inflated.points.mean(axis=0), float)
+        self.centre = on_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
@@ -213,8 +214,6 @@ class Model(ABC):
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require_order_zero()
-            if found := [p.key for p in self.bodies if p.law.traits.compiled]:
-                raise ModelError(f"a mean strain or stress does not reach {found[0]!r}, whose law has memory or rate")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),

@@ -14,6 +14,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from forms.kinematics import Expr
+from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.errors import place as at_place
 from geometry.joint import Joint
@@ -33,6 +34,7 @@ class Held(Protocol):
     domain: Domain
     joint: Joint
     centre: Array
+    kinematics: Kinematics
     parts: tuple[Any, ...]
 
     @property
@@ -133,6 +135,22 @@ def rigid(x: npt.NDArray[Any], about: Array) -> Array:
     return out
 
 
+def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
+    """(k,) 1 for the motions of `rigid` in which forces have a resultant, 0 for those that revolution cancels."""
+    found = np.zeros(count(dim))
+    found[[*kinematics.translations(dim)]] = 1.0
+    found[dim:] = float(kinematics.turns)
+    return found
+
+
+def on_centre(kinematics: Kinematics, x: Array) -> Array:
+    """A place (d,), or of bodies of revolution its place on the axis."""
+    moved = np.zeros(len(x))
+    free = [*kinematics.translations(len(x))]
+    moved[free] = x[free]
+    return moved
+
+
 def rigid_expression(mesh: Mesh, motion: fem.Constant, about: Array) -> Expr:
     """A sum of rigid motions as a UFL vector (d,), `motion` having k factors of the motions of `rigid`."""
     x, d = ufl.SpatialCoordinate(mesh), len(about)
@@ -189,8 +207,9 @@ def applied_to(state: Solved, about: Sequence[float] | None) -> Resultant:
     model = state.model
     point = model.centre if about is None else require_point(about, model.joint.dim)
     motion = fem.Constant(model.domain.mesh, np.zeros(count(len(point))))
-    v = rigid_expression(model.domain.mesh, motion, point)
-    return Resultant.of(work_in_motions(model.comm, model.external_work(v, state.t), motion), point)
+    v = rigid_expression(model.domain.mesh, motion, model.centre)
+    values = work_in_motions(model.comm, model.external_work(v, state.t), motion)
+    return Resultant.of(values * balanced_motions(model.kinematics, len(point)), model.centre).at(point)
 
 
 def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
@@ -203,8 +222,9 @@ def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[P
         rows += [(place, found) for place, found in part.reaction(model, state.u)]
     point = model.centre if about is None else require_point(about, model.joint.dim)
     found: dict[Place, Resultant] = {}
+    balanced = balanced_motions(model.kinematics, model.joint.dim)
     for place, values in rows:
-        one = Resultant.of(np.asarray(values), model.centre).at(point)
+        one = Resultant.of(np.asarray(values) * balanced, model.centre).at(point)
         found[place] = found[place] + one if place in found else one
     return found
 
@@ -225,7 +245,7 @@ def reaction_of(state: Solved, place: Place, about: Sequence[float] | None) -> R
         total = total + every[name]
     if about is not None:
         return total.at(about)
-    return total.at(_middle(model, place, chosen))
+    return total.at(on_centre(model.kinematics, _middle(model, place, chosen)))
 
 
 def _middle(model: Held, place: Place, chosen: Sequence[Place]) -> Array:

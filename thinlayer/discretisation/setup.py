@@ -74,7 +74,7 @@ class Setup:
             self.body_laws = self._laws_of(body)
             self.eigenstrains = self._by_body(eigenstrain)
             for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
-                require_stable_body(law, C, joint.dim)
+                require_stable_body(law, C, self.kinematics.slots(joint.dim))
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
             loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,

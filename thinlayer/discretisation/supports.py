@@ -176,7 +176,8 @@ class Supports:
             return np.empty(0, np.int32)
         domain, topology = self.domain, self.domain.mesh.topology
         points, d = domain.original_points, domain.joint.dim
-        topology.create_connectivity(d - 1, d)
+        for dim in (0, d - 1):
+            topology.create_connectivity(dim, d)
         local = [np.arange(m.size_local + m.num_ghosts, dtype=np.int32) for m in map(topology.index_map, (0, d - 1))]
         vertices = local[0][self.on_axis[points[entities_to_geometry(domain.mesh, 0, local[0]).ravel()]]]
         facets = local[1][self.on_axis[domain.joint.table.vertices[domain.numbers(d - 1, local[1])]].all(axis=1)]
