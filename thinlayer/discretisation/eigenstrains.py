@@ -191,7 +191,7 @@ class Prestress(Eigenstrain):
                     "(2, 2)"
                 )
             sigma = [row[:2] for row in sigma[:2]]
-        if matter.plane == "axisymmetric" and len(sigma) == 2:
+        if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
             raise ModelError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
         k = len(sigma)
         slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < k]
