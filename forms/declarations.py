@@ -13,7 +13,7 @@ from typing import Any
 from forms.base import PACKAGES, InputError, is_number
 
 DEFAULTS = tuple(
-    f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series")
+    f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series", "plane_stress")
 )  # modules of base classes
 RESPONSES = ("stress", "traction", "kernel", "source")  # attributes that give the stress or traction of a law
 UPDATES = ("advance", "evolve")  # methods that give new internal variables

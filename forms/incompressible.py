@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from forms.elastic import LinearLaw, lame
+from forms.elastic import LinearElastic, LinearLaw, lame
 from forms.kinematics import Expr
 from forms.law import Step, positive
 
@@ -37,6 +37,10 @@ class Incompressible(LinearLaw):
     def stress(self, step: Step) -> Expr:
         """The stress without p I."""
         return lame(0, self.mu, step.mid)
+
+    def plane_stress(self) -> LinearElastic:
+        """Not constrained in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
+        return LinearElastic(2 * self.mu, self.mu)
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return 2 * float(self.mu) * np.eye(6)

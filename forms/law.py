@@ -344,11 +344,29 @@ class BulkLaw(Law):
         return self
 
     def plane_stress(self) -> BulkLaw:
-        """The law of in-plane strains whose out-of-plane stresses are zero."""
-        raise LawError(
-            f"plane stress is not defined for {type(self).__name__}; use plane='strain', or write a method plane_stress "
-            "beside its stress"
-        )
+        """The law of in-plane strains whose out-of-plane stresses are zero; by default `forms.plane_stress.PlaneStress`.
+
+        Raises:
+            LawError: a law with a pressure, or whose phases switch, that has no method plane_stress of its own.
+        """
+        if self.traits.constrained or self.traits.switches:
+            why = "its pressure" if self.traits.constrained else "its phases"
+            raise LawError(
+                f"plane stress is not defined for {type(self).__name__}, because {why} would need more than a strain out "
+                "of the plane at each point; use plane='strain', or write a method plane_stress beside its stress"
+            )
+        from forms.plane_stress import PlaneStress  # a law itself
+
+        return PlaneStress(self)
+
+    @property
+    def in_space(self) -> BulkLaw:
+        """The law of strains in three dimensions behind this one: itself."""
+        return self
+
+    def condensed(self, C: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """The tangent (6, 6) of this law for that of `in_space`."""
+        return C
 
     def in_layer(self, eps: float) -> Self:
         """The law in a layer of thickness eps (a length > 0), with real parameters, value * eps**power."""

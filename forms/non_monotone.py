@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -96,6 +96,11 @@ class Phases(BulkLaw):
         if not self.varies:
             numbers = self.parameters()
             self._check_phases(numbers["alpha"], numbers["transformation_energy"], lambda k: "")
+
+    def plane_stress(self) -> Phases:
+        """The law with the modulus lmbda of plane stress: chi acts in the plane, and every phase has the same moduli."""
+        require(len(self.chi) == 2, self, "shape of chi", self.chi.shape, "(2, 2) in plane stress")
+        return replace(self, lmbda=2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu))
 
     def check_dimension(self, d: int) -> None:
         require(len(self.chi) == d, self, "shape of chi", self.chi.shape, f"({d}, {d}) in a model of dimension {d}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,9 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
         law: the law, with numbers for parameters.
         n: director, (d,).
     """
+    if law.in_space is not law:
+        C = tangent_at_rest(law.in_space, n)
+        return None if C is None else law.condensed(C)
     declared = law.stiffness(n)
     if declared is not None:
         return declared
@@ -69,6 +73,9 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """
     if not law.traits.linear:
         return None
+    if law.in_space is not law:
+        C = tangent_over(law.in_space, n, dt)
+        return None if C is None else law.condensed(C)
     n = np.pad(n, (0, 3 - len(n)))
     if not law.traits.in_ufl:
         return _of_kernel(law, n, dt)
@@ -89,6 +96,7 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 def needs_director(law: BulkLaw) -> bool:
     """Whether the stress of a law depends on the director n; a kernel in C says so itself (`KernelLaw.isotropic`)."""
+    law = law.in_space
     if law.traits.in_ufl:
         return traces_director(law)
     assert isinstance(law, KernelLaw)
@@ -182,9 +190,8 @@ def require_stable_layer(law: BulkLaw, C: Array | None, n: Array) -> None:
         _require_positive(law, "across the layer (of n.C.n)", across(C, n), C)
 
 
-def require_stable_body(law: BulkLaw, C: Array | None, d: int) -> None:
-    """Raise LawError if a body's tangent at rest has a negative eigenvalue for strains in d dimensions; likewise."""
-    slots = [k for k, (_, j) in enumerate(MANDEL) if j < d]
+def require_stable_body(law: BulkLaw, C: Array | None, slots: Sequence[int]) -> None:
+    """Raise LawError if a body's tangent at rest has a negative eigenvalue for strains of these components; likewise."""
     if C is not None and np.isfinite(C).all():
         _require_positive(law, "(of C)", C[np.ix_(slots, slots)], C)
 

@@ -9,10 +9,12 @@ from typing import Any
 import ufl
 from ufl.classes import Zero
 
-from forms.kinematics import Expr, jump_strain, lift, strain
+from forms.kinematics import Expr, jump_strain, lift
 from forms.law import BulkLaw, Step, explained, shaped
+from forms.planes import Kinematics
 
 GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
+LIFTED = Kinematics()  # plane strain in 2D, all strains in 3D
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,10 @@ class Term:
         weight: factor of the measure.
         measure: dx, ds or dS.
         n: director, (d,), or None in a body.
-        mean: strain (3, 3) that is added to that of the displacements, as in periodic cells; None: none is.
+        given: strain (3, 3) that is added to that of the displacements: the mean strain of a periodic cell, less the
+            eigenstrain. An expression of place and time; None: none is.
         key: name of what the law remembers and stores, where several layers have names; "": by kind and order.
+        kinematics: those of the strain.
     """
 
     law: BulkLaw
@@ -34,13 +38,14 @@ class Term:
     weight: Any
     measure: ufl.Measure
     n: Expr | None = None
-    mean: Expr | None = None
+    given: Expr | None = None
     key: str = ""
+    kinematics: Kinematics = LIFTED
 
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""
         e = self.strain(u)
-        return Step(e if self.mean is None else self.mean + e, self.n)
+        return Step(e if self.given is None else self.given + e, self.n)
 
     @property
     def proportional(self) -> bool:
@@ -48,8 +53,9 @@ class Term:
         traits = self.law.traits
         if not traits.linear or traits.remembers or traits.rate:
             return False
-        laws = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for _, law in self.law.sublayers]
-        return all(isinstance(self._unstrained(law), Zero) for law in laws)
+        laws = [law.in_space for _, law in self.law.sublayers]
+        numbered = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for law in laws]
+        return all(isinstance(self._unstrained(law), Zero) for law in numbered)
 
     def _unstrained(self, law: BulkLaw) -> Expr:
         n = lift(self.n) if self.n is not None and self.law.traits.compiled else self.n
@@ -87,22 +93,36 @@ class Interface:
         return self.upper(v) - self.lower(v)
 
 
-def body(law: BulkLaw, measure: ufl.Measure) -> Term:
-    """A law in the volume of a body."""
-    return Term(law, strain, 1, measure)
+def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED) -> Term:
+    """A law in the volume of a body; the law is that of these kinematics (`Kinematics.law`)."""
+    return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics)
 
 
-def band(law: BulkLaw, measure: ufl.Measure, n: Expr) -> Term:
+def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = LIFTED) -> Term:
     """A layer's law in the meshed layer, or in the cells of one sublayer."""
-    return Term(law, strain, 1, measure, n)
+    return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
-def of_jumps(law: BulkLaw, sides: Interface) -> Term:
+def of_jumps(law: BulkLaw, sides: Interface, kinematics: Kinematics = LIFTED) -> Term:
     """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
-    return Term(law, lambda u: jump_strain(sides.jump(u), sides.n), 1, sides.measure, sides.n)
+    return Term(
+        law,
+        lambda u: jump_strain(sides.jump(u), sides.n),
+        kinematics.factor,
+        sides.measure,
+        sides.n,
+        kinematics=kinematics,
+    )
 
 
-def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0, relaxed: BulkLaw | None = None) -> list[Term]:
+def surface(
+    law: BulkLaw,
+    sides: Interface,
+    eps: Expr,
+    order: int = 0,
+    kinematics: Kinematics = LIFTED,
+    relaxed: BulkLaw | None = None,
+) -> list[Term]:
     """A layer's law on S.
 
     Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
@@ -115,6 +135,7 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0, relaxed: 
         sides: the sides of S.
         eps: the thickness.
         order: of the interface law.
+        kinematics: of the displacements.
         relaxed: the law whose `gradient` is taken (default: `law`), with expressions on S where the law's parameters are
             functions.
     """
@@ -124,20 +145,17 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0, relaxed: 
         return jump_strain(sides.jump(u), sides.n) / eps
 
     if order == 0:
-        return [Term(law, jump_part, eps, sides.measure, sides.n)]
-    tangential = ufl.Identity(len(sides.n)) - ufl.outer(sides.n, sides.n)
-
-    def along(u: Expr, side: Callable[[Expr], Expr]) -> Expr:
-        return lift(ufl.sym(ufl.dot(side(ufl.grad(u)), tangential)))
+        return [Term(law, jump_part, kinematics.factor * eps, sides.measure, sides.n, kinematics=kinematics)]
 
     def at(z: float) -> Callable[[Expr], Expr]:
         def point_strain(u: Expr) -> Expr:
-            upper, lower = along(u, sides.upper), along(u, sides.lower)
+            upper, lower = (kinematics.along(u, side, sides.n) for side in (sides.upper, sides.lower))
             return jump_part(u) + (upper + lower) / 2 + z * relaxed.gradient(upper - lower, sides.n)
 
         return point_strain
 
-    return [Term(law, at(z), eps / 2, sides.measure, sides.n) for z in GAUSS]
+    weight = kinematics.factor * eps / 2
+    return [Term(law, at(z), weight, sides.measure, sides.n, kinematics=kinematics) for z in GAUSS]
 
 
 def stress(term: Term, u: Expr) -> Expr:

@@ -20,6 +20,7 @@ from geometry.compat import create_mesh
 from geometry.errors import GeometryError, unknown
 from geometry.facets import facets_of_cells, vertices_of_facets
 from geometry.joint import Joint
+from geometry.parallel import world
 from geometry.seam import BASE, LAYER, S
 from geometry.topology import IntArray
 
@@ -55,7 +56,7 @@ class Domain:
     @classmethod
     def of(cls, joint: Joint, comm: MPI.Intracomm | None = None) -> Domain:
         """Distribute a joint. Collective."""
-        comm = comm or MPI.COMM_WORLD
+        comm = comm or world()
         if comm.size > 1:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
         mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type)

@@ -390,6 +390,12 @@ class Joint:
         seams = {name: seam.turned(turn) for name, seam in self.seams.items()}
         return replace(self, points=self.points @ turn.T, seams=seams)
 
+    def moved(self, by: Sequence[float]) -> Joint:
+        """The joint moved by a vector (d,): as from a rectangle to the wall of a tube, away from its axis."""
+        if len(by) != self.dim or not all(map(is_finite, by)):
+            raise GeometryError(f"a joint is moved by {by!r}; it must be {self.dim} numbers")
+        return replace(self, points=self.points + np.asarray(by, float))
+
     def swapped(self) -> Joint:
         """The joint with the two sides of every seam exchanged: n changes its sign, nothing moves."""
         if (self.surface_cells[:, 0] < 0).any():

@@ -1,14 +1,32 @@
-"""Work that one rank does for all."""
+"""The ranks that work together, and work that one of them does for all."""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar, cast
 
 from mpi4py import MPI
 
 T = TypeVar("T")
+_WORLD: ContextVar[MPI.Intracomm] = ContextVar("_WORLD", default=MPI.COMM_WORLD)
+
+
+def world() -> MPI.Intracomm:
+    """The communicator of calls that are given none: MPI.COMM_WORLD, or that of `within`."""
+    return _WORLD.get()
+
+
+@contextmanager
+def within(comm: MPI.Intracomm) -> Iterator[None]:
+    """In this block calls that are given no communicator use this one, so that groups of ranks work side by side."""
+    token = _WORLD.set(comm)
+    try:
+        yield
+    finally:
+        _WORLD.reset(token)
 
 
 def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
@@ -16,7 +34,7 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
 
     The exception has an attribute `on_all_ranks`: it shows that no rank is left waiting.
     """
-    comm = comm or MPI.COMM_WORLD
+    comm = comm or world()
     result: T | Exception | None = None
     if comm.rank == 0:
         try:

@@ -14,7 +14,7 @@ from geometry.parallel import on_root
 from studies.concentric import Cylinders
 from studies.sweeping import Solution, Sweep, draw_rates, last
 from thinlayer import State, Structure, Table, ThinLayer, observed_orders, plotting, solve
-from thinlayer.output.fields import gather
+from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
 
 EPS = (0.08, 0.04, 0.02, 0.01)  # over the radius of the matrix

@@ -18,7 +18,7 @@ from geometry import block
 from studies.fig4_drawing import draw_energies, draw_limit, draw_response
 from studies.measured import MeanJump, SupportForce
 from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, march, piecewise
-from thinlayer.discretisation.loads import Support
+from thinlayer.discretisation.supports import Support
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 from thinlayer.time.journal import Observe

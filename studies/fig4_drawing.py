@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from forms.limits import Bar
 from thinlayer import Table
 from thinlayer.output.plotting import COLOURS
-from thinlayer.output.plotting.curves import MARKERS, finish
+from thinlayer.output.plotting.curves import MARKERS
+from thinlayer.output.plotting.picture import finish
 from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from thinlayer import State, Surface, Table, plotting
 from thinlayer.output.plotting.contacts import STATUS
-from thinlayer.output.plotting.curves import finish
+from thinlayer.output.plotting.picture import finish
 from thinlayer.running.record import Record
 
 NO_PRESSURE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated

@@ -13,7 +13,7 @@ from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectiona
 from forms.kinematics import MANDEL, ROOT2
 from thinlayer import SolveError, Table, plotting
 from thinlayer.files.progress import track
-from thinlayer.output.plotting.curves import finish
+from thinlayer.output.plotting.picture import finish
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.running.record import Record

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from forms import MohrCoulomb, MohrCoulombMonodirectional, limits
 from thinlayer import Table, plotting
-from thinlayer.output.plotting.curves import finish
+from thinlayer.output.plotting.picture import finish
 from thinlayer.pointwise.drive import PointHistory, drive
 from thinlayer.running.record import Record
 

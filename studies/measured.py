@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from forms.work import work
 from thinlayer import Model, State, Surface
-from thinlayer.discretisation.loads import Place
+from thinlayer.discretisation.supports import Place
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from forms.limits import Bar
 from thinlayer import Table, plotting
 from thinlayer.output.plotting import COLOURS
-from thinlayer.output.plotting.curves import finish
+from thinlayer.output.plotting.picture import finish
 from thinlayer.running.record import Record
 
 Array = npt.NDArray[np.float64]

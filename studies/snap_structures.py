@@ -16,7 +16,7 @@ from studies.fig4_bar import BAR
 from studies.measured import SupportForce
 from studies.snap_drawing import BACK
 from thinlayer import ArcLength, History, Model, PhaseReport, Structure, Table, ThinLayer, march, piecewise
-from thinlayer.discretisation.loads import Support
+from thinlayer.discretisation.supports import Support
 
 Array = npt.NDArray[np.float64]
 END = 2.4  # largest prescribed displacement

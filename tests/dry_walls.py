@@ -31,6 +31,7 @@ def dry_wall(
     weight: float = 0.0,
     kind: type[ContactLaw] = HolonomicCoulomb,
     cell: str = "quadrilateral",
+    eigenstrain: Any = None,
     **sizes,
 ) -> InterfaceModel:
     """A wall under a pressure of 1, and the shear stress push(x, t) on its top; 14 bricks if not told.
@@ -45,6 +46,7 @@ def dry_wall(
         tractions={"TOP": lambda x, t: (push(x, t), -1.0, *([0.0] * (joint.dim - 2)))},
         body_force=(0.0, -weight, 0.0)[: joint.dim],
         element="P1" if cell in ("triangle", "tetrahedron") else "Q1",
+        eigenstrain=eigenstrain,
     )
     laws = {name: kind(K_N=stiffer * K_N, K_T=stiffer * K_T, friction=f) for name, (K_N, K_T, f) in DRY.items()}
     return structure.interface(laws)

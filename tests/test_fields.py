@@ -1,225 +1,287 @@
-"""Parameters that are functions of the place, and bodies of several materials: closed forms, files, what is refused."""
+"""Files for ParaView, read again: stresses, tractions, jumps and internal variables against closed forms."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import ufl
+import pyvista
 
-from forms import (
-    Anisotropic,
-    BulkLaw,
-    HolonomicCoulomb,
-    LawError,
-    LinearElastic,
-    Maxwell,
-    MohrCoulomb,
-    NonMonotone,
-    Stack,
-    VonMises,
-)
-from geometry import block, sandwich
-from studies.problems import fourier
-from tests.columns_in_time import column
-from tests.columns_in_time import joint as one_cell
-from tests.own_laws import Slipping
-from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, drive, march, solve
-
-JOINT = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
-SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-LOADS = {"TOP": lambda x, t: (0.3 * t, t * (1 + x[0]))}
-BODY, GLUE = LinearElastic.young(100.0, 0.3), LinearElastic.young(90.0, 0.3)
-METAL = VonMises(60.0, 40.0, strength=1.0, hardening=20.0)
-
-
-def constant(value):
-    return lambda x: np.full(x.shape[1], value)
-
-
-def structure(body=BODY, **data):
-    return Structure(JOINT, **{"body": body, "supports": SUPPORTS, "tractions": LOADS} | data)
-
-
-def kinds(one, layer, **options):
-    return one.full(layer, **options), one.interface(layer)
-
-
-@dataclass(frozen=True)
-class Cubic(BulkLaw):
-    """A user's law that is not linear, in forms."""
-
-    k: float
-    c: float
-    powers = {"k": 1, "c": 3}
-
-    def stress(self, step):
-        return 2 * self.k * step.e + self.c * ufl.inner(step.e, step.e) * step.e
-
-
-PAIRS = {
-    "body": (dict(body=BODY), dict(body=LinearElastic.young(constant(100.0), 0.3)), GLUE, GLUE),
-    "layer": ({}, {}, GLUE, LinearElastic.young(90.0, constant(0.3))),
-    "stack": ({}, {}, Stack((0.4, GLUE), (0.6, BODY)), Stack((0.4, LinearElastic.young(constant(90.0), 0.3)), (0.6, BODY))),
-    "yielding": (dict(body=METAL), dict(body=replace(METAL, strength=constant(1.0))), GLUE, GLUE),
-    "user": ({}, {}, Cubic(60.0, 1e3), Cubic(constant(60.0), constant(1e3))),
-    "plane stress": (dict(plane="stress"), dict(plane="stress", body=LinearElastic(constant(57.0), 38.0)), GLUE, GLUE),
-    "relaxing": ({}, {}, Maxwell(60.0, 40.0, 0.7), Maxwell(60.0, 40.0, constant(0.7))),
-}  # fmt: skip
-PAIRS["plane stress"][0]["body"] = LinearElastic(57.0, 38.0)
-
-
-@pytest.mark.parametrize("name", PAIRS)
-def test_a_constant_function_is_its_number(name):
-    first, second, law, other = PAIRS[name]
-    for k in (0, 1):
-        a, b = (
-            march(kinds(structure(**data), ThinLayer(one, 0.1))[k], [0.5, 1.0]).last
-            for data, one in ((first, law), (second, other))
-        )
-        assert a.report.method == b.report.method
-        assert np.abs(b.u.x.array - a.u.x.array).max() < 1e-8 * np.abs(a.u.x.array).max()
-        assert b.energies() == pytest.approx(a.energies(), rel=1e-8, nan_ok=True)
-
-
-def test_order_one_with_a_constant_function():
-    a, b = (solve(structure().interface(ThinLayer(law, 0.1, order=1))) for law in (PAIRS["layer"][2:]))
-    assert b.energies() == pytest.approx(a.energies(), rel=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["elastic", "yields"])
-def test_a_graded_column(kind):
-    """Compliance that is linear in the height: u_top = t (h/K_0 + a h^2/2)/..., exact for elements of degree 2."""
-    modulus = lambda x: 100.0 / (1 + 0.8 * (x[1] + 0.5))
-    graded = {
-        "elastic": LinearElastic(modulus, lambda x: 0.5 * modulus(x)),
-        "yields": VonMises(modulus, lambda x: 0.5 * modulus(x), strength=100.0),
-    }[kind]
-    data = column("normal", load=2.0) | {"body": graded}
-    for model in kinds(Structure(one_cell(), **data), ThinLayer(LinearElastic(60.0, 40.0), 0.1), cells_through=1):
-        state = solve(model)
-        top = np.abs(state.u.x.array).max()
-        assert top == pytest.approx(2.0 * ((1 + 0.8 / 2) / 200.0 + 1 / 140.0), rel=1e-10)
-
-
-def test_a_layer_that_is_graded_along_S():
-    """Between bodies that are as good as rigid it carries the mean of its stiffness."""
-    rigid, w = LinearElastic.young(1e7, 0.3), 0.02
-    law = LinearElastic(lambda x: 60 * (1 + x[0] ** 2), lambda x: 40 * (1 + x[0] ** 2))
-    supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": w}}
-    for one in (law, Stack((0.3, law), (0.7, law)), MohrCoulomb(law.lmbda, law.mu, 50.0, 30.0)):
-        model = structure(rigid, supports=supports, tractions=None).interface(ThinLayer(one, 0.1))
-        state, surface = solve(model), Surface(model)
-        assert surface.integral(surface.traction(state)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
-        full = solve(structure(rigid, supports=supports, tractions=None).full(ThinLayer(one, 0.1)))
-        assert surface.integral(surface.traction(full)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
-        assert full.energies()["layer"] == pytest.approx(140 * w**2 / 2 * 4 / 3, rel=1e-3)
-
-
-@pytest.mark.parametrize(("order", "ratio"), [(0, (1.8, 2.2)), (1, (3.5, 4.5))])
-def test_the_error_of_a_graded_layer_falls_with_the_thickness(order, ratio):
-    joint, setup = fourier(1 / 8, cell="quadrilateral")
-    law = LinearElastic.young(lambda x: 104 * (1 + 0.5 * np.sin(np.pi * x[0]) ** 2), 0.3)
-    errors = []
-    for eps in (1 / 16, 1 / 32):
-        full, limit = kinds(Structure(joint, **setup), ThinLayer(law, eps, order=order))
-        errors.append(compare(solve(full), solve(limit)))
-    for name in ("error_traction", "error_jump"):
-        assert ratio[0] < errors[0][name] / errors[1][name] < ratio[1], name
-
-
-def test_contact_keeps_its_solver():
-    """Bodies in forms stay there: the condensed solver, and its numbers for constants."""
-    square = block(1.0, 1.0, 0.25, structured=True)
-    law = HolonomicCoulomb(400.0, 200.0, friction=0.2)
-    data = dict(supports={"RIGHT": {"x": 0.0}}, tractions={"TOP": (0.1, -1.0)}, element="P1")
-    found = [
-        solve(Structure(square, body=body, **data).interface(law))
-        for body in (
-            BODY,
-            LinearElastic.young(constant(100.0), 0.3),
-            LinearElastic.young(lambda x: 100 + 50 * x[1], 0.3),
-        )
-    ]
-    assert {state.report.method for state in found} == {"condensed"}
-    assert found[1].u.x.array == pytest.approx(found[0].u.x.array, abs=1e-12)
-    assert np.abs(found[2].u.x.array - found[0].u.x.array).max() > 0.05 * np.abs(found[0].u.x.array).max()
-
-
-def test_a_body_of_several_materials():
-    """Two halves of the upper body, side by side or on top of each other: stiffnesses or compliances add up."""
-    stiff, soft = LinearElastic(60.0, 40.0), LinearElastic(30.0, 20.0)
-    layer = ThinLayer(LinearElastic(60.0, 40.0), 0.1)
-    centres = JOINT.points[JOINT.corners].mean(axis=1)
-    upper = JOINT.region == JOINT.regions.index("UPPER")
-    patched = replace(
-        JOINT,
-        regions=(*JOINT.regions, "PATCH"),
-        region=np.where(upper & (centres[:, 1] > 0.25), len(JOINT.regions), JOINT.region),
-    )
-    for laws in (
-        {"UPPER": stiff, "PATCH": soft},
-        {"UPPER": VonMises(60.0, 40.0, 9.0), "PATCH": Maxwell(30.0, 20.0, 1e9)},
-    ):
-        data = column("normal", load=2.0) | {"body": {"LOWER": stiff, **laws}}
-        for model in kinds(Structure(patched, **data), layer):
-            state = solve(model)
-            top = np.abs(state.u.x.array).max()
-            assert top == pytest.approx(2.0 * (0.75 / 140 + 0.25 / 70 + 1 / 140), rel=1e-9)
-            assert {key for key in state.memory if "PATCH" in key} <= {"body PATCH"}
-
-
-def test_only_the_same_functions_are_resumed(tmp_path):
-    def model(a):
-        return structure(LinearElastic.young(lambda x: 100 + a * x[0], 0.3)).interface(ThinLayer(GLUE, 0.1))
-
-    march(model(5.0), [0.5], out=tmp_path)
-    assert len(march(model(5.0), [0.5, 1.0], out=tmp_path, resume=True)) == 3
-    with pytest.raises(ModelError, match=r"is of another march .*bodies"):
-        march(model(6.0), [0.5, 1.0], out=tmp_path, resume=True)
-
-
-@pytest.mark.parametrize(
-    ("law", "message"),
-    [
-        (lambda: LinearElastic.young(lambda x: 100 - 300 * x[0], 0.3), r"E is -?[\d.]+; allowed: > 0, at x = \(.*\)"),
-        (lambda: LinearElastic.young(100.0, lambda x: 0.3 + x[0] / 4), r"nu is 0\.5\d*; allowed: -1 < nu < 0.5, at x = \("),
-        (lambda: LinearElastic(lambda x: -50 + 0 * x[0], 40.0), r"lmbda is -50.0; allowed: > -2 mu/3 = .*, at x = \("),
-        (lambda: LinearElastic.shear(lambda x: np.where(x[0] < 0.5, 1, np.nan), 0.3), r"nan; allowed: finite.* at x = \("),
-        (lambda: replace(METAL, strength=lambda x: x[0] - 0.5), r"VonMises: strength is -[\d.]+; allowed: > 0, at x = \("),
-        (lambda: LinearElastic(lambda x: np.zeros(3), 40.0), r"lmbda\(x\) fails .*the shape \(3,\) .*n numbers"),
-        (lambda: LinearElastic(lambda x: 1 / 0, 40.0), r"lmbda\(x\) fails .*ZeroDivisionError"),
-    ],
-    ids=["E", "nu", "lmbda", "nan", "strength", "shape", "fails"],
+from forms import LinearElastic, Maxwell, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
+from geometry import sandwich
+from tests.fields_run import (
+    BODY,
+    CASES,
+    EPS,
+    SIZE,
+    STRESS,
+    K,
+    axes,
+    cell,
+    network,
+    on_a_base,
+    slipping,
+    uniform,
+    write_all,
 )  # fmt: skip
-def test_values_out_of_range(law, message):
-    with pytest.raises(LawError, match=message):
-        structure(law()).interface(ThinLayer(GLUE, 0.1))
-    with pytest.raises(LawError, match=message):
-        structure().full(ThinLayer(law(), 0.1))
-    with pytest.raises(LawError, match=message):
-        structure().interface(ThinLayer(law(), 0.1))
+from tests.ranks import mpirun
+from thinlayer import ContactReport, ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
+
+SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
-def test_what_takes_no_functions():
-    function = lambda x: x[0]
-    for build in (
-        lambda: Slipping(function, 30.0, 12.0, 90.0),
-        lambda: HolonomicCoulomb(function, 1.0, friction=0.2),
-        lambda: Anisotropic(function),
+@pytest.fixture
+def written(tmp_path, capfd):
+    """Writes a solution and reads the blocks of its last time again; VTK must have nothing to complain of."""
+
+    def write(solution, name="a.pvd"):
+        fields.write(solution, tmp_path / name)
+        found = last(tmp_path / name)
+        assert "ERR" not in capfd.readouterr().err
+        return found
+
+    return write
+
+
+def last(path):
+    reader = pyvista.get_reader(path)
+    reader.set_active_time_value(reader.time_values[-1])
+    return reader.read()[0]
+
+
+def packed(stress, nu):
+    """Six components of a (d, d) stress; in 2D plane strain."""
+    whole = np.zeros((3, 3))
+    whole[: len(stress), : len(stress)] = stress
+    if len(stress) == 2:
+        whole[2, 2] = nu * np.trace(stress)
+    return np.array([whole[i, j] for i, j in SIX])
+
+
+@pytest.mark.parametrize(("d", "cell_type", "element"), CASES)
+def test_uniform_stresses_are_read_again(written, d, cell_type, element):
+    """All times; traction and jump by hand; t_N and w_N along n, t_T and w_T along S."""
+    structure, stress, jump = uniform(d, cell_type, element)
+    history = march(structure.interface(ThinLayer(K, EPS)), [0.4, 1.0])
+    found = written(history)
+    bodies, on_s = found["bodies"], found["S"]
+    wanted = packed(stress, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu)))
+    assert bodies["stress"] == pytest.approx(np.tile(wanted, (bodies.n_cells, 1)), rel=1e-9, abs=1e-10)
+    p, s = wanted[:3], wanted[3:]
+    mises = np.sqrt(((p - np.roll(p, 1)) ** 2).sum() / 2 + 3 * (s**2).sum())
+    assert bodies["von Mises"] == pytest.approx(mises, rel=1e-9)
+    assert bodies.volume if d == 3 else bodies.area == pytest.approx(np.prod(SIZE[d]), rel=1e-9)
+    assert list(bodies.field_data["regions"]) == ["LOWER", "UPPER"]
+
+    n, t = axes(d)[1], STRESS[d][1] @ axes(d)
+    for name, vector in {"traction": t, "jump": jump, "normal": n}.items():
+        assert on_s[name][:, :d] == pytest.approx(np.tile(vector, (on_s.n_points, 1)), rel=1e-8, abs=1e-9), name
+        assert not on_s[name][:, d:].any()
+    assert on_s["u_upper"] - on_s["u_lower"] == pytest.approx(on_s["jump"], abs=1e-12)
+    assert on_s["u"] == pytest.approx((on_s["u_upper"] + on_s["u_lower"]) / 2, abs=1e-12)
+    assert on_s["t_N"] == pytest.approx(STRESS[d][1, 1], rel=1e-8)
+    assert on_s["w_N"] == pytest.approx(STRESS[d][1, 1] / (K.lmbda + 2 * K.mu), rel=1e-8)
+    for name, k in (("t_T", 1.0), ("w_T", K.mu)):
+        along = STRESS[d][1] * np.array([1.0, 0.0, 1.0])[:d] / k @ axes(d)
+        signed = along @ axes(d)[0]  # (n_2, -n_1) is the first turned axis
+        wanted_there = np.full(on_s.n_points, signed) if d == 2 else np.tile(along, (on_s.n_points, 1))
+        assert on_s[name] == pytest.approx(wanted_there, rel=1e-8, abs=1e-9)
+        assert on_s[name] != pytest.approx(-wanted_there, rel=1e-2)
+    area = on_s.compute_cell_sizes()["Area" if d == 3 else "Length"].sum()
+    assert area == pytest.approx(np.prod(SIZE[d]) / SIZE[d][1], rel=1e-9)
+
+
+def test_all_times_are_there(written, tmp_path):
+    structure, stress, _ = uniform()
+    written(march(structure.interface(ThinLayer(K, EPS)), [0.4, 0.7, 1.0]))
+    reader = pyvista.get_reader(tmp_path / "a.pvd")
+    assert reader.time_values == pytest.approx([0.0, 0.4, 0.7, 1.0])
+    reader.set_active_time_value(0.4)
+    assert reader.read()[0]["bodies"]["stress"][:, 0] == pytest.approx(0.4 * stress[0, 0], rel=1e-9)
+    written(solve(structure.interface(ThinLayer(K, EPS))))
+    assert sorted(one.name for one in (tmp_path / "a_pvd").iterdir()) == ["0000", "0000.vtm"]  # no old times
+
+
+def test_meshed_layer_is_a_block(written):
+    """Confined and pressed by p: across p everywhere, along it nu/(1 - nu) p, in bodies and layer."""
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(joint, body=BODY, supports=rollers, tractions={"TOP": (0.0, -0.3)})
+    found = written(solve(structure.full(ThinLayer(Stack((0.3, K), (0.7, LinearElastic(1.0, 5.0))), EPS))))
+    assert list(found.keys()) == ["bodies", "layer"]
+    laws = {"LOWER": BODY, "UPPER": BODY, "LAYER/1": K, "LAYER/2": LinearElastic(1.0, 5.0)}
+    heights = {"LAYER/1": 0.3 * EPS, "LAYER/2": 0.7 * EPS}
+    regions = list(found["layer"].field_data["regions"])
+    assert sorted(regions) == sorted(laws)
+    for part in found:
+        for number in np.unique(part["region"]):
+            name = regions[number]
+            here, law = part["region"] == number, laws[name]
+            along = -0.3 * law.lmbda / (law.lmbda + 2 * law.mu)
+            wanted = np.tile([along, -0.3, along, 0.0, 0.0, 0.0], (here.sum(), 1))
+            assert part["stress"][here] == pytest.approx(wanted, rel=1e-8, abs=1e-10), name
+            if name in heights:
+                area = part.extract_cells(here).area
+                assert area == pytest.approx(2.0 * heights[name])
+    assert set(found["layer"]["seam"]) == {0}
+
+
+@pytest.mark.parametrize("stacked", [False, True])
+def test_slip_of_a_layer_is_what_its_traction_says(written, stacked):
+    """t_T = mu (w_T - slip): the plastic strain in the file against traction and jump, which do not come from the law."""
+    law = MohrCoulombMonodirectional(3.0, 2.0, cohesion=0.05, friction_angle=20.0, elastic_fraction=0.1)
+    name, fraction = "plastic", 1.0
+    if stacked:
+        law, name, fraction = Stack((0.4, LinearElastic(4.0, 3.0)), (0.6, law)), "plastic 2", 0.6
+    on_s = written(slipping(law=law))["S"]
+    names = set(on_s.cell_data)
+    assert name in names
+    assert ("plastic" in names) != stacked
+    assert set(on_s["status"]) <= {0, 1}
+    assert list(on_s.field_data["status codes"])[:2] == ["0 elastic", "1 sliding"]
+    t_T, w_T, n = (_means(on_s, one) for one in ("t_T", "w_T", "normal"))
+    tangent = np.column_stack([n[:, 1], -n[:, 0]])
+    e = on_s[name]
+    plastic = np.stack([e[:, [0, 3]], e[:, [3, 1]]], axis=1)
+    slip = 2 * EPS * fraction * np.einsum("fi,fij,fj->f", tangent, plastic, n[:, :2])
+    compliance = 1 / 2.0 if not stacked else 0.4 / 3.0 + 0.6 / 2.0
+    inner = slice(2, -2)  # tractions are projected, jumps are of degree 2
+    assert np.abs(slip).max() > 0.05
+    order = np.argsort(centres_of(on_s))[inner]
+    assert 0.9 * slip[order] == pytest.approx((w_T - compliance * t_T)[order], rel=2e-2)  # an elastic fraction of .1
+    assert slip[order] != pytest.approx((w_T - compliance * t_T)[order], rel=5e-2)
+
+
+def _means(block, name):
+    return block.point_data_to_cell_data()[name]
+
+
+def centres_of(block):
+    """First coordinate of the centres of facets in 2D."""
+    return block.points[block.cells_dict[4]][:, [0, -1], 0].mean(axis=1)
+
+
+def test_stresses_of_laws_with_memory(written):
+    """A body and a meshed layer that relax, confined: the load across, the same along both axes, von Mises accordingly."""
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    bodies = {"LOWER": Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55), "UPPER": BODY}
+    structure = Structure(joint, body=bodies, supports=rollers, tractions={"TOP": (0.0, -0.3)})
+    slow = Maxwell(lmbda=3.0, mu=2.0, t1=0.4, t2=0.35)
+    found = written(march(structure.full(ThinLayer(slow, EPS)), [0.2, 0.5]))
+    elastic = -0.3 * BODY.lmbda / (BODY.lmbda + 2 * BODY.mu)
+    upper = found["bodies"]["region"] == list(found["bodies"].field_data["regions"]).index("UPPER")
+    for stress, relaxed in (
+        (found["bodies"]["stress"][upper], False),
+        (found["bodies"]["stress"][~upper], True),
+        (found["layer"]["stress"], True),
     ):
-        with pytest.raises(LawError, match=r"allowed: (a number|numbers|> 0)"):
-            build()
-    with pytest.raises(LawError, match=r"lmbda is a function of the place; allowed: a number, as `at` gives"):
-        NonMonotone(function, 40.0, 0.2, 0.02, np.eye(2))
-    with pytest.raises(ModelError, match="lmbda is a function of the place; a point needs a number"):
-        drive(LinearElastic(function, 40.0), [{"w_T": 0.1}])
+        assert stress[:, 1] == pytest.approx(-0.3, rel=1e-8)
+        assert stress[:, 0] == pytest.approx(stress[:, 2], rel=1e-8)
+        assert np.abs(stress[:, 3:]).max() < 1e-9
+        assert (np.abs(stress[:, 0] - elastic).min() > 1e-3) == relaxed
+    for block in found:
+        assert block["von Mises"] == pytest.approx(np.abs(block["stress"][:, 1] - block["stress"][:, 0]), rel=1e-7)
 
 
-def test_ranges_are_those_of_the_extreme_values():
-    hard = LinearElastic.young(lambda x: 1e4 * (0.01 + x[0]), 0.3)
-    with pytest.warns(RangeWarning, match="times as hard as the softer body"):
-        solve(structure().interface(ThinLayer(hard, 0.1)))
-    locking = LinearElastic.young(90.0, lambda x: 0.3 + 0.199 * x[0])
-    assert np.isfinite(solve(structure().interface(ThinLayer(locking, 0.01, order=1))).energies()["layer"])
+def test_phases_are_on_facets(written):
+    law = NonMonotoneUnrelaxed(3.0, 2.0, alpha=0.1, transformation_energy=0.02, chi=[[0, 0], [0, 1]])
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    load = {"TOP": lambda x, t: (0.0, t * (0.2 + x[0]))}
+    model = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0}}, tractions=load).interface(
+        ThinLayer(law, EPS)
+    )
+    history = march(model, [0.5, 1.0, 1.5])
+    x, phase = PhaseReport(history.last).profile()
+    on_s = written(history)["S"]
+    centres = centres_of(on_s)
+    order = np.argsort(centres)
+    assert centres[order] == pytest.approx(x[:, 0])
+    assert on_s["phase"][order] == pytest.approx(phase, abs=1e-12)
+    assert phase.max() == 1.0
+
+
+def test_contact(written):
+    """Status, slip and pressure at nodes, as the report has them; the base does not move."""
+    history = on_a_base()
+    on_s, report = written(history)["S"], ContactReport(history.last)
+    codes = {code.split()[1]: int(code.split()[0]) for code in on_s.field_data["contact codes"]}
+    place = [np.linalg.norm(report.x - x, axis=1).argmin() for x in on_s.points]
+    assert [codes[str(one)] for one in report.status[place]] == list(on_s["contact"])
+    assert len(set(report.status)) > 1
+    free = report.status[place] != "pinned"
+    assert -on_s["t_N"][free] == pytest.approx(report.p[place][free], rel=1e-6, abs=1e-9)
+    slip = np.einsum("nk,nkj->nj", report.slip, report.frames[:, :-1])
+    assert on_s["slip"] == pytest.approx(slip[place], abs=1e-12)
+    assert np.abs(slip).max() > 1e-4
+    assert not on_s["u_lower"].any()
+
+
+def test_network(written):
+    """Tractions jump at T-junctions: each facet has nodes of its own; forces are the loads."""
+    found = written(network())
+    on_s = found["S"]
+    assert list(on_s.field_data["seams"]) == ["BED", "HEAD"]
+    beds = on_s.extract_cells(on_s["seam"] == 0)
+    integral = beds.integrate_data()
+    heights = np.unique(beds.cell_centers().points[:, 1].round(9))
+    assert integral["traction"][0, :2] == pytest.approx(len(heights) * np.array([0.05, -0.1]) * 4.0, rel=1e-6)
+    assert not np.isnan(beds["plastic"]).any()
+    assert np.isnan(on_s["plastic"][on_s["seam"] == 1]).all()
+
+
+def test_cells_at_periodic_sides_are_whole(written):
+    state = cell()
+    bodies = written(state)["bodies"]
+    x = state.model.joint.points
+    assert bodies.area == pytest.approx(np.prod(np.ptp(x, axis=0)), rel=1e-9)
+    sizes = bodies.compute_cell_sizes()["Area"]
+    mean = (bodies["stress"] * sizes[:, None]).sum(axis=0) / sizes.sum()
+    assert mean[[0, 1, 3]] == pytest.approx(state.mean_stress()[[0, 1, 0], [0, 1, 1]], rel=1e-9)
+
+
+def test_files_do_not_depend_on_the_ranks(tmp_path):
+    """To rounding, and in the same order."""
+    (tmp_path / "1").mkdir()
+    write_all(tmp_path / "1")
+    (tmp_path / "2").mkdir()
+    done = mpirun(2, "-m", "tests.fields_run", str(tmp_path / "2"))
+    assert done.returncode == 0, done.stderr
+    for path in sorted((tmp_path / "1").glob("*.pvd")):
+        one, two = last(path), last(tmp_path / "2" / path.name)
+        assert one.keys() == two.keys()
+        for a, b in zip(one, two, strict=True):
+            assert np.array_equal(a.cells, b.cells)
+            assert a.points == pytest.approx(b.points, abs=1e-12)
+            assert sorted(a.array_names) == sorted(b.array_names)
+            for name in [*a.point_data, *a.cell_data]:
+                size = np.nanmax(np.abs(a[name]))
+                assert a[name] == pytest.approx(b[name], rel=1e-9, abs=1e-10 * size, nan_ok=True), name
+
+
+def test_files_on_a_full_disk(tmp_path, monkeypatch):
+    """Writers of VTK's files say nothing of a file that was cut short."""
+    path = tmp_path / "a.pvd"
+    state = solve(uniform()[0].interface(ThinLayer(K, EPS)))
+    fields.write(state, path)
+    name = next(tmp_path.glob("a_pvd/*/*.vtu"))
+    name.write_bytes(name.read_bytes()[:1000])
+    with pytest.raises(OSError, match="not whole"):
+        fields._require_whole(tmp_path / "a_pvd" / "0000.vtm")
+    monkeypatch.setattr(fields.shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    for kind in ("pvd", "bp"):
+        with pytest.raises(OSError, match="disk is full"):
+            fields.write(state, tmp_path / f"b.{kind}")
+    with pytest.raises(ModelError, match=r"allowed endings: \.pvd"):
+        fields.write(state, tmp_path / "u.xdmf")
+
+
+def test_surface_agrees_with_the_file(written):
+    """Tractions that are not uniform: the same as `Surface.profile` has at the vertices."""
+    history = slipping()
+    on_s = written(history)["S"]
+    surface = Surface(history.model)
+    x, t = surface.profile(surface.traction(history.last))
+    at = [np.linalg.norm(on_s.points[:, :2] - place, axis=1).argmin() for place in x]
+    assert on_s["traction"][at, :2] == pytest.approx(t, rel=1e-9)

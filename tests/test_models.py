@@ -57,7 +57,7 @@ def same(a, b):
         dict(layer=ThinLayer(LinearElastic(lmbda=15.0, mu=8.0), 0.05)),
         dict(layer=ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(lmbda=20.0, mu=7.0))), 0.05)),
         dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}),
-        dict(supports={"BOTTOM": {"x": 0.0, "y": 0.01}, "LEFT": {"y": 0.0}}),
+        dict(supports={"BOTTOM": {"x": 0.0, "y": 0.01}, "LEFT": {"y": 0.01}}),
         dict(supports={"BOTTOM": 0.0, (0.0, 0.7): {"x": 0.0}}),
         dict(tractions={"TOP": (0.4, -0.8)}),
         dict(tractions={"TOP": (0.4, -0.9), "LEFT/UPPER": (0.1, 0.0)}),
@@ -240,7 +240,7 @@ def test_failed_solves_say_why():
     ("change", "error", "message"),
     [
         (dict(supports={"BOTOM": 0.0}), GeometryError, "did you mean 'BOTTOM'.*known.*TOP"),
-        (dict(supports={"BOTTOM": {"z": 0.0}}), ModelError, "unknown component 'z'; known: x, y"),
+        (dict(supports={"BOTTOM": {"z": 0.0}}), ModelError, "unknown component 'z'; known: n, x, y"),
         (dict(supports={"BOTTOM": "fixed"}), ModelError, "allowed: a finite number"),
         (dict(supports={"BOTTOM": {"x": float("nan")}}), ModelError, "allowed: a finite number"),
         (dict(supports={}), ModelError, "no support against rigid motion"),
@@ -285,7 +285,7 @@ def test_meshed_layers_that_cannot_be_built():
 def test_options_are_in_the_signatures():
     """Python itself, editors and type checkers know them."""
     known = set(inspect.signature(Structure).parameters)
-    loads = {"supports", "tractions", "body_force", "strain", "stress"}
+    loads = {"supports", "tractions", "body_force", "strain", "stress", "eigenstrain"}
     assert known == {"joint", "body", "parts", "plane", "element", "comm"} | loads
     with pytest.raises(TypeError, match="unexpected keyword argument 'traction'"):
         Structure(JOINT, **SETUP, traction={})
@@ -364,7 +364,7 @@ def test_a_term_beside_those_of_a_model():
     u, v = solve(model).u, ufl.TestFunction(model.V)
     x = ufl.SpatialCoordinate(model.domain.mesh)
     own = work(model.terms, u, v) - model.external_work(v, 0.0)
-    free = np.setdiff1d(np.arange(len(u.x.array)), model.supports.on(model.V).held)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.prescribed.held)
     f, w = ufl.as_vector([x[0], 2.0]), model.sides.jump(v)
     for term, alone in (
         (ufl.inner(f, v) * model.dx, ufl.inner(f, v) * ufl.dx),
@@ -386,7 +386,7 @@ def test_forms_whose_tags_overlap():
     joint = sandwich(1.0, 0.5, 0.7, 0.25, cell="quadrilateral")
     model = Structure(joint, **SETUP, body_force={"LOWER": (0.3, -1.1)}, element="Q2").interface(LAYER)
     u, v = solve(model).u, ufl.TestFunction(model.V)
-    free = np.setdiff1d(np.arange(len(u.x.array)), model.supports.on(model.V).held)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.prescribed.held)
     forces = lambda form: fem.assemble_vector(form).array
     residual = work(model.terms, u, v) - model.external_work(v, 0.0)
     loads = forces(model.form(model.external_work(v, 0.0)))
@@ -417,7 +417,7 @@ def test_a_form_keeps_the_time_it_was_taken_at():
         now, half = ([np.interp(at, [0, 1, 3], values) for values in ((0, 2, 2), (1, 1, 5))] for at in (t, t / 2))
         expected = np.trapezoid(np.sin(t * s), s) * (now[0] - 3 * now[1]) + half[0] - 3 * half[1]
         assert fem.assemble_scalar(form) == pytest.approx(expected, rel=1e-4)
-    moved = model.supports.on(model.V)
+    moved = model.prescribed
     first, last = moved.at(0.5), moved.at(2.0)
     assert (first.max(), last.max()) == pytest.approx((0.5, 2.0))
 

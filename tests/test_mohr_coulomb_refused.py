@@ -39,7 +39,6 @@ from tests.mohr_coulomb_points import LAW, LMBDA, MU
         (lambda: MohrCoulombMonodirectional(LMBDA, MU, 0.1, 30.0, dilatancy_angle=1.0), "no parameter 'dilatancy_angle'"),
         (lambda: LAW.eased(1.5), "ease is 1.5; allowed: 0 to 1"),
         (lambda: LAW.eased("a bit"), "ease is 'a bit'; allowed: 0 to 1"),
-        (lambda: LAW.plane_stress(), "plane stress is not defined for MohrCoulomb"),
     ],
 )  # fmt: skip
 def test_what_the_laws_refuse(build, message):

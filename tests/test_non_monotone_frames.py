@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
+from forms.work import LIFTED
 from tests.at_points import E2, jump_strain, tensor, vector
 from tests.non_monotone_points import (
     ALPHA,
@@ -112,7 +113,7 @@ def test_scaling(name):
     E = jump_strain(w, n)
     there = at(law, E, n=n, phase=phase)
     for eps in (1e-3, 0.5):
-        real = real_law(ThinLayer(law, eps), "strain")
+        real = real_law(ThinLayer(law, eps), LIFTED)
         numbers = real.parameters()
         assert (numbers["lmbda"], numbers["mu"], numbers["alpha"], numbers["transformation_energy"]) == pytest.approx(
             (LMBDA * eps, MU * eps, ALPHA, C / eps), rel=1e-15

@@ -7,6 +7,7 @@ import pytest
 
 from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Tabulated, limits
 from forms.non_monotone import lamination_gain
+from forms.work import LIFTED
 from tests.at_points import E2, jump_strain, material, traction
 from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C
 from thinlayer import ThinLayer, drive
@@ -70,7 +71,7 @@ def test_a_field_of_temperatures():
     assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
     assert values["transformation_energy"] == pytest.approx([0.013, 0.023, 0.033])
     assert values["alpha"] == pytest.approx(3 * [ALPHA])
-    real = real_law(ThinLayer(law, EPS), "strain")
+    real = real_law(ThinLayer(law, EPS), LIFTED)
     assert real.at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"] / EPS)
     assert real.per_thickness(EPS).at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"])
     w = np.array([[0.0, 0.02, 0.0]] * 3)

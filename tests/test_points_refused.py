@@ -23,9 +23,10 @@ from forms import (
     TractionLaw,
 )
 from forms.law import Step
+from forms.planes import PLANES
 from forms.traction import JumpStep
 from tests.at_points import E2, respond
-from tests.laws_at_points import ELASTIC, KELVIN, LAWS, LMBDA, MAXWELL, MISES, MU, NORTON_3, SERIES, SOLID
+from tests.laws_at_points import ELASTIC, KELVIN, LAWS, LMBDA, MAXWELL, MU
 from thinlayer.discretisation.layer import real_law
 from thinlayer.pointwise.material import Material
 
@@ -65,13 +66,6 @@ POINT = "laws that give a stress for a strain"
         (lambda: Stack((0.5, MAXWELL), (0.5, Incompressible(1.0))), r"a sublayer is Incompressible\(mu=1.0\); allowed"),
         (lambda: Stack((1.0, Incompressible(1.0))), f"allowed: {POINT}"),
         (lambda: Stack((0.5, MAXWELL), (0.5, LAWS["traction"])), rf"a sublayer is Slipping\(.*; allowed: {POINT}"),
-        (lambda: KELVIN.plane_stress(), "plane stress is not defined for KelvinVoigt; use plane='strain'"),
-        (lambda: MAXWELL.plane_stress(), "plane stress is not defined for Maxwell"),
-        (lambda: NORTON_3.plane_stress(), "plane stress is not defined for Norton"),
-        (lambda: Incompressible(1.0).plane_stress(), "plane stress is not defined for Incompressible"),
-        (lambda: SERIES.plane_stress(), "plane stress is not defined for Maxwell"),
-        (lambda: SOLID.plane_stress(), "plane stress is not defined for StandardSolid"),
-        (lambda: MISES.plane_stress(), "plane stress is not defined for Mises"),
     ],
 )  # fmt: skip
 def test_what_a_law_refuses(build, message):
@@ -81,7 +75,7 @@ def test_what_a_law_refuses(build, message):
 
 def test_jumps_know_no_plane():
     law = LAWS["traction"]
-    assert real_law(law, "stress").parameters() == law.parameters()
+    assert real_law(law, PLANES["stress"]).parameters() == law.parameters()
 
 
 def test_a_traction_law_has_no_powers_of_eps():

@@ -150,8 +150,8 @@ def test_pictures(states, tmp_path):
             plotting.deformed(states[1], save=tmp_path / "a.png", scale=scale)
     with pytest.raises(ValueError, match="unknown component None; allowed: size, x, y"):
         plotting.deformed(states[1], save=tmp_path / "a.png", component=None)
-    with pytest.raises(ModelError, match="save is None"):
-        plotting.deformed(states[1], save=None)
+    with pytest.raises(ModelError, match="save is 3; it must be the name"):
+        plotting.deformed(states[1], save=3)
     with pytest.raises(ModelError, match="give its name, which ends in"):
         fields.write(states[1], None)
     with pytest.raises(ModelError, match="rates: a is 1; give what sweep returns"):

@@ -11,7 +11,7 @@ from forms import LinearElastic, Maxwell, NonMonotone, Stack
 from geometry import GeometryError, read
 from tests.meshes import boxes, drawing, save, sides
 from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
-from thinlayer.output.fields import gather
+from thinlayer.output.grid import gather
 
 BODY = LinearElastic(30.0, 20.0)
 SOFT, STIFF = LinearElastic(3.0, 1.0), LinearElastic(5.0, 2.0)  # per thickness

@@ -13,21 +13,27 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.broken_mesh import BrokenMesh
+    from thinlayer.discretisation.eigenstrains import Eigenstrain, Prestress, ThermalExpansion
     from thinlayer.discretisation.layer import Gap, ThinLayer
-    from thinlayer.discretisation.loads import piecewise
+    from thinlayer.discretisation.loads import Pressure, piecewise
     from thinlayer.discretisation.model import Model
+    from thinlayer.discretisation.point_loads import LineLoad, PointLoad
+    from thinlayer.discretisation.reactions import Resultant
     from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
     from thinlayer.errors import LimitLoad, LooseBody, ModelError, RangeWarning, SolveError, ThinlayerError
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
+    from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.layer_report import LayerReport
+    from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.contact import ContactPart
     from thinlayer.parts.phases import PhaseReport
+    from thinlayer.parts.plates import RigidPlate
     from thinlayer.parts.springs import Springs
     from thinlayer.parts.ufl_part import UflPart
     from thinlayer.pointwise.drive import PointHistory, drive
@@ -42,9 +48,12 @@ if TYPE_CHECKING:  # for editors and mypy alone
 __version__ = "0.1.0"
 _NAMES = {
     "discretisation.broken_mesh": ["BrokenMesh"],
+    "discretisation.eigenstrains": ["Eigenstrain", "Prestress", "ThermalExpansion"],
     "discretisation.layer": ["Gap", "ThinLayer"],
-    "discretisation.loads": ["piecewise"],
+    "discretisation.loads": ["Pressure", "piecewise"],
     "discretisation.model": ["Model"],
+    "discretisation.point_loads": ["LineLoad", "PointLoad"],
+    "discretisation.reactions": ["Resultant"],
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
@@ -53,11 +62,14 @@ _NAMES = {
     "output.contact_report": ["ContactReport"],
     "output.homogenised": ["homogenised_stiffness"],
     "output.layer_report": ["LayerReport"],
+    "output.probe": ["Probe"],
     "output.surface": ["Surface"],
+    "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],
     "parts.contact": ["ContactPart"],
     "parts.phases": ["PhaseReport"],
+    "parts.plates": ["RigidPlate"],
     "parts.springs": ["Springs"],
     "parts.ufl_part": ["UflPart"],
     "solving.options": ["OptionError"],

@@ -19,7 +19,7 @@ from geometry.facets import vertices_of_facets
 from geometry.importing.cells import Cells
 from geometry.importing.naming import Groups, Named, SeamsOf, Sides
 from geometry.joint import Joint
-from geometry.parallel import on_root
+from geometry.parallel import on_root, world
 from geometry.topology import CELL_TYPES, FloatArray, IntArray, corner_count, geometry_degree
 
 WHOLE = "BODY"  # region of all cells if there are no cell tags
@@ -56,7 +56,7 @@ def from_dolfinx(
         GeometryError: the tags are not those of this mesh; a number without cells or facets; cells of several types, of
             one that is not allowed, or of a degree above 2; a mesh on other ranks than those of `comm`; and as in `read`.
     """
-    comm = comm or MPI.COMM_WORLD
+    comm = comm or world()
     mine: _Part | Exception
     try:
         mine = _Part.of(mesh, cell_tags, facet_tags, comm)

@@ -72,3 +72,13 @@ def create_submesh(mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]) -> tup
     inverse = np.full(imap.size_local + imap.num_ghosts, -1, np.int32)
     inverse[parents] = np.arange(len(parents), dtype=np.int32)
     return sub, {sub: inverse}, parents
+
+
+def joined_maps(*maps: Any) -> Any:
+    """Entity maps of several meshes for one form; None for a mesh that needs none."""
+    given = [one for one in maps if one]
+    if not given:
+        return None
+    if isinstance(given[0], dict):
+        return {sub: inverse for one in given for sub, inverse in one.items()}
+    return [one for several in given for one in several]

@@ -83,7 +83,7 @@ def _build(source: Path) -> None:
         text = source.read_text(encoding="utf-8")
         builder = cffi.FFI()
         builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
-        builder.set_source(name, text, extra_compile_args=["-O2"])
+        builder.set_source(name, text, extra_compile_args=["-O2"], include_dirs=[str(source.parent.resolve())])
         with workshop(file.parent, name) as work:
             made = Path(builder.compile(tmpdir=work))
             seal(made, _seal(made))

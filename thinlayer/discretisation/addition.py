@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -15,14 +15,25 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from forms.kinematics import Expr
+from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.joint import Joint
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.prescribed import Prescribed
+from thinlayer.discretisation.supports import Place, Supports
 from thinlayer.errors import ModelError
 
-TAKEN = ("forms", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys of parts that every model may have
+TAKEN = (
+    "forms",
+    "forms of layers",
+    LAYER,
+    "pressure",
+    CONTACT,
+    BODIES,
+    "loads",
+)  # keys of parts that every model may have
 
 
 class Host(Protocol):
@@ -36,6 +47,10 @@ class Host(Protocol):
     dx: ufl.Measure
     ds: ufl.Measure
     plane: str
+    kinematics: Kinematics
+    centre: npt.NDArray[np.float64]
+    supports: Supports
+    prescribed: Prescribed
 
 
 class Addition(ABC):
@@ -45,9 +60,13 @@ class Addition(ABC):
 
     Attributes:
         key: name of the part's memory and energy in states and in files; each addition of a model needs its own.
+        place: name of the facet set, of a part that ties nodes.
+        ties_nodes: whether displacements follow unknowns of the part, see `Part.tie`.
     """
 
     key: str
+    place: str
+    ties_nodes: ClassVar[bool] = False
 
     @abstractmethod
     def check(self, model: Host) -> None:
@@ -83,6 +102,17 @@ class Addition(ABC):
         forces.destroy()
         A.destroy()
         return found
+
+    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, npt.NDArray[np.float64]]]:
+        """Places that the part holds, each with its force and moment (k,) about `model.centre` at displacements u.
+
+        Collective. By default none: forces of a part of your own are no reactions.
+        """
+        return []
+
+    def load_work(self, model: Host, state: Any) -> float:
+        """Work of given forces of the part, as of loads, in the displacements of a configuration. Collective."""
+        return 0.0
 
     @abstractmethod
     def part(self, model: Host) -> Any:

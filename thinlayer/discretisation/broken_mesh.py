@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh, MeshTags
 
 from forms.law import LawError
 from forms.traction import TractionLaw
-from forms.work import Interface, Term, surface
+from forms.work import LIFTED, Interface, Term, surface
 from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.broken import Keys, broken_space
@@ -126,7 +126,7 @@ class BrokenMesh:
             raise LawError(
                 f"the layer is {layer!r}; allowed: a ThinLayer or TractionLaw; a ContactLaw is for ContactPart"
             )
-        law, thin = real_law(layer, "strain"), layer if isinstance(layer, ThinLayer) else None
+        law, thin = real_law(layer, LIFTED), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)

@@ -13,6 +13,8 @@ from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.planes import Kinematics
+from forms.work import LIFTED
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
@@ -33,6 +35,7 @@ class ContactSurface:
         upper: (n,) local cells on the upper side.
         lower: (n,) local cells on the lower side; None on a rigid base.
         rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
+        kinematics: those of the mesh, for areas.
     """
 
     V: fem.FunctionSpace
@@ -41,6 +44,7 @@ class ContactSurface:
     upper: npt.NDArray[np.int32]
     lower: npt.NDArray[np.int32] | None
     rows: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    kinematics: Kinematics = LIFTED
 
     @classmethod
     def of(cls, model: Model, name: str) -> ContactSurface:
@@ -50,9 +54,9 @@ class ContactSurface:
         facets = np.sort(facets[facets < topology.index_map(topology.dim - 1).size_local])
         rows = domain.numbers(topology.dim - 1, facets)
         if name in model.joint.base_seams:
-            return replace(cls.on_rigid_base(model.V, model.comm, facets), rows=rows)
+            return replace(cls.on_rigid_base(model.V, model.comm, facets), rows=rows, kinematics=model.kinematics)
         entities = seam_entities(domain, name)
-        return cls(model.V, model.comm, facets, entities[:, 0], entities[:, 2], rows)
+        return cls(model.V, model.comm, facets, entities[:, 0], entities[:, 2], rows, model.kinematics)
 
     @classmethod
     def on_rigid_base(cls, V: fem.FunctionSpace, comm: MPI.Intracomm, facets: npt.NDArray[np.int32]) -> ContactSurface:
@@ -154,6 +158,7 @@ class ContactNodes:
             places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
         corners = mesh.geometry.x[places][..., :d]
         areas, normals = _vertex_areas(corners)
+        areas = self.surface.kinematics.node_areas(corners, areas)
         nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
         inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
         normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side

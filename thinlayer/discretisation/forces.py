@@ -2,22 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
 
 from forms.kinematics import Expr
+from forms.planes import Kinematics
+from forms.work import LIFTED
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
+from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.load_curves import Moment
-from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, refuse_seam, vector
+from thinlayer.discretisation.loads import Coordinates, Load, Pressure, refuse_periodic, refuse_seam, vector
+from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
 from thinlayer.errors import ModelError, warn
 
 BodyForce = Load | Mapping[str, Load]
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """A place of a layer's volume.
+
+    Attributes:
+        measure: of its cells, or of its seam.
+        weight: factor of the measure: 1, or the thickness.
+        value: how a function of place and time is taken there.
+        mean: mean over the thickness of displacements there.
+    """
+
+    measure: ufl.Measure
+    weight: Expr = 1
+    value: Callable[[Expr], Expr] = lambda f: f
+    mean: Callable[[Expr], Expr] = lambda v: v
 
 
 class Forces:
@@ -28,6 +51,9 @@ class Forces:
         tractions: facet name -> traction on the outer boundary.
         body_force: force per volume in the bodies, or region name -> force.
         at: coordinates for loads that are functions.
+        loads: loads at points and along lines.
+        forms: makes the forms of these.
+        kinematics: of the mesh; all measures have their factor.
 
     Attributes:
         given: description of kind and place -> the load as given.
@@ -37,11 +63,20 @@ class Forces:
     """
 
     def __init__(
-        self, domain: Domain, tractions: Mapping[str, Load] | None, body_force: BodyForce | None, at: Coordinates
+        self,
+        domain: Domain,
+        tractions: Mapping[str, Load | Pressure] | None,
+        body_force: BodyForce | None,
+        at: Coordinates,
+        loads: Sequence[Concentrated] = (),
+        forms: Callable[[], ConcentratedForms] | None = None,
+        kinematics: Kinematics = LIFTED,
     ) -> None:
-        self.domain, self.at = domain, at
-        self.given: dict[str, Load] = {}
+        self.domain, self.at, self._kinematics = domain, at, kinematics
+        self.given: dict[str, Any] = {}
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
+        self._in_layers: list[tuple[str, Expr, Weighted]] = []
+        self._concentrated: list[tuple[str, Expr, ufl.Measure]] = []  # whole forces: their measures have no factor
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         if tractions is not None and not isinstance(tractions, Mapping):
@@ -58,11 +93,34 @@ class Forces:
                 self._loads.append((what, share * loaded, ds(domain.values(side))))
         for name, load in self._by_region(body_force).items():
             self._add(f"body force in {name!r}", load, dx(domain.cell_values(name)))
+        for one in loads:
+            self.given[f"{one.what}, {len(self.given)}"] = one
+            assert forms is not None
+            self._concentrated += [(one.what, density, measure) for density, measure in forms().terms(one)]
         self._everywhere = dx
 
-    def _add(self, what: str, load: Load, measure: ufl.Measure | None) -> None:
+    def add_layer(self, name: str, load: Load, places: Sequence[Weighted]) -> None:
+        """Add a force per volume of a layer.
+
+        Args:
+            name: of its seam.
+            load: the force.
+            places: where the layer is: its weight, and how the work of displacements there is told, see `Weighted`.
+        """
+        what = f"body force in the layer {name!r}"
         self.given[what] = load
-        checked = vector(load, self.at, self.domain.joint.dim, what)
+        force = vector(load, self.at, self.domain.joint.dim, what)
+        for one in places:
+            self._in_layers.append((what, one.value(force) * one.weight, one))
+
+    def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
+        self.given[what] = load
+        if isinstance(load, Pressure):
+            if what.startswith("body force"):
+                raise ModelError(f"{what} is {load!r}: there is no normal inside a body; give a vector")
+            checked = load.traction(self.at, what)
+        else:
+            checked = vector(load, self.at, self.domain.joint.dim, what)
         if measure is not None:
             self._loads.append((what, checked, measure))
 
@@ -77,6 +135,7 @@ class Forces:
         refuse_seam(self.domain.joint, name, f"a traction on {what} is what the model computes; load another facet set")
         values = self.domain.values(name)
         refuse_periodic(self.domain.joint, name, "traction")
+        refuse_axis(self._kinematics, self.domain.joint, name, "a traction")
         if not self.domain.is_outer(name):
             raise ModelError(f"traction on {name!r}: its facets lie inside; tractions act on the outer boundary")
         if not values and not name.endswith(f"/{LAYER}"):
@@ -133,12 +192,13 @@ class Forces:
         return sum(bool(some.all()) for some in covered) / len(sides)
 
     def _by_region(self, body_force: BodyForce | None) -> dict[str, Load]:
-        regions = self.domain.joint.bodies
+        joint = self.domain.joint
+        regions, seams = joint.bodies, [*(joint.band.base if joint.band else joint).seams, S]
         if body_force is None:
             return {}
         forces = dict(body_force) if isinstance(body_force, Mapping) else dict.fromkeys(regions, body_force)
         for name in forces:
-            if name not in regions:
+            if name not in regions and name not in seams:
                 raise ModelError(unknown("body", name, regions))
         return {name: forces[name] for name in regions if name in forces}
 
@@ -146,13 +206,21 @@ class Forces:
         """Virtual work of the loads at a moment, a UFL form linear in v."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         for _, load, measure in self._loads:
+            form += ufl.inner(load, v) * self._kinematics.factor * measure
+        for _, load, measure in self._concentrated:
             form += ufl.inner(load, v) * measure
+        for _, load, one in self._in_layers:
+            form += ufl.inner(load, one.mean(v)) * self._kinematics.factor * one.measure
         return moment.of(form)
 
     def not_finite(self, t: float) -> list[str]:
         """The loads that are not finite at a time. Collective."""
         found, moment = [], self.at.moment(t)
-        for what, load, measure in self._loads:
+        for what, load, measure in [
+            *self._loads,
+            *self._concentrated,
+            *((what, load, one.measure) for what, load, one in self._in_layers),
+        ]:
             total = fem.assemble_scalar(fem.form(moment.of(ufl.inner(load, load) * measure)))
             if self.domain.comm.allreduce(int(not np.isfinite(total))):
                 found.append(what)

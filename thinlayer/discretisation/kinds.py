@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Self
 
 import numpy as np
 import ufl
@@ -18,24 +21,62 @@ from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.seam import BASE, S
+from thinlayer.discretisation.axis import require_revolution, require_shifts
+from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
-from thinlayer.discretisation.layer import LawOnS, Layers, constants, gaps_of, real_law
+from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.placed import known_at
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
+from thinlayer.identity.described import described
+from thinlayer.parallel.agreement import on_all
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
-class FullModel(Model):
-    """The model whose layers are meshed.
+class LayeredModel(Model):
+    """A model with layers.
 
     Attributes:
-        layer: as given: a thin layer for all seams, or {name of a seam: its layer}.
+        layer: as given: a layer for all seams, or {name of a seam: its layer}.
     """
+
+    layer: Layers
+
+    def with_layer(self, layer: Layers) -> Self:
+        """The same model with other layers; it shares mesh, space, supports, loads and the bodies' matrix. Collective.
+
+        Args:
+            layer: as in `Structure.full` or `Structure.interface`; of a full model layers and gaps of the same thickness,
+                profile and fractions, which are those of the mesh.
+
+        Raises:
+            ModelError, LawError: as there; another shape of a meshed layer.
+        """
+        new = self._derived()
+        new.layer = layer
+        new._lay(layer, partial(new._check_beside, self))
+        with on_all(self.comm):
+            new.given_on = {name: one.given(self.coordinates) for name, one in new.layers.items()}
+        new.layer_terms = new._terms_of_layers()
+        with on_all(self.comm):
+            new.forces = new._forces(new.structure)
+            if new.strain or new.stress:
+                new.require_order_zero()
+        new.made_from = new._data()
+        new.laws_were_read()
+        return new
+
+    @abstractmethod
+    def _check_beside(self, other: Self) -> None:
+        """Raise an error unless the layers suit the mesh of another model."""
+
+
+class FullModel(LayeredModel):
+    """The model whose layers are meshed."""
 
     name = "full"
 
@@ -52,15 +93,9 @@ class FullModel(Model):
 
     def _checked(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
-        gaps = gaps_of(self.layer)
-        for name in self.joint.seams:
-            if name not in self.layers and name not in gaps:
-                raise ModelError(
-                    f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
-                    "structure.interface"
-                )
-        for one in self.layers.values():
-            self._check(one)
+        if self._bodies == "kept":
+            require_shifts(self.structure.kinematics, self.joint)
+        gaps = self._checked_layers()
         if self._junctions is not None and self._junctions not in [*self.joint.seams]:
             raise ModelError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
         if self._junctions in gaps:
@@ -80,10 +115,41 @@ class FullModel(Model):
             junctions=(*first, *thin),
             gaps=tuple(gaps),
         )
-        assert inflated.band is not None
-        for region, name in inflated.band.junctions.items():
-            self._check_junctions(name, real_law(thin[name], self.plane), region in inflated.band.aligned)
+        self._check_junctions(inflated)
+        require_revolution(self.structure.kinematics, inflated)
         return inflated
+
+    def _checked_layers(self) -> dict[str, Gap]:
+        """Check each layer by itself; returns the gaps."""
+        gaps = gaps_of(self.layer)
+        for name in self.joint.seams:
+            if name not in self.layers and name not in gaps:
+                raise ModelError(
+                    f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
+                    "structure.interface"
+                )
+        for one in self.layers.values():
+            self._check(one)
+        return gaps
+
+    def _check_beside(self, other: Self) -> None:
+        here, there = self._shapes(self._checked_layers()), other._shapes(gaps_of(other.layer))
+        for name, shape in here.items():
+            if shape != there.get(name):
+                raise ModelError(
+                    f"the mesh has a layer {name!r} of (thickness, profile, fractions) {there.get(name)}, not {shape}; "
+                    "make a model of its own, structure.full(layer)"
+                )
+        self._check_junctions(self.domain.joint)
+
+    def _shapes(self, gaps: Mapping[str, Gap]) -> dict[str, tuple[object, ...]]:
+        """Name of a seam -> what its mesh depends on."""
+        shapes: dict[str, tuple[object, ...]] = {name: ("a gap", gap.eps) for name, gap in gaps.items()}
+        for name, one in self.layers.items():
+            if thin := one.thin:
+                profile = self.joint.relative_thickness(thin.profile, name) if thin.profile else None
+                shapes[name] = (thin.eps, None if profile is None else described(profile), thin.fractions)
+        return shapes
 
     def _check(self, one: SeamLayer) -> None:
         """Raise an error if a layer cannot be meshed."""
@@ -107,7 +173,14 @@ class FullModel(Model):
                 "layer their shape is lost in rounding; is eps in the unit of the mesh?"
             )
 
-    def _check_junctions(self, name: str, law: BulkLaw, aligned: bool) -> None:
+    def _check_junctions(self, inflated: Joint) -> None:
+        """Raise ModelError if a law cannot be that of cells where layers meet."""
+        assert inflated.band is not None
+        for region, name in inflated.band.junctions.items():
+            law = real_law(self.layers[name].layer, self.structure.kinematics)
+            self._check_junction(name, law, region in inflated.band.aligned)
+
+    def _check_junction(self, name: str, law: BulkLaw, aligned: bool) -> None:
         """Raise ModelError if a seam's law cannot be that of cells where layers meet, which are in no column of a layer.
 
         Args:
@@ -133,20 +206,23 @@ class FullModel(Model):
         terms = []
         for name, one in self.layers.items():
             shared = [region for region, seam in band.junctions.items() if seam == name]
-            sublayers = real_law(one.layer, self.plane).sublayers
+            sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
-                terms.append(replace(forms.band(law, cells, n), key=one.key))
+                term = forms.band(law, cells, n, self.kinematics)
+                terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
 
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        band = self.domain.joint.band
+        assert band is not None
+        shared = [region for region, seam in band.junctions.items() if seam == one.name]
+        return [Weighted(self.dx(self.domain.cell_values(*band.of_seam[one.name], *shared)))]
 
-class InterfaceModel(Model):
-    """The model whose layer is replaced by its interface law on S.
 
-    Attributes:
-        layer: as given: a thin layer, or a law of jumps or of nodes, for all seams, or {name of a seam: its layer}.
-    """
+class InterfaceModel(LayeredModel):
+    """The model whose layer is replaced by its interface law on S."""
 
     name = "interface"
     broken = True
@@ -156,9 +232,12 @@ class InterfaceModel(Model):
         super().__init__(structure, layer)
 
     def _checked(self) -> Joint:
+        self._check_beside(self)
+        return self.joint
+
+    def _check_beside(self, other: Self) -> None:
         for one in self.layers.values():
             one.check()
-        return self.joint
 
     @cached_property
     def dS(self) -> ufl.Measure:
@@ -203,17 +282,29 @@ class InterfaceModel(Model):
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
-        mesh, law, layer = self.domain.mesh, real_law(one.layer, self.plane), one.thin
+        mesh, law, layer = self.domain.mesh, real_law(one.layer, self.kinematics), one.thin
         relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
         law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)
         sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
         if layer is None:
-            return [replace(forms.of_jumps(law, sides), key=one.key)]
-        eps: Expr = fem.Constant(mesh, float(layer.eps))
+            return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
+        eps = self._thickness(one.name, layer, sides)
+        terms = forms.surface(law, sides, eps, layer.order, self.kinematics, relaxed)
+        return [replace(term, key=one.key, given=self.given_on[one.name]) for term in terms]
+
+    def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
+        eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
         if layer.profile is not None:
-            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, one.name))
-        return [replace(term, key=one.key) for term in forms.surface(law, sides, eps, layer.order, relaxed)]
+            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
+        return eps
+
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
+        sides = self.sides_of(one.name)
+        assert one.thin is not None
+        eps = self._thickness(one.name, one.thin, sides)
+        return [Weighted(sides.measure, eps, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2)]
 
     def _relaxed(self, law: BulkLaw, one: SeamLayer) -> BulkLaw:
         """The law with parameters that are functions as expressions on S, linear between vertices, for `gradient`."""
@@ -242,4 +333,7 @@ class BondedModel(Model):
         return self.joint
 
     def _layer_terms(self) -> list[forms.Term]:
+        return []
+
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
         return []

@@ -18,9 +18,11 @@ from forms.base import is_number
 from forms.contact import ContactLaw
 from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError
+from forms.planes import Kinematics
 from forms.traction import TractionLaw
 from geometry.errors import unknown
 from geometry.joint import Joint, Profile
+from thinlayer.discretisation.eigenstrains import Given
 from thinlayer.errors import ModelError
 
 LAYER, CONTACT, BODY = "layer", "contact", "body"  # keys of what laws remember and store, in states and in files
@@ -43,6 +45,9 @@ class ThinLayer:
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
             > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
             those of the thickness eps, everywhere.
+        eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through the
+            thickness. On S the strain is [u] (x) n/eps less it, so that it enters the tractions of a soft layer at order
+            eps: it changes the limit only if it is itself of the size of [u]/eps.
 
     Raises:
         LawError: a law of jumps or of nodes, which is a layer by itself; eps or order out of range; order 1 of a Stack or
@@ -53,6 +58,7 @@ class ThinLayer:
     eps: float
     order: int = 0
     profile: Profile | None = None
+    eigenstrain: Given | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):
@@ -141,16 +147,11 @@ def gaps_of(given: Layers) -> dict[str, Gap]:
     return {name: one for name, one in given.items() if isinstance(one, Gap)} if isinstance(given, Mapping) else {}
 
 
-def real_law(layer: Layer, plane: str) -> BulkLaw:
-    """A layer's law with real parameters, for plane "strain" or "stress"; a law of jumps as one of strains."""
+def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:
+    """A layer's law with real parameters, for these kinematics; a law of jumps as one of strains."""
     if not isinstance(layer, ThinLayer):
         return layer.of_strains()
-    return in_plane(layer.law, plane).in_layer(float(layer.eps))
-
-
-def in_plane(law: BulkLaw, plane: str) -> BulkLaw:
-    """The law for plane "strain" (as it is) or plane "stress"."""
-    return law.plane_stress() if plane == "stress" else law
+    return kinematics.law(layer.law).in_layer(float(layer.eps))
 
 
 def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:

@@ -50,7 +50,7 @@ class Time(ufl.Constant):
 
     def follow(self, argument: Expr, curve: LoadCurve) -> ufl.Constant:
         """A symbol (columns,) for the values of a curve at an argument that depends on the time alone."""
-        symbol = ufl.Constant(self.ufl_domain(), (curve.columns.shape[1],))
+        symbol = Followed(self, (curve.columns.shape[1],))
         self.followers.append((argument, curve, symbol))
         return symbol
 
@@ -86,6 +86,28 @@ class Time(ufl.Constant):
         return False
 
     __hash__ = ufl.Constant.__hash__
+
+
+class Followed(ufl.Constant):
+    """The values of a curve, a UFL symbol.
+
+    Attributes:
+        clock: the time that the argument of the curve depends on.
+    """
+
+    def __init__(self, clock: Time, shape: tuple[int, ...]) -> None:
+        super().__init__(clock.ufl_domain(), shape)
+        self.clock = clock
+
+
+def clock_of(*expressions: Expr) -> Time | None:
+    """The time that expressions depend on; None: they do not."""
+    for node in (node for one in expressions for node in unique_pre_traversal(one)):
+        if isinstance(node, Time):
+            return node
+        if isinstance(node, Followed):
+            return node.clock
+    return None
 
 
 class Moment:

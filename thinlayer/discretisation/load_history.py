@@ -8,10 +8,11 @@ import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from thinlayer.discretisation.given import GivenInTime
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 
@@ -22,13 +23,14 @@ SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a time interval at which li
 
 
 class LoadHistory:
-    """Nodal forces of the loads and prescribed displacements, as functions of time. Collective, as all methods are."""
+    """Loads at nodes, prescribed displacements and given strains as functions of time. Collective, as all methods are."""
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
         self._moment = model.coordinates.moment(0.0)
-        self._work = fem.form(model.forces.work(ufl.TestFunction(model.V), self._moment))
-        self._prescribed = model.supports.on(model.V)
+        self._work = compiled(model.forces.work(ufl.TestFunction(model.V), self._moment))
+        self._prescribed = model.prescribed
+        self._strains = GivenInTime(model.domain.mesh, model.terms)
 
     @property
     def held(self) -> npt.NDArray[np.int32]:
@@ -75,11 +77,26 @@ class LoadHistory:
         return prescribed
 
     def given_at(self, t: float) -> list[Array]:
-        """Loads and prescribed displacements at a time, on this rank."""
+        """Loads, prescribed displacements and given strains at a time, on this rank."""
         loads = self.loads_at(t)
-        given = [loads.array_r.copy(), self.prescribed_at(t)]
+        given = [loads.array_r.copy(), self.prescribed_at(t), *self.strains_at(t)]
         loads.destroy()
         return given
+
+    def strains_at(self, t: float) -> list[Array]:
+        """Integrals over this rank's cells or facets of the strains that are given and vary, at a time.
+
+        Raises:
+            ModelError: one of them is not finite or not symmetric.
+        """
+        if self.model.strain:
+            self.model.strain.at(t)
+        found = self._strains.at(t)
+        for p, values in found:
+            if self.comm.allreduce(int(not np.isfinite(values).all())):
+                what = "layer" if p.n is not None else "bodies"
+                raise ModelError(f"the eigenstrain of the {p.key or what} is not finite at t = {t:g}")
+        return [values for _, values in found]
 
 
 def linear_in_time(given_at: Callable[[float], list[Array]], start: float, end: float, comm: MPI.Intracomm) -> bool:

@@ -1,4 +1,4 @@
-"""Supports, tractions and body forces: checks of the users' data, and their translation to DOLFINx and UFL."""
+"""Values of loads and supports: checks of the users' data, and their translation to UFL."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.conditional import Condition
 from ufl.constantvalue import ComplexValue, RealValue
@@ -20,19 +19,14 @@ from forms.base import is_number
 from forms.kinematics import Expr
 from forms.temperature import real
 from geometry.domain import Domain
-from geometry.errors import unknown
 from geometry.joint import Joint
-from geometry.seam import LAYER, S
-from thinlayer.compiling.compat import interpolation_points
+from geometry.seam import S
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.discretisation.load_curves import LoadCurve, Moment, Time, symbols
 from thinlayer.errors import ModelError
 
 AXES = "xyz"
-Place = str | tuple[float, ...]
 Value = float | Callable[[Expr, Expr], Expr]
-Support = float | Mapping[str, Value]
-Given = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 
 
@@ -62,6 +56,24 @@ class Coordinates:
     def moment(self, t: float) -> Moment:
         """The moment at which expressions of the time get their values."""
         return Moment(self.t, t)
+
+
+@dataclass(frozen=True)
+class Pressure:
+    """A traction -p n along the inner normal of facets, on any inclined or curved boundary.
+
+    Attributes:
+        p: stress, > 0 where it presses; a number or a function (x, t).
+    """
+
+    p: Value
+
+    def traction(self, at: Coordinates, what: str) -> Expr:
+        """The traction as a UFL vector (d,); raises ModelError if p is no number."""
+        if not callable(self.p) and not (is_number(self.p) and math.isfinite(self.p)):
+            raise ModelError(f"{what}: the pressure is {self.p!r}; it must be a finite number or a function (x, t)")
+        p = scalar(called(self.p, at, what), what) if callable(self.p) else fem.Constant(at.mesh, float(self.p))
+        return -p * ufl.FacetNormal(at.mesh)
 
 
 def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:
@@ -137,7 +149,8 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
     return at
 
 
-def _scalar(value: Any, what: str) -> Expr:
+def scalar(value: Any, what: str) -> Expr:
+    """What a user's function gives as a UFL scalar; raises ModelError if it is no finite number."""
     try:
         found = ufl.as_ufl(value)
     except Exception as error:
@@ -174,175 +187,3 @@ def refuse_seam(joint: Joint, name: str, message: str) -> None:
     """Raise ModelError if a name is S or that of a seam: what acts there is the layer."""
     if name in joint.seams or name.split("/")[0] == S:
         raise ModelError(message)
-
-
-class Supports:
-    """Prescribed displacements, for any space on the domain.
-
-    Args:
-        domain: the domain.
-        given: place -> prescribed components. A place is a facet name (its continuation over the layer's side included;
-            NAME/REGION and NAME/LAYER narrow it) or the coordinates of a mesh vertex before inflating (on S: both
-            sides). Components are {"x": value, ...}, or one number for all of them; a value is a number or a function
-            (x, t) of UFL coordinates. Where two places overlap, the later entry decides.
-        at: coordinates for these functions.
-        clamped: facet names where nothing moves.
-
-    Attributes:
-        given: (place, components) as given; `entries` has the clamped ones too.
-        vectors: values of each entry, (d,) numbers or a UFL vector; 0 for free components.
-        anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
-            that translation; no force acts there.
-
-    Raises:
-        GeometryError: unknown facet name, no vertex at a point. ModelError: unknown component, a value that is no number.
-    """
-
-    def __init__(self, domain: Domain, given: Given, at: Coordinates, clamped: Sequence[str] = ()) -> None:
-        if not isinstance(given, Mapping):
-            raise ModelError(f"supports is {given!r}; it must be {{place: {{component: value}}}}")
-        self.domain, self.at = domain, at
-        self.axes = AXES[: domain.joint.dim]
-        self.entries: list[tuple[Place, dict[str, Value]]] = []
-        for place, support in given.items():
-            if isinstance(place, str):
-                refuse_periodic(domain.joint, place, "support")
-                what = S if place.split("/")[0] == S else repr(place)
-                refuse_seam(
-                    domain.joint, place, f"a support on {what} would replace the layer; support another facet set"
-                )
-                if not domain.values(place) and not place.endswith(f"/{LAYER}"):
-                    raise ModelError(f"support on {place!r}: this facet set is empty")
-            else:
-                self._require_point(place)
-                domain.joint.nearest_point(place)
-            self.entries.append((place, self._components(place, support)))
-        self.given = tuple(self.entries)
-        self.entries += [(place, dict.fromkeys(self.axes, 0.0)) for place in clamped]
-        self.vectors = [self._vector(place, components) for place, components in self.entries]
-        self.anchored: tuple[str, ...] = ()
-
-    def _require_point(self, place: Any) -> None:
-        d = len(self.axes)
-        if not isinstance(place, tuple) or len(place) != d or not all(is_number(c) for c in place):
-            raise ModelError(
-                f"support on {place!r}; a place is the name of a facet set, or the {d} coordinates of a vertex"
-            )
-
-    def _components(self, place: Place, support: Support) -> dict[str, Value]:
-        if callable(support) or support is None:
-            raise ModelError(
-                f"support on {place!r} is {support!r}; allowed: a number, or {{component: number or function}}"
-            )
-        given = support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support)
-        components: dict[str, Value] = dict(given)
-        for axis, value in components.items():
-            if axis not in self.axes:
-                raise ModelError(f"support on {place!r}: {unknown('component', axis, self.axes)}")
-            if not callable(value) and not (is_number(value) and np.isfinite(float(value))):
-                raise ModelError(
-                    f"support on {place!r}: component {axis} is {value!r}; allowed: a finite number or a function (x, t)"
-                    + ", 0 where it is held" * isinstance(value, (bool, np.bool_))
-                )
-        return components
-
-    def _vector(self, place: Place, components: dict[str, Value]) -> npt.NDArray[np.float64] | Expr:
-        """The values of an entry."""
-        values = [components.get(axis, 0.0) for axis in self.axes]
-        if not any(callable(value) for value in values):
-            return np.array(values, float)
-        what = f"support on {place!r}"
-        found = [_scalar(called(value, self.at, what) if callable(value) else value, what) for value in values]
-        on_mesh = fem.Constant(self.domain.mesh, np.zeros(len(found)))  # a function may give plain numbers
-        return ufl.as_vector(found) + on_mesh
-
-    def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> npt.NDArray[np.int32]:
-        """Local degrees of freedom (unrolled, ghosts included) of one component on one place. Collective."""
-        component = V.sub(self.axes.index(axis))
-        if isinstance(place, str):
-            facets = self.domain.facets(place, layer_sides=True)
-            return fem.locate_dofs_topological(component, self.domain.joint.dim - 1, facets)
-        vertices = self.domain.vertices(self.domain.joint.nearest_point(place))
-        return vertex_dofs(V, vertices, self.axes.index(axis))
-
-    def held(
-        self, V: fem.FunctionSpace, entries: Sequence[tuple[Place, Mapping[str, Value]]] | None = None
-    ) -> npt.NDArray[np.int32]:
-        """All supported degrees of freedom of a space, or those of some entries (local, unrolled, ghosts included).
-
-        Collective.
-        """
-        anchors = self.anchors(V) if entries is None else np.empty(0, np.int32)
-        entries = self.entries if entries is None else entries
-        found = [anchors, *(self.dofs(V, place, axis) for place, components in entries for axis in components)]
-        return np.unique(np.concatenate([np.empty(0, np.int32), *found]))
-
-    def anchors(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
-        """Local degrees of freedom (unrolled, ghosts included) of the anchored components, at one corner. Collective."""
-        if not self.anchored:
-            return np.empty(0, np.int32)
-        owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
-        cells = np.flatnonzero(self.domain.original_cells[:owned] == 0)
-        corner = np.asarray(V.dofmap.list)[cells][:, V.dofmap.dof_layout.entity_dofs(0, 0)].ravel()
-        mark = fem.Function(V)
-        for axis in self.anchored:
-            mark.x.array[corner * V.dofmap.bs + self.axes.index(axis)] = 1.0
-        mark.x.scatter_reverse(la.InsertMode.add)  # this rank may have the cell, and another one own its corner
-        mark.x.scatter_forward()
-        return np.flatnonzero(mark.x.array).astype(np.int32)
-
-    def on(self, V: fem.FunctionSpace) -> Prescribed:
-        """The prescribed displacements in a space. Collective."""
-        return Prescribed(self, V)
-
-
-class Prescribed:
-    """Degrees of freedom of a space that supports prescribe.
-
-    Attributes:
-        held: (n,) their local numbers on this rank, increasing.
-    """
-
-    def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
-        self._moment = supports.at.moment(0.0)
-        self._varying: list[tuple[fem.Function, fem.Expression]] = []
-        self._entries: list[tuple[npt.NDArray[np.int32], fem.Function]] = []
-        for (place, components), vector in zip(supports.entries, supports.vectors, strict=True):
-            dofs = [supports.dofs(V, place, axis) for axis in components]
-            self._entries.append((np.concatenate([np.empty(0, np.int32), *dofs]), self._value(V, vector)))
-        self._entries.append((supports.anchors(V), fem.Function(V)))
-        held = np.unique(np.concatenate([np.empty(0, np.int32), *(dofs for dofs, _ in self._entries)]))
-        self.held = held[held < V.dofmap.index_map.size_local * V.dofmap.index_map_bs].astype(np.int32)
-        self._values = fem.Function(V).x.array
-
-    def _value(self, V: fem.FunctionSpace, vector: npt.NDArray[np.float64] | Expr) -> fem.Function:
-        value = fem.Function(V)
-        if not isinstance(vector, np.ndarray):
-            self._varying.append((value, fem.Expression(self._moment.of(vector), interpolation_points(V))))
-        elif vector.any():
-            value.interpolate(lambda x: np.repeat(vector[:, None], x.shape[1], axis=1))
-        return value
-
-    def at(self, t: float) -> npt.NDArray[np.float64]:
-        """Prescribed values (n,) at a time, possibly not finite. Collective."""
-        self._moment.set(t)
-        for value, expression in self._varying:
-            value.interpolate(expression)
-            value.x.scatter_forward()
-        for dofs, value in self._entries:
-            self._values[dofs] = value.x.array[dofs]
-        return np.asarray(self._values[self.held])
-
-
-def vertex_dofs(V: fem.FunctionSpace, vertices: npt.NDArray[np.int32], component: int) -> npt.NDArray[np.int32]:
-    """Local degrees of freedom (unrolled) of one component at local vertices, in every cell that has the vertex."""
-    topology, dofmap = V.mesh.topology, V.dofmap
-    topology.create_connectivity(0, topology.dim)
-    to_cells, to_vertices = topology.connectivity(0, topology.dim), topology.connectivity(topology.dim, 0)
-    found = []
-    for vertex in vertices:
-        for cell in to_cells.links(vertex):
-            corner = int(np.flatnonzero(to_vertices.links(cell) == vertex)[0])
-            block = dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_dofs(0, corner)]
-            found.append(block * dofmap.bs + component)
-    return np.unique(np.concatenate([np.empty(0, np.int32), *found])).astype(np.int32)

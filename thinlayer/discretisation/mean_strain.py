@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -78,14 +77,13 @@ class MeanStrain:
             raise ModelError(f"{self.what} is not symmetric at t = {t:g}: {strain.tolist()}")
         return strain
 
-    def constant(self, value: Array | None = None) -> fem.Constant:
-        """A constant (d, d) on the mesh."""
-        return fem.Constant(self._coordinates.mesh, np.zeros((self._dim, self._dim)) if value is None else value)
-
-    @staticmethod
-    def added(terms: Sequence[Term], E: fem.Constant) -> list[Term]:
-        """The terms, those of bodies with a mean strain."""
-        return [replace(p, mean=lift(E)) if p.n is None else p for p in terms]
+    @property
+    def expression(self) -> Expr:
+        """The strain (3, 3) as an expression of the time."""
+        if not callable(self.given):
+            return lift(fem.Constant(self._coordinates.mesh, self.at(0.0)))
+        d, rows = self._dim, self._components(self._coordinates.t)
+        return lift(ufl.as_tensor([[ufl.as_ufl(rows[i][j]) for j in range(d)] for i in range(d)]))
 
 
 class MeanStress(MeanStrain):
@@ -108,8 +106,8 @@ class MeanStress(MeanStrain):
         for p in bodies:
             if not p.proportional:
                 raise ModelError(
-                    f"a mean stress needs bodies with linear laws without eigenstrains, not {p.law!r}; prescribe the mean "
-                    "strain"
+                    f"a mean stress needs bodies with linear laws without stress at zero strain, not {p.law!r}; prescribe "
+                    "the mean strain"
                 )
 
     @property

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import basix.ufl
 import numpy as np
@@ -19,24 +20,35 @@ from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.joint import Joint
+from geometry.seam import S
 from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
-from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.layer import BODIES, BODY, constants, in_plane, layers_of
-from thinlayer.discretisation.loads import Coordinates, Supports
+from thinlayer.discretisation.eigenstrains import Matter, given_strain
+from thinlayer.discretisation.family import Family
+from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
+from thinlayer.discretisation.given import added
+from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
+from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.placed import placed
+from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
+from thinlayer.discretisation.prescribed import Prescribed
+from thinlayer.discretisation.reactions import on_centre
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.supports import Given, Place, Supports
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
+from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.pointwise.quadrature import quadrature_degree
+
+Result = TypeVar("Result")
 
 
 class Model(ABC):
@@ -56,16 +68,22 @@ class Model(ABC):
             differ, as of a body and of its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
-        bodies, layer_terms: terms of the laws of the bodies and of the layer; those of bodies without the mean strain of a
-            periodic cell, see `State.bodies`.
+        bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
+            time; `State.bodies` and `State.layers` are those at the time of a state.
+        given, given_on: name of a body, and of a seam -> the strain (3, 3) that is added there to that of the
+            displacements, minus the eigenstrain; None: there is none.
         supports: prescribed displacements.
+        prescribed: the same as conditions at the nodes of V.
         forces: tractions and body forces.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
+        kinematics: strains of displacements on the mesh, and the factor of all measures.
         coordinates: place and time as arguments of loads.
+        centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
+        family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
         made_from: description, as JSON, of the data at the time the model was built.
     """
 
@@ -75,44 +93,121 @@ class Model(ABC):
     def __init__(self, structure: Setup, layer: object, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
-        with on_all(structure.comm):
-            given = {} if layer is None else layers_of(self.joint, layer)
-            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
-            inflated = self._checked()
-        what = require_same(structure.comm, model=self.name, layer=layer, options=options)
-        self.mark = structure.mark + what
+        self._options, self.family = options, Family()
+        inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
+        self.centre = on_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
+        self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
         with on_all(self.comm):
-            self.supports = Supports(self.domain, structure.supports, self.coordinates, self._clamped)
-            self.forces = Forces(self.domain, structure.tractions, structure.body_force, self.coordinates)
+            self.supports = self._supports(structure.supports)
+            self.given = {name: self._given(name) for name in self.body_laws}
+            self.given_on = {name: one.given(self.coordinates) for name, one in self.layers.items()}
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
-        of_law = {
-            id(law): [name for name, one in self.body_laws.items() if one is law] for law in self.body_laws.values()
-        }
-        self.bodies = [term for names in of_law.values() for term in self._body_terms(names)]
-        self.layer_terms = [placed(term, self.V, self.origin) for term in self._layer_terms()]
+        self.bodies = [term for names in self._alike() for term in self._body_terms(names)]
+        self.layer_terms = self._terms_of_layers()
+        with on_all(self.comm):
+            self.forces = self._forces(structure)
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
+        if self.strain:
+            self.bodies = added(self.bodies, self.strain.expression)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
+        self.prescribed = Prescribed(self.supports, self.V)
         resistances = [partial(part.resistance, self) for part in self.parts]
         on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
         if self.joint.periods and not on_layers:
-            held = self.supports.held(self.V)
-            self.supports.anchored = free_translations(self.comm, self.V, self.joint, held, resistances)
+            conditions = self.prescribed.conditions
+            self.supports.anchored = free_translations(
+                self.comm, self.V, self.joint, conditions, resistances, self.kinematics
+            )
+            self.prescribed = Prescribed(self.supports, self.V)
         if not on_layers:
-            require_support(self.comm, self.V, self.joint, self.supports.held(self.V), resistances)
+            conditions = self.prescribed.conditions
+            require_support(self.comm, self.V, self.joint, conditions, resistances, self.kinematics)
         self.made_from = self._data()
         self._laws_read = self._laws()
 
+    def _lay(self, layer: object, check: Callable[[], Result]) -> Result:
+        """Take the layers of the seams, or none, and return the result of a check of them. Collective."""
+        structure = self.structure
+        with on_all(structure.comm):
+            given = {} if layer is None else layers_of(self.joint, layer)
+            self.layers = {name: SeamLayer(name, one, structure) for name, one in given.items()}
+            checked = check()
+        what = require_same(structure.comm, model=self.name, layer=layer, options=self._options)
+        self.mark = structure.mark + what
+        return checked
+
+    def _given(self, name: str) -> Expr | None:
+        """The strain that is added to that of the displacements in a body: less its eigenstrain; None: there is none."""
+        law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
+        body = Matter(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
+        return given_strain(self.structure.eigenstrains.get(name), body)
+
+    def _alike(self) -> list[list[str]]:
+        """Names of the bodies, those of one law and one eigenstrain together."""
+        found: dict[tuple[int, int], list[str]] = {}
+        for name, law in self.body_laws.items():
+            found.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
+        return [*found.values()]
+
+    def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
+        """Terms of bodies with one law and one eigenstrain: one if they are parts of forms, else one a body, with a key."""
+        law, given = self.kinematics.law(self.body_laws[names[0]]), self.given[names[0]]
+        if not law.traits.compiled:
+            law, some = constants(law, self.domain.mesh), {"": names}
+        else:
+            some = {f"{BODY} {name}": (name,) for name in names}
+        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
+        each = [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
+        return [placed(term, self.V, self.origin) for term in each]
+
+    def _terms_of_layers(self) -> list[forms.Term]:
+        return [placed(term, self.V, self.origin) for term in self._layer_terms()]
+
+    def _supports(self, given: Given) -> Supports:
+        return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
+
     # ---------------------------------------------------------------- differences between kinds of models
+    def _forces(self, structure: Setup) -> Forces:
+        def forms() -> ConcentratedForms:
+            return ConcentratedForms(self.domain, self.joint, structure.degree, self.coordinates)
+
+        given = structure.tractions, structure.body_force, self.coordinates, structure.loads
+        forces = Forces(self.domain, *given, forms, self.kinematics)
+        for name, load in self._layer_loads(structure).items():
+            forces.add_layer(name, load, self._places_of(self.layers[name]))
+        return forces
+
+    def _layer_loads(self, structure: Setup) -> dict[str, Load]:
+        """Name of a seam -> force per volume of its layer."""
+        given = structure.body_force
+        found: dict[str, Load] = {}
+        for name, load in given.items() if isinstance(given, Mapping) else ():
+            if name not in (S, *self.joint.seams):
+                continue
+            for seam in self.joint.seams if name == S else (name,):
+                layer = self.layers.get(seam)
+                if self.name != "bonded" and (layer is None or not layer.thin):
+                    raise ModelError(
+                        f"body force in the layer {seam!r}: it is no layer with a thickness; its weight is not known"
+                    )
+                if layer is not None:
+                    found[seam] = load
+        return found
+
+    @abstractmethod
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        """Where a layer's volume is."""
+
     @property
     def _clamped(self) -> tuple[str, ...]:
         """Names of the facets that a rigid base holds."""
@@ -124,8 +219,6 @@ class Model(ABC):
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require_order_zero()
-            if found := [p.key for p in self.bodies if p.law.traits.compiled]:
-                raise ModelError(f"a mean strain or stress does not reach {found[0]!r}, whose law has memory or rate")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
@@ -147,6 +240,55 @@ class Model(ABC):
     @abstractmethod
     def _layer_terms(self) -> list[forms.Term]:
         """The terms of the layer's law."""
+
+    # ---------------------------------------------------------------- other models of the family
+    def with_loads(
+        self,
+        *,
+        tractions: Mapping[str, Load] | None = None,
+        body_force: BodyForce | None = None,
+        loads: Sequence[Concentrated] | None = None,
+        supports: Given | None = None,
+    ) -> Self:
+        """The same model under other loads; it shares mesh, space, matrices and their factor. Collective.
+
+        Args:
+            tractions, body_force, loads: as in `Structure`; None: those of this model stay.
+            supports: other values at the same places and components; None: those of this model stay.
+
+        Raises:
+            ModelError, GeometryError: as in `Structure`; supports of other places or components.
+        """
+        changed: dict[str, Any] = {"tractions": tractions, "body_force": body_force, "supports": supports}
+        with on_all(self.comm):
+            changed["loads"] = None if loads is None else check_loads(loads)
+        given = {name: value for name, value in changed.items() if value is not None}
+        new = self._derived()
+        new.structure = structure = self.structure.with_loads(given)
+        new.mark = digest([self.mark, structure.mark])
+        with on_all(self.comm):
+            if supports is not None:
+                new.supports = self._supports(supports)
+                new.supports.anchored = self.supports.anchored
+                new.prescribed = Prescribed(new.supports, self.V)
+                places = [
+                    [(place, sorted(given)) for place, given in one.entries] for one in (self.supports, new.supports)
+                ]
+                if places[0] != places[1]:
+                    raise ModelError(
+                        f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
+                    )
+            new.forces = new._forces(structure)
+        new.made_from = new._data()
+        return new
+
+    def _derived(self) -> Self:
+        """A copy that shares all that this model has."""
+        new = copy.copy(self)
+        for name in ("linear", "symmetric"):
+            vars(new).pop(name, None)
+        self.family.several = True
+        return new
 
     # ---------------------------------------------------------------- spaces
     @cached_property
@@ -182,21 +324,12 @@ class Model(ABC):
         return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act
-    def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
-        """The terms of bodies with one law: one if it is a part of forms, else one for each body, with a key of its own."""
-        law = in_plane(self.body_laws[names[0]], self.plane)
-        if not law.traits.compiled:
-            cells = self.dx(self.domain.cell_values(*names), **self._rule)
-            return [placed(forms.body(constants(law, self.domain.mesh), cells), self.V, self.origin)]
-        each = {f"{BODY} {name}": self.dx(self.domain.cell_values(name), **self._rule) for name in names}
-        return [placed(replace(forms.body(law, one), key=key), self.V, self.origin) for key, one in each.items()]
-
     @property
     def _rule(self) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
-        if not is_tensor(self.joint.cell_type):
+        if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
 
     @property
     def terms(self) -> list[forms.Term]:
@@ -227,6 +360,13 @@ class Model(ABC):
         }
 
     @property
+    def holders(self) -> list[Place]:
+        """What holds it, as rows of `Configuration.reactions`: supports, clamped facets, plates, bases below layers."""
+        based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
+        plates = [part.place for part in self.parts if part.ties_nodes]
+        return [*(place for place, _ in self.supports.entries), *plates, *based]
+
+    @property
     def bodies_remember(self) -> bool:
         """Whether the law of a body depends on its history, and may dissipate energy."""
         return any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
@@ -247,6 +387,11 @@ class Model(ABC):
         """Whether all laws and all additions have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
+
+    @property
+    def substituted(self) -> bool:
+        """Whether solvers have other unknowns than displacements: supports are inclined, or parts of the boundary rigid."""
+        return self.prescribed.frames is not None or any(part.ties_nodes for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:
@@ -285,6 +430,7 @@ class Model(ABC):
             "parts": described(list(self.parts)),
             **({"strain": described(self.structure.strain)} if self.strain else {}),
             **({"stress": described(self.structure.stress)} if self.stress else {}),
+            **({"eigenstrains": described(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
 
     def _laws(self) -> dict[str, Any]:

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 from dolfinx import fem
 from mpi4py import MPI
 
+from forms.planes import Kinematics
+from forms.work import LIFTED
 from geometry.joint import Joint
 from thinlayer.discretisation.loads import AXES
 from thinlayer.errors import ModelError
@@ -18,7 +21,7 @@ Resistance = Callable[[Sequence[fem.Function]], npt.NDArray[np.float64]]
 SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
 
 
-def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]:
+def rigid_motions(V: fem.FunctionSpace, joint: Joint, kinematics: Kinematics = LIFTED) -> dict[str, fem.Function]:
     """Rigid motions of the whole structure by name: translations, then rotations about its centre, scaled to its size.
 
     In periodic joints a rotation is one only if it does not move one side against the other: about the one period in 3D.
@@ -26,7 +29,7 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]
     d = joint.dim
     centre, size = joint.points.mean(axis=0), np.ptp(joint.points, axis=0).max()
     rows: dict[str, Any] = {}
-    for i in range(d):
+    for i in kinematics.translations(d):
         rows[f"translation {AXES[i]}"] = lambda x, i=i: np.array([np.full(x.shape[1], float(k == i)) for k in range(d)])
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
@@ -34,7 +37,7 @@ def rigid_motions(V: fem.FunctionSpace, joint: Joint) -> dict[str, fem.Function]
             axis = vectors[0] / np.linalg.norm(vectors[0])
             name = f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"
             rows[name] = lambda x: np.cross(axis, (x.T - centre) / size).T
-    for i in () if joint.periods else range(d):
+    for i in () if joint.periods or not kinematics.turns else range(d):
         for j in range(i + 1, d):
             rows[f"rotation {AXES[i]}{AXES[j]}"] = lambda x, i=i, j=j: _rotation(x, i, j, centre, size)
     motions, places = {}, _places(V)
@@ -68,12 +71,12 @@ def _resisted(
     comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     motions: list[fem.Function],
-    held: npt.NDArray[np.int32],
+    conditions: scipy.sparse.csr_matrix,
     resistances: Sequence[Resistance],
 ) -> npt.NDArray[np.float64]:
     """Gram matrix (m, m) of motions at supports, and the work of parts against them, scaled. Collective."""
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    rows = np.array([f.x.array[held[held < owned]] for f in motions])
+    rows = np.array([conditions @ f.x.array[:owned] for f in motions])
     resisted = comm.allreduce(rows @ rows.T)
     for resistance in resistances:
         work = resistance(motions)
@@ -87,33 +90,34 @@ def free_translations(
     comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     joint: Joint,
-    held: npt.NDArray[np.int32],
+    conditions: scipy.sparse.csr_matrix,
     resistances: Sequence[Resistance],
+    kinematics: Kinematics = LIFTED,
 ) -> tuple[str, ...]:
     """The axes along which nothing prevents a translation. Collective. Arguments as in `require_support`."""
-    motions = [*rigid_motions(V, joint).values()][: joint.dim]
-    resisted = np.diag(_resisted(comm, V, motions, held, resistances))
-    return tuple(
-        axis for axis, much in zip(AXES, resisted, strict=False) if much <= SMALLEST * max(resisted.max(), 1.0)
-    )
+    axes = [AXES[i] for i in kinematics.translations(joint.dim)]
+    motions = [*rigid_motions(V, joint, kinematics).values()][: len(axes)]
+    resisted = np.diag(_resisted(comm, V, motions, conditions, resistances))
+    return tuple(axis for axis, much in zip(axes, resisted, strict=True) if much <= SMALLEST * max(resisted.max(), 1.0))
 
 
 def require_support(
     comm: MPI.Intracomm,
     V: fem.FunctionSpace,
     joint: Joint,
-    held: npt.NDArray[np.int32],
+    conditions: scipy.sparse.csr_matrix,
     resistances: Sequence[Resistance],
+    kinematics: Kinematics = LIFTED,
 ) -> None:
-    """Raise ModelError if a rigid motion moves no held degree of freedom and nothing else resists it. Collective.
+    """Raise ModelError if supports allow a rigid motion and nothing else resists it. Collective.
 
     Args:
-        comm, V, joint: attributes of the model.
-        held: local degrees of freedom that supports prescribe.
+        comm, V, joint, kinematics: attributes of the model.
+        conditions: (n, k) conditions of supports on the displacements of this rank.
         resistances: functions of the m rigid motions, see `Addition.resistance`.
     """
-    motions = rigid_motions(V, joint)
-    resisted = _resisted(comm, V, [*motions.values()], held, resistances)
+    motions = rigid_motions(V, joint, kinematics)
+    resisted = _resisted(comm, V, [*motions.values()], conditions, resistances)
     values, vectors = np.linalg.eigh(resisted)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = list(motions)[int(np.argmax(np.abs(vectors[:, 0])))]

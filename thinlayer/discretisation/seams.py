@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.contact import ContactLaw
+from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.errors import place
@@ -17,7 +18,10 @@ from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
+from thinlayer.discretisation.axis import is_across
+from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.layer import CONTACT, LAYER, LawOnS, Layer, ThinLayer, real_law
+from thinlayer.discretisation.loads import Coordinates
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -85,7 +89,15 @@ class SeamLayer:
     @cached_property
     def at_rest(self) -> AtRest:
         """The law at rest, of a layer without contact; its parameters are numbers (`samples`)."""
-        return AtRest(real_law(self.layer, self.structure.plane), self.sheet.mean_normal)
+        return AtRest(real_law(self.layer, self.structure.kinematics), self.sheet.mean_normal)
+
+    def given(self, at: Coordinates) -> Expr | None:
+        """The strain (3, 3) that is added to that of the displacements: less the eigenstrain; None: there is none."""
+        if self.thin is None:
+            return None
+        kinematics = self.structure.kinematics
+        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics, at)
+        return given_strain(self.thin.eigenstrain, matter)
 
     def check(self) -> None:
         """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable."""
@@ -101,6 +113,8 @@ class SeamLayer:
         if self.thin:
             if self.thin.order == 1:
                 self._check_order_1()
+            if self.thin.law.traits.constrained and self.thin.eigenstrain is not None:
+                raise ModelError(f"{type(self.thin.law).__name__} keeps its volume; {self} takes no eigenstrain")
             if self.thin.law.traits.constrained and element not in ("P2", "Q2"):
                 raise ModelError(
                     f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"
@@ -117,6 +131,11 @@ class SeamLayer:
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
         if not self.sheet.planar:
             raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
+        if not is_across(self.structure.kinematics, self.sheet.mean_normal[None]):
+            raise ModelError(
+                "order=1 needs an S across the axis of revolution, its normal along y: that of a tube is curved, and the "
+                "law leaves out the curvature's part of the next term"
+            )
         if self.sheet.tip is not None:
             raise ModelError(
                 f"order=1 needs an S that does not end inside the bodies, and {self} ends at {place(self.sheet.tip)}: its "
@@ -141,13 +160,14 @@ class SeamLayer:
     def zero_tractions(self, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
         """Which tractions are zero because supports of both bodies hold the jump at zero, see `AtRest.zero_tractions`.
 
-        All are False for contact laws, for order 1, whose tractions also depend on gradients along S, and where parameters
-        are functions.
+        All are False for contact laws, for layers with an eigenstrain, for order 1, whose tractions also depend on
+        gradients along S, and where parameters are functions.
 
         Args:
             moving: whether supports move in time.
         """
-        if self.contact or (self.thin and (self.thin.order or self.thin.law.fields)):
+        thin = self.thin
+        if self.contact or (thin and (thin.order or thin.eigenstrain is not None or thin.law.fields)):
             return np.zeros(self.structure.joint.dim, bool), False
         return self.at_rest.zero_tractions(self.sheet.planar, moving)
 
@@ -159,6 +179,7 @@ class SeamLayer:
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
             "profile": None if shape is None else described(shape),
+            **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
 
 

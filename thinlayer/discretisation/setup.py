@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
 
 from forms.law import BulkLaw, Law, explained
+from forms.planes import PLANES, Kinematics
 from forms.tangent import Array, is_checked_at_rest, needs_director, require_stable_body, tangent_at_rest
 from geometry.errors import unknown
 from geometry.joint import Joint
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.axis import require_revolution
+from thinlayer.discretisation.eigenstrains import Given as Eigenstrain
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.layer import in_plane
-from thinlayer.discretisation.loads import Given, Load
+from thinlayer.discretisation.loads import Load, Pressure
 from thinlayer.discretisation.mean_strain import Strain
+from thinlayer.discretisation.point_loads import Concentrated, check_loads
+from thinlayer.discretisation.supports import Given
 from thinlayer.errors import ModelError
+from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
-PLANES = ("strain", "stress")
+Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]
 
 
 class Setup:
@@ -32,10 +38,11 @@ class Setup:
 
     Attributes:
         joint: the joint before inflating.
-        plane: "strain" or "stress".
+        plane: "strain", "stress" or "axisymmetric".
         element: the finite element of displacements.
         body_laws: law of each body.
-        supports, tractions, body_force, parts, strain, stress: as given.
+        supports, tractions, body_force, loads, parts, strain, stress: as given.
+        eigenstrains: eigenstrain of each body that has one, as given.
         comm: MPI communicator; None stands for the world.
         mark: hash of the data, equal on all ranks.
     """
@@ -46,13 +53,15 @@ class Setup:
         *,
         body: BulkLaw | Mapping[str, BulkLaw],
         supports: Given,
-        tractions: Mapping[str, Load] | None = None,
+        tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
+        loads: Sequence[Concentrated] = (),
         plane: str = "strain",
         element: str | None = None,
         parts: Sequence[Addition] = (),
         strain: Strain | None = None,
         stress: Strain | None = None,
+        eigenstrain: Eigenstrains | None = None,
         comm: MPI.Intracomm | None = None,
     ) -> None:
         self.joint, self.plane, self.comm = joint, plane, comm
@@ -60,19 +69,36 @@ class Setup:
         self.parts, self.strain, self.stress = tuple(parts), strain, stress
         with on_all(comm):
             self.element = element or ("Q2" if is_tensor(joint.cell_type) else "P2")
+            self.loads = check_loads(loads)
             self._check_choices()
             self.body_laws = self._laws_of(body)
+            self.eigenstrains = self._by_body(eigenstrain)
             for law, C in zip(self._bodies_with_numbers, self.bodies_at_rest, strict=True):
-                require_stable_body(law, C, joint.dim)
+                require_stable_body(law, C, self.kinematics.slots(joint.dim))
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
-            plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
+            loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
+            eigenstrain=eigenstrain,
         )  # fmt: skip
+
+    def with_loads(self, loads: Mapping[str, Any]) -> Self:
+        """The same data with other loads, unchecked: argument -> value. Collective."""
+        new = copy.copy(self)
+        for name, value in loads.items():
+            setattr(new, name, value)
+        given = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
+        new.mark = digest([self.mark, require_same(self.comm, **given)])
+        return new
 
     @property
     def degree(self) -> int:
         """Polynomial degree of the displacements."""
         return int(self.element[1])
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Strains of displacements, without a mesh."""
+        return PLANES[self.plane]
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -83,7 +109,7 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        laws = [in_plane(law, self.plane) for law in self._bodies_with_numbers]
+        laws = [self.kinematics.law(law) for law in self._bodies_with_numbers]
         return [tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n) for law in laws]
 
     @cached_property
@@ -104,8 +130,13 @@ class Setup:
         joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
         if self.plane not in PLANES:
             raise ModelError(unknown("plane", self.plane, PLANES))
-        if self.plane == "stress" and joint.dim == 3:
-            raise ModelError("plane='stress' needs a two-dimensional joint")
+        if joint.dim == 3 and self.plane != "strain":
+            raise ModelError(f"plane={self.plane!r} needs a two-dimensional joint")
+        require_revolution(self.kinematics, joint)
+        if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
+            raise ModelError(
+                f"plane={self.plane!r}: a mean strain or stress is for periodic cells in plane strain, plane stress or 3D"
+            )
         if self.element not in elements:
             raise ModelError(
                 f"element {self.element!r} does not exist on {joint.cell_type} cells; allowed: {', '.join(elements)}"
@@ -124,6 +155,15 @@ class Setup:
                 raise ModelError(f"body {name!r} has no law; give body=law or body={{{name!r}: law, ...}}")
             require_body_law(name, law)
         return {name: laws[name] for name in regions}
+
+    def _by_body(self, given: Eigenstrains | None) -> dict[str, Any]:
+        """The eigenstrain of each body that has one, in the same order on all ranks."""
+        regions = self.joint.bodies
+        each = dict(given) if isinstance(given, Mapping) else dict.fromkeys(regions, given)
+        for name in each:
+            if name not in regions:
+                raise ModelError(f"eigenstrain: {unknown('body', name, regions)}")
+        return {name: each[name] for name in regions if each.get(name) is not None}
 
 
 def require_body_law(name: str, law: Law) -> None:

@@ -14,12 +14,15 @@ from dolfinx import fem
 
 from forms.kinematics import Expr, lift
 from forms.work import Term, energy
+from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, LAYER
 from thinlayer.discretisation.loads import has_finite_numbers
-from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS, MeanStrain
+from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
 from thinlayer.discretisation.stresses import stressed
+from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import carry
 
@@ -88,6 +91,9 @@ class Configuration:
             "layer BED/1", "contact BED".
         fields: unknowns beside the displacements, by the key of their part.
         stored: energy at the end of the step in the parts that are not forms of laws, by key.
+        at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
+        reactions: (n, k) forces and moments about `Model.centre` by what holds the structure, in the order of
+            `Model.holders`; None: not known.
         stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, m): the Mandel
             components that strains have here.
     """
@@ -97,6 +103,8 @@ class Configuration:
     memory: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     fields: Mapping[str, fem.Function] = field(default_factory=dict)
     stored: Mapping[str, float] = field(default_factory=dict)
+    at_rest: bool = False
+    reactions: npt.NDArray[np.float64] | None = None
     stresses: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
 
 
@@ -156,19 +164,51 @@ class State(Configuration):
         the loads (Clapeyron). NaN where a law declares no energy. Collective.
         """
         model = self.model
-        added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts}
+        added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts if not one.ties_nodes}
         of_bodies = {p.key: self.stored[p.key] for p in model.bodies if p.key in self.stored}
         of_layers = {key: energy for key, energy in self.stored.items() if key not in {*added, *of_bodies}}
-        for key in {p.key: None for p in model.layer_terms}:
-            in_forms = [p for p in model.layer_terms if p.key == key and not p.law.traits.compiled]
+        layers = self.layers
+        for key in {p.key: None for p in layers}:
+            in_forms = [p for p in layers if p.key == key and not p.law.traits.compiled]
             of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
+        given = sum(part.load_work(model, self) for part in model.parts)
         return {
             BODIES: self._stored([p for p in self.bodies if not p.law.traits.compiled]) + sum(of_bodies.values()),
             LAYER: sum(of_layers.values()),
             **{f"{LAYER} {name}": energy for name, energy in model.by_seam(of_layers).items()},
             **added,
-            "loads": self.integral(model.external_work(self.u, self.t)),
+            "loads": self.integral(model.external_work(self.u, self.t)) + given,
         }
+
+    def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
+        """What a place gives to the structure: its supports and springs, or the rigid base below a layer. Collective.
+
+        The layer's share is included where the layer ends at the place: a support continues over its side. A displacement
+        that several supports prescribe has its force shared equally among them. The reactions of all places and the loads
+        (`applied`) add up to zero.
+
+        Args:
+            place: as in `supports`: NAME, which includes supports of its parts NAME/REGION and NAME/LAYER, one of these, or
+                a vertex; the name of a seam on a rigid base, or "S" for all of them.
+            about: the point (d,) of the moment, in the coordinates of the model's mesh; by default the centroid of the
+                place.
+
+        Raises:
+            ModelError: nothing holds this place: it is free.
+        """
+        return reaction_of(self, place, about)
+
+    def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
+        """Reaction of each place that holds the structure, their moments about one point (default: `Model.centre`)."""
+        return all_reactions(self, about)
+
+    def applied(self, about: Sequence[float] | None = None) -> Resultant:
+        """Resultant of all loads at the time of the state. Collective.
+
+        Args:
+            about: the point (d,) of the moment; by default `Model.centre`.
+        """
+        return applied_to(self, about)
 
     def mean_strain(self) -> npt.NDArray[np.float64]:
         """Mean strain (d, d) of a periodic cell, prescribed or found under a mean stress; else zero. Collective."""
@@ -185,11 +225,15 @@ class State(Configuration):
 
     @property
     def bodies(self) -> list[Term]:
-        """The terms of the bodies' laws, with the mean strain of a periodic cell. Collective."""
+        """The terms of the bodies' laws, with the strains that are given or found beside those of u. Collective."""
         model = self.model
-        if not (model.strain or model.stress):
-            return model.bodies
-        return MeanStrain.added(model.bodies, fem.Constant(model.domain.mesh, self.mean_strain()))
+        terms = at_time(model.bodies, self.t)
+        return added(terms, lift(fem.Constant(model.domain.mesh, self.mean_strain()))) if model.stress else terms
+
+    @property
+    def layers(self) -> list[Term]:
+        """The terms of the layers' laws, with the strains that are given beside those of u."""
+        return at_time(self.model.layer_terms, self.t)
 
     def stress(self, term: Term) -> Expr:
         """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
@@ -216,7 +260,7 @@ class State(Configuration):
         chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
         terms = self.bodies
         part = compiled(sum(ufl.inner(s, lift(chosen)) * p.weight * measure for p, s, measure in self._stressed(terms)))
-        volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.measure for p in terms))
+        volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
         out = np.zeros((d, d))
         for i, j in zip(*np.triu_indices(d), strict=True):
             chosen.value[:] = 0.0

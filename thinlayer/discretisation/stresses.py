@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,6 @@ from thinlayer.discretisation.places import quadratures
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
-SLOTS = {3: (0, 1, 3), 4: (0, 1, 2, 3), 6: tuple(range(6))}  # number of components -> their places in Mandel's order
 
 
 def stressed(
@@ -40,12 +39,11 @@ def stressed(
         if p.measure.integral_type() != "cell":
             raise ModelError(f"the stress of {type(p.law).__name__} on S is not kept as a field; see Surface.traction")
         key, points = next((key, one) for key, one in quadratures(model).items() if one.term.measure is p.measure)
-        values = stresses.get(key, np.zeros((points.count, 3 if points.dim == 2 else 6)))
-        yield p, _tensor(points.function(values)), points.measure
+        values = stresses.get(key, np.zeros((points.count, len(points.slots))))
+        yield p, _tensor(points.function(values), points.slots), points.measure
 
 
-def _tensor(f: Expr) -> Expr:
-    """The tensor (3, 3) of some of its Mandel components."""
-    m = f.ufl_shape[0]
-    place = {slot: f[k] for k, slot in enumerate(SLOTS[m])}
+def _tensor(f: Expr, slots: Sequence[int]) -> Expr:
+    """The tensor (3, 3) of its Mandel components in some slots."""
+    place = {slot: f[k] for k, slot in enumerate(slots)}
     return from_mandel(ufl.as_vector([place.get(slot, 0) for slot in range(len(MANDEL))]))

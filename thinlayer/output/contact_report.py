@@ -61,6 +61,7 @@ class ContactReport:
         seam: name of the seam.
         numbers: (n,) vertices of the joint; where bodies branch there is a node for each pair of bodies at a vertex,
             in periodic cells one of those that are identified.
+        pairs: (n,) number of the pair of bodies of each node (`pair_numbers`).
         x: (n, d) places.
         status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
         u_T: (n, d - 1) tangential jump in the frame of S (`Surface.frame`).
@@ -68,6 +69,7 @@ class ContactReport:
         p: (n,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
         t_T: (n, d - 1) tangential traction on the lower side; that on the upper side is opposite.
         threshold: (n,) largest |t_T| at this pressure.
+        slip: (n, d - 1) slip that the law remembers; zero for laws without memory.
         weights: (n,) area of S around each node.
         frames: (n, d, d), rows are the tangential axes and the normal of S.
         facets: (m, k) positions among the nodes of the corners of each facet of the seam, in the order of the facet's own
@@ -116,13 +118,14 @@ class ContactReport:
             t[:, :-1],
             threshold,
             nodes.weights,
+            slip,
             axes,
         ]
         rows: Array = np.concatenate(model.comm.allgather(np.column_stack(columns)))
         of_pairs = rows[:, 0].astype(np.int64)
         order = order_on_s(model.joint, of_pairs, rows[:, 2 : 2 + d], seam, facets)
-        x, kinds, held_rows, jumps, pressure, friction, bound, weights, frames = np.split(
-            rows[order, 2:], np.cumsum([d, 1, 1, d, 1, d - 1, 1, 1]), axis=1
+        x, kinds, held_rows, jumps, pressure, friction, bound, weights, slips, frames = np.split(
+            rows[order, 2:], np.cumsum([d, 1, 1, d, 1, d - 1, 1, 1, d - 1]), axis=1
         )
         names = np.array([NAMES[Status(int(k))] for k in kinds.ravel()], dtype="<U9")
         names[held_rows.ravel() > 0] = PINNED
@@ -134,6 +137,7 @@ class ContactReport:
         self.facets = place[at][(of_pairs[order][place][at] == facets).all(axis=1)]
         self.u_T, self.u_N, self.p, self.t_T = jumps[:, :-1], -jumps[:, -1], pressure.ravel(), friction
         self.threshold, self.weights, self.frames = bound.ravel(), weights.ravel(), frames.reshape(-1, d, d)
+        self.pairs, self.slip = of_pairs[order], slips
         force = -model.comm.allreduce(np.einsum("n,nki,nk->i", nodes.weights, nodes.frames, t))
         self.force: Array = np.asarray(force)
         self.equilibrium, self.clapeyron = _balance(state, held[held < owned])
@@ -233,7 +237,7 @@ def _balance(state: State, held: npt.NDArray[np.int32]) -> tuple[float, float]:
         return math.nan, math.nan
     v = ufl.TestFunction(model.V)
     stresses, loads = (
-        nodal_forces(model.V, state.work(state.bodies + model.layer_terms, v) + model.added_work(state.u, v)),
+        nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work(state.u, v)),
         nodal_forces(model.V, model.external_work(v, state.t)),
     )
     inner, outer = stresses.x.petsc_vec, loads.x.petsc_vec

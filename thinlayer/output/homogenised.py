@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.mean_strain import PAIRS, MeanStrain
+from thinlayer.discretisation.given import added
+from thinlayer.discretisation.loads import Coordinates, piecewise
+from thinlayer.discretisation.mean_strain import PAIRS, MeanStrain, Strain
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError, SolveError
 from thinlayer.parallel.agreement import on_all
@@ -23,8 +28,8 @@ def homogenised_stiffness(model: Model) -> Array:
     """Mean stresses of a periodic cell over mean strains, by one factor and a solve for each mean strain. Collective.
 
     Args:
-        model: an interface or bonded model of a periodic joint, with linear laws without eigenstrains and supports that do
-            not move. Its loads and its own mean strain play no part.
+        model: an interface or bonded model of a periodic joint, with linear laws and supports that do not move. Its loads,
+            eigenstrains and its own mean strain play no part.
 
     Returns:
         (k, k) stress, in the order of `Anisotropic`: 11, 22, 12 in 2D (k = 3), 11, 22, 33, 23, 13, 12 in 3D (k = 6). A
@@ -32,20 +37,24 @@ def homogenised_stiffness(model: Model) -> Array:
         sides are free, rows and columns of directions without a period vanish.
 
     Raises:
-        ModelError: the joint is not periodic; a law is not linear or has an eigenstrain; a layer is of order 1; supports
-            that move.
+        ModelError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order 1;
+            supports that move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
     """
     with on_all(model.comm):
         _check(model)
     strained = copy(model)
-    strained.strain = units = UnitStrains(model)
-    strained.stress = None
-    strained.forces = Forces(model.domain, None, None, model.coordinates)
+    strained.family = Family()  # what the model's family keeps has its strains
+    strained.coordinates = at = Coordinates.of(model.domain)
+    strained.strain, strained.stress = MeanStrain(_unit_strains(model.joint.dim), at, model.joint), None
+    bodies, strained.layer_terms = (
+        [replace(p, given=None) for p in some] for some in (model.bodies, model.layer_terms)
+    )
+    strained.bodies = added(bodies, strained.strain.expression)
+    strained.forces = Forces(model.domain, None, None, at, kinematics=model.kinematics)
     with Solver(strained) as solver:
-        columns = [
-            _components(solver.step(solver.rest(t), t).mean_stress()) for t in map(float, range(len(units.basis)))
-        ]
+        times = map(float, range(len(PAIRS[model.joint.dim])))
+        columns = [_components(solver.step(solver.rest(t), t).mean_stress()) for t in times]
     found = np.column_stack(columns)
     apart, size = float(np.abs(found - found.T).max()), float(np.abs(found).max())
     stiffest = max(np.abs(C).max() for C in model.structure.bodies_at_rest if C is not None)
@@ -77,21 +86,15 @@ def _components(stress: Array) -> Array:
     return np.array([stress[pair] for pair in PAIRS[len(stress)]])
 
 
-class UnitStrains(MeanStrain):
-    """The mean strain number t of those that are a basis of all, at t = 0, 1, 2, ...
+def _unit_strains(d: int) -> Strain:
+    """The mean strain number t of those that are a basis of all, at t = 0, 1, 2, ..."""
+    basis = np.zeros((len(PAIRS[d]), d, d))
+    for strain, (i, j) in zip(basis, PAIRS[d], strict=True):
+        strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5
+    table = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(basis)})
 
-    Attributes:
-        basis: (k, d, d) strains.
-    """
+    def at(x: Any, t: Any) -> list[list[Any]]:
+        values = table(x, t)
+        return [[values[d * i + j] for j in range(d)] for i in range(d)]
 
-    def __init__(self, model: Model) -> None:
-        d = model.joint.dim
-        pairs = PAIRS[d]
-        self.basis = np.zeros((len(pairs), d, d))
-        for strain, (i, j) in zip(self.basis, pairs, strict=True):
-            strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5
-        super().__init__(self.basis[0], model.coordinates, model.joint)
-
-    def at(self, t: float) -> Array:
-        """The strain number t."""
-        return np.asarray(self.basis[round(t)])
+    return at

@@ -19,6 +19,7 @@ from forms.law import explained
 from forms.work import Term
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
 from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, transfer
@@ -92,9 +93,10 @@ class JunctionTractions:
 
     # ---------------------------------------------------------------- forms on all seams
     def _over_seams(self, integrand: Any, **metadata: object) -> Any:
-        """Integral over all seams of a function of their sides."""
+        """Integral over all seams of a function of their sides, with the factor of measures but at single points."""
+        factor = 1 if metadata else self.model.kinematics.factor
         measures = {name: sides.measure(metadata=metadata) for name, sides in self._sides.items()}
-        return reduce(add, (integrand(sides) * measures[name] for name, sides in self._sides.items()))
+        return reduce(add, (integrand(sides) * factor * measures[name] for name, sides in self._sides.items()))
 
     def _at_vertices(self, integrand: Any) -> Array:
         """Integral over all seams of a function of their sides, by the quadrature rule whose points are vertices."""
@@ -153,9 +155,9 @@ class JunctionTractions:
 
         def stress(term: Term) -> Expr:
             with explained(term.law, "stress"):
-                return term.weight * ufl.dot(term.law.stress(term.step(u)), lift(sides.n))
+                return ufl.dot(term.law.stress(term.step(u)), lift(sides.n))
 
-        total = reduce(add, map(stress, terms)) / reduce(add, (term.weight for term in terms))
+        total = reduce(add, map(stress, terms)) / len(terms)  # points through the thickness have equal weights
         by_law = ufl.as_vector([total[k] for k in range(len(sides.n))])
         rule = {"quadrature_rule": "vertex", "quadrature_degree": 1}
         form = ufl.inner(by_law, sides.upper(ufl.TestFunction(self.pairs.space))) * sides.measure(metadata=rule)
@@ -269,6 +271,6 @@ class JunctionTractions:
 
 def _is_told(layer: SeamLayer) -> bool:
     """Whether the jump alone tells the traction of a law without contact, by an expression."""
-    traits = layer.law.traits
+    traits = real_law(layer.layer, layer.structure.kinematics).traits
     hidden = traits.compiled or traits.remembers or traits.rate or traits.constrained or traits.varies
     return traits.in_ufl and not hidden

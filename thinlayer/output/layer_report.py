@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from forms.kinematics import MANDEL, ROOT2
+from forms.kinematics import MANDEL
 from geometry.errors import unknown
 from geometry.seam import S
 from geometry.topology import IntArray
@@ -18,6 +18,8 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
+from thinlayer.output.law_points import tensors
+from thinlayer.parts.given_at_points import GivenAtPoints
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.kernels import memory_slots
 
@@ -129,11 +131,11 @@ class LayerReport:
                 continue
             points = CompiledTerm(model.V, term, model.origin)
             points.at_time(state.t)
-            e, memory = points.strain(state.u.x.petsc_vec), state.memory[key]
+            e, memory = points.strain(state.u.x.petsc_vec) + GivenAtPoints(points)(state.t), state.memory[key]
             stress = points.respond(e, e, memory, 0.0, 1.0).stress  # nothing changes at these strains
             parts = [fraction * memory[:, k : k + len(MANDEL)] for fraction, _, k in slots]
-            strains, stresses = _tensors(e, points.slots), _tensors(stress, points.slots)
-            found = self._at_points(points.n, strains, stresses, _tensors(np.sum(parts, axis=0)))
+            strains, stresses = tensors(e, points.slots), tensors(stress, points.slots)
+            found = self._at_points(points.n, strains, stresses, tensors(np.sum(parts, axis=0)))
             shares = np.array([points.columns.sum_of(points.weights * (found == status)) for status in STATUSES])
             points.destroy()
             return shares
@@ -151,12 +153,3 @@ class LayerReport:
         free = (opening > 0) & (np.abs(t_N) <= ROUNDING * self._largest(t))
         kinds = [(free, OPEN), (still, ELASTIC), (slip >= np.abs(closed), SLIDING), (closed > 0, CRUSHED)]
         return np.select([where for where, _ in kinds], [kind for _, kind in kinds], TORN)
-
-
-def _tensors(values: Array, slots: list[int] | None = None) -> Array:
-    """Symmetric tensors (points, 3, 3) from Mandel's components in these slots; the others are zero."""
-    out = np.zeros((len(values), 3, 3))
-    for column, slot in enumerate(range(len(MANDEL)) if slots is None else slots):
-        i, j = MANDEL[slot]
-        out[:, i, j] = out[:, j, i] = values[:, column] / (1 if i == j else ROOT2)
-    return out

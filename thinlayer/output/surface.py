@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -20,14 +20,17 @@ from forms.work import Interface
 from geometry.errors import unknown
 from geometry.order import order_on_s
 from geometry.seam import S
+from geometry.topology import IntArray
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
 from thinlayer.output.junction_tractions import JunctionTractions
+from thinlayer.output.lines import Line, Plane, cut_segments, seam_segments
 from thinlayer.output.surface_mass import SurfaceMass, contact_forces, nodal_forces, reaction
 
+Array = npt.NDArray[np.float64]
 NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
 
 
@@ -92,7 +95,7 @@ class Surface:
     def _compiled(self, f: Expr, make: Callable[[Any], Any]) -> Any:
         """Result of `make` for the integral over S of a scalar expression."""
         try:
-            return make(f * self.sides.measure)
+            return make(f * self._factor * self.sides.measure)
         except ValueError as error:  # UFL's
             raise ModelError(f"an expression cannot be integrated over S: {error}") from error
 
@@ -100,6 +103,11 @@ class Surface:
     def sides(self) -> Interface:
         """The two sides of S, or of the seam."""
         return self.model.sides_of(self.seam)
+
+    @property
+    def _factor(self) -> Any:
+        """Factor of the measure of S."""
+        return self.model.kinematics.factor
 
     @property
     def _on_base(self) -> bool:
@@ -191,6 +199,8 @@ class Surface:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[unknown] = by_law.x.array[unknown]
         zero = self._zero_tractions(unknown & ~self._jumps(u))
+        axis = self.model.supports.axis(self.trace_space)
+        zero[axis] = unknown[axis]
         if not state.model.contact and self.model.comm.allreduce(int((unknown & ~zero).any())):
             self._mass.extrapolate(r, unknown, unknown & ~zero)
         t = self._mass.divide_by_areas(r) if self.model.contact else self._mass.divide(r, zero)
@@ -227,6 +237,54 @@ class Surface:
         Args:
             f: vector expression on S, values (n, d), or a scalar one, values (n,).
         """
+        numbers, x, values = self._at_nodes(f)
+        of_facets = self.model.pairs.of_facets if self.model.pairs else None
+        order = order_on_s(self.model.joint, numbers, x, self.seam, of_facets)
+        return x[order], values[order]
+
+    def along(self, f: Expr, *, plane: Plane | None = None) -> list[Line]:
+        """Values of an expression, projected to degree 1, along the lines of S, by arc length. Collective.
+
+        In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is where a
+        plane cuts a seam. Lines are ordered by seam, then by the place at which they start, the lower one of their ends by
+        the first coordinate, then by the next ones; a closed line starts at its lowest place and goes towards the lower of
+        its neighbours. Where another seam meets a line and values jump, there are two rows of one s.
+
+        Args:
+            f: vector expression on S, values (n, d), or a scalar one, values (n,).
+            plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)).
+
+        Raises:
+            ModelError: a plane in 2D, none in 3D, one that does not cut S; expressions that are none on S.
+        """
+        joint = self.model.joint
+        if (plane is None) != (joint.dim == 2):
+            hint = (
+                "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
+            )
+            raise ModelError(f"plane is {plane!r}; {hint}")
+        numbers, _, values = self._at_nodes(f)
+        order = np.argsort(numbers)
+        found: list[Line] = []
+        for name in self._seams:
+            rows = joint.rows_of(name)
+            at = np.searchsorted(joint.surface_rows, rows)
+            here = self.model.pairs.of_facets[at] if self.model.pairs else joint.masters[joint.table.vertices[rows]]
+            at_nodes = order[np.minimum(np.searchsorted(numbers[order], here), len(order) - 1)]
+            assert (numbers[at_nodes] == here).all(), "all vertices of S are nodes"
+            nodal = values[at_nodes].reshape(*here.shape, -1)
+            cut = seam_segments(joint, rows, nodal) if plane is None else cut_segments(joint, rows, nodal, plane)
+            lines = cut.lines(name, float(np.ptp(joint.points, axis=0).max()))
+            found += [replace(one, values=one.values if values.ndim == 2 else one.values[:, 0]) for one in lines]
+        if not found:
+            raise ModelError(f"the plane {plane!r} does not cut S")
+        return found
+
+    def _at_nodes(self, f: Expr) -> tuple[IntArray, Array, Array]:
+        """Numbers, places (n, d) and values of an expression's projection at the nodes of all ranks. Collective.
+
+        Numbers are those of vertices, or of pairs of bodies at vertices (`Pairs`).
+        """
         V, d, pairs = self._nodal_space, self.model.joint.dim, self.model.pairs
         f = self._expression(f, (d,), ())
         at = np.flatnonzero(self._upper_nodes[: V.dofmap.index_map.size_local])
@@ -235,10 +293,8 @@ class Surface:
         numbers = pairs.numbers[at] if pairs else vertices
         rows = np.column_stack([numbers, self.model.domain.joint.points[vertices], values[at]])
         rows = np.concatenate(self.model.comm.allgather(rows))
-        x = rows[:, 1 : 1 + d]
-        of_facets = pairs.of_facets if pairs else None
-        order = order_on_s(self.model.joint, rows[:, 0].astype(np.int64), x, self.seam, of_facets)
-        return x[order], rows[order, 1 + d :] if f.ufl_shape else rows[order, 1 + d]
+        found = rows[:, 1 + d :] if f.ufl_shape else rows[:, 1 + d]
+        return rows[:, 0].astype(np.int64), rows[:, 1 : 1 + d], found
 
     @cached_property
     def _vertices(self) -> npt.NDArray[np.int64]:
@@ -341,7 +397,7 @@ class Surface:
 
     def _mass_of(self, V: fem.FunctionSpace, *sides: Callable[[Expr], Expr]) -> SurfaceMass:
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-        form = sum(ufl.inner(side(u), side(v)) for side in sides) * self.sides.measure
+        form = sum(ufl.inner(side(u), side(v)) for side in sides) * self._factor * self.sides.measure
         return SurfaceMass(self.model, V, form, self.entity_maps)
 
 

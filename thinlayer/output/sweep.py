@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from forms.base import is_number
 from forms.law import LawError
-from geometry.parallel import on_root
+from geometry.parallel import on_root, world
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import LOCK, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
-from thinlayer.output.sweep_file import ERRORS, ORDERS, SweepFile
+from thinlayer.output.row_file import RowFile
 from thinlayer.parallel.agreement import on_all, require_same
 
+ERRORS = ("eps", "error_traction", "error_jump")
+ORDERS = ("order_traction", "order_jump")  # columns that a sweep adds
 SAME_EPS = 1e-9  # relative difference of equal thicknesses
 
 
@@ -57,7 +58,7 @@ def sweep(
             others than the first; `out` is a folder, cannot be written, another run writes it, or it is to be resumed and
             is another sweep's. OSError: a row could not be written. All of them on all ranks.
     """
-    with on_all(MPI.COMM_WORLD):
+    with on_all(world()):
         if out is not None and Path(out).is_dir():
             raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
         try:
@@ -69,11 +70,12 @@ def sweep(
             raise LawError(f"eps is {eps!r}; a sweep needs different thicknesses > 0") from error
         if values[-1] <= 0 or not np.isfinite(values).all() or len(set(values)) != len(values):
             raise LawError(f"eps is {values}; a sweep needs different thicknesses > 0")
-    require_same(MPI.COMM_WORLD, eps=values, out=out and str(out), resume=resume)
+    require_same(world(), eps=values, out=out and str(out), resume=resume)
     path = None if out is None else Path(out)
     with nullcontext() if path is None else owned(path.parent, name=f".{path.name}{LOCK}"):
-        file = None if path is None else SweepFile(path, run)
-        rows = {} if file is None else on_root(None, lambda: file.begin(resume))
+        file = None if path is None else RowFile(path, run, "sweep", ERRORS)
+        kept = [] if file is None else on_root(None, lambda: file.begin(resume))
+        rows = {float(row["eps"]): {n: v for n, v in row.items() if n not in ORDERS} for row in kept}  # type: ignore[arg-type]
         for e in track(values, "sweep", "eps = {:g}"):
             if e not in rows:
                 rows[e] = _row(run, e, next(iter(rows.values()), None))
@@ -86,10 +88,10 @@ def sweep(
 def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
     """The row of a thickness, as any rank's error is all ranks'."""
     what = "return what compare returns"
-    with on_all(MPI.COMM_WORLD):
+    with on_all(world()):
         row = run(eps)
     problem = _flaw(row, eps, first)
-    if problem := next(filter(None, MPI.COMM_WORLD.allgather(problem)), None):
+    if problem := next(filter(None, world().allgather(problem)), None):
         raise ModelError(f"run({eps:g}) returns {problem}; {what}")
     row = {name: read_back(row[name]) for name in (*ERRORS, *(n for n in row if n not in ERRORS))} | {"eps": eps}
     return row if first is None else {name: row[name] for name in first}

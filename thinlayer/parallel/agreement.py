@@ -11,6 +11,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from geometry.parallel import world
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described, in_full
 from thinlayer.identity.differences import MISSING, differences
@@ -34,7 +35,7 @@ def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     Raises:
         ModelError: on some ranks an error occurred; it names the first of them. If all have one, each raises its own.
     """
-    comm = comm or MPI.COMM_WORLD
+    comm = comm or world()
     key, began = comm.py2f(), time.monotonic()
     problem: Exception | None = None
     _DEPTH[key] += 1
@@ -82,7 +83,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
         comm: communicator (default: the world).
         given: name -> value, see `thinlayer.identity.described.described`; the same names on all ranks.
     """
-    comm = comm or MPI.COMM_WORLD
+    comm = comm or world()
     if comm.size == 1:
         return ""
     with on_all(comm):

@@ -9,6 +9,8 @@ import logging
 
 from mpi4py import MPI
 
+from geometry.parallel import world
+
 _SILENT = logging.Logger("thinlayer on other ranks", logging.CRITICAL + 1)
 
 
@@ -19,7 +21,7 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
         part: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has done).
         comm: communicator of the model.
     """
-    return _SILENT if (comm or MPI.COMM_WORLD).rank else logging.getLogger(f"thinlayer.{part}")
+    return _SILENT if (comm or world()).rank else logging.getLogger(f"thinlayer.{part}")
 
 
 def show(level: int) -> None:

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from forms.law import LawError
 from forms.symmetry import NOT_SYMMETRIC
 from forms.work import Term
+from thinlayer.parts.given_at_points import GivenAtPoints
 from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits, may_weaken
 from thinlayer.parts.softening import may_soften
 from thinlayer.parts.time_response import not_linear_at_once, takes_time
@@ -41,6 +42,7 @@ class CompiledPart(Part):
     ) -> None:
         self.key, self._symmetric = key, symmetric
         self.points = CompiledTerm(V, term, origin)
+        self._given_at = GivenAtPoints(self.points)
         self.comm = self.points.comm
         self.law = law = term.law
         self._t, self._in_body = 0.0, term.n is None
@@ -78,12 +80,14 @@ class CompiledPart(Part):
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        self._e_old = self.points.strain(interval.old.u.x.petsc_vec)
+        old, self._given = self._given_at.before(interval.old), self._given_at(interval.t)
+        self._growth = self._given - old
+        self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old
         self._memory = interval.old.memory[self.key]
         self.at_time(interval.balanced)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._u, self._e = u, self.points.strain(u.x.petsc_vec)
+        self._u, self._e = u, self.points.strain(u.x.petsc_vec) + self._given
         self._response = self.points.respond(self._e, self._e_old, self._memory, self.interval.dt, self.interval.theta)
         self.failed = self.comm.allreduce(self._response.failed)
 
@@ -107,19 +111,28 @@ class CompiledPart(Part):
     def commit(self) -> Outcome:
         """As in `Part`. Laws compute their remainder for constant parameters; otherwise it follows from the work."""
         response, interval = self._response, self.interval
-        before = interval.old.stored.get(self.key, 0.0)
+        before = interval.old.stored[self.key] if self.key in interval.old.stored else self._at_rest()
         after, dissipated, remainder = self.comm.allreduce(response.energies)
+        supplied = self.comm.allreduce(float(self.points.weights @ (response.stress * self._growth).sum(axis=1)))
         if self.points.material.varies:
             if interval.t != self._t:
                 after = self._stored_at(interval.t)
             change = self._u.x.petsc_vec.copy()
             change.axpy(-1.0, interval.old.u.x.petsc_vec)
-            remainder = float(self.points.forces(response.stress).dot(change)) - (after - before) - dissipated
+            worked = float(self.points.forces(response.stress).dot(change)) + supplied
+            remainder = worked - (after - before) - dissipated
             change.destroy()
         stress = response.stress
         if interval.theta < 1:  # forces balance within the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
-        return Outcome(before, float(after), float(dissipated), float(remainder), response.memory, stress=stress)
+        energies = before, float(after), float(dissipated), float(remainder)
+        return Outcome(*energies, response.memory, supplied=supplied, stress=stress)
+
+    def _at_rest(self) -> float:
+        """Energy stored before the first step, by a strain that has always been given."""
+        if self.points.term.given is None:
+            return 0.0
+        return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))
 
     def _stored_at(self, t: float) -> float:
         """Energy of the last response with the parameters of time t; the law then has its old parameters again."""

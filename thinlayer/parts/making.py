@@ -17,34 +17,49 @@ from thinlayer.discretisation.places import compiled_terms
 from thinlayer.discretisation.state import PRESSURE
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
-from thinlayer.parts.forms import LawForms
+from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure import PressurePart
 
 
-def parts_of(model: Model, held: npt.NDArray[np.int32]) -> list[Part]:
-    """The parts of a model, each with another key, the bodies first. Collective.
+def body_parts(model: Model) -> list[Part]:
+    """The parts of a model that depend neither on its layers nor on its loads, each with another key. Collective.
+
+    The first has a matrix with the nonzero pattern of the bodies.
+    """
+    parts: list[Part] = [LawForms("forms", model.V, model.bodies), *_compiled(model, model.bodies)]
+    if model.stress:
+        parts.append(MeanStressPart(model.V, model.bodies, model.stress, model.comm))
+    return parts + [addition.part(model) for addition in model.parts]
+
+
+def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
+    """The parts of a model's layers, each with another key. Collective.
 
     Args:
         model: the model.
         held: displacements of this rank that supports prescribe (local, unrolled).
+        bodies: those of `body_parts`.
     """
-    parts: list[Part] = [LawForms(model.V, model.terms, model.strain)]
-    parts += [
-        CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
-        for key, term in compiled_terms(model.terms).items()
-    ]
-    if pressures := _constrained(model.terms):
-        diagonal = diagonal_at_rest(parts)
-        stiffness = float(diagonal.max()[1])
+    in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
+    parts: list[Part] = [LawForms("forms of layers", model.V, in_forms)] if in_forms else []
+    parts += _compiled(model, model.layer_terms)
+    if pressures := _constrained(model.layer_terms):
+        diagonal = diagonal_at_rest(bodies)
+        largest = float(diagonal.max()[1])
         diagonal.destroy()
-        parts += [PressurePart(model.V, term, stiffness, model.origin, key) for key, term in pressures.items()]
-    if model.stress:
-        parts.append(MeanStressPart(model.V, model.bodies, model.stress, model.comm))
+        parts += [PressurePart(model.V, term, largest, model.origin, key) for key, term in pressures.items()]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
-    return parts + [addition.part(model) for addition in model.parts]
+    return parts
+
+
+def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:
+    return [
+        CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric)
+        for key, term in compiled_terms(terms).items()
+    ]
 
 
 def diagonal_at_rest(parts: Sequence[Part]) -> PETSc.Vec:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import basix.ufl
 import dolfinx.fem.petsc
@@ -14,8 +13,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.kinematics import lift
-from forms.work import Term, stress
+from forms.law import Step
+from forms.work import Term
 from thinlayer.discretisation.broken import Keys, broken_space
+from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, MeanStress, of_components
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part
@@ -29,7 +30,7 @@ class MeanStressPart(Part):
 
     Args:
         V: space of the displacements.
-        bodies: terms of the bodies, of linear laws without eigenstrains.
+        bodies: terms of the bodies, of linear laws; their eigenstrains are strains given beside E.
         given: the mean stress.
         comm: the domain's communicator.
     """
@@ -45,7 +46,7 @@ class MeanStressPart(Part):
         self.field = fem.Function(W)
         self._load: Array = np.zeros(0)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
-        strained = [(p, stress(_alone(p, E, given.size), fem.Function(V))) for p in bodies]
+        strained = [(p, p.law.stress(Step(lift(of_components(E)) / given.size, p.n))) for p in bodies]
         couple = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
         tensor = lift(of_components(F)) / given.size
         self.B, self.D = (
@@ -56,7 +57,12 @@ class MeanStressPart(Part):
         self.D.assemble()
         self._turned = PETSc.Mat()
         self.B.transpose(self._turned)
-        size = sum(fem.Constant(mesh, 1.0) * p.measure for p in bodies)
+        of_given = [p for p in bodies if p.given is not None]
+        self._over = OverStep(mesh, of_given)
+        stresses = [(p, p.law.stress(Step(self._over.now(p.given), p.n))) for p in of_given]
+        own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
+        self._own_of_given = fem.form(own) if of_given else None
+        size = sum(fem.Constant(mesh, 1.0) * p.weight * p.measure for p in bodies)
         self._volume = float(comm.allreduce(fem.assemble_scalar(fem.form(size))))
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
@@ -73,7 +79,20 @@ class MeanStressPart(Part):
         new, old = (self._given.components(t) for t in (interval.t, interval.old.t))
         load = (interval.theta * new + (1 - interval.theta) * old) * self._volume / self._given.size
         self._load = np.asarray(load[: self.own_size], float)
+        new, old = self._of_given(interval.t), self._of_given(interval.old.t, at_rest=interval.old.at_rest)
+        self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
         self._old.array[:] = self.own_start(interval.old)
+
+    def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
+        """Own forces (own unknowns,) of the strains given to the bodies, at a time or at rest."""
+        if self._own_of_given is None:
+            return np.zeros(self.own_size)
+        self._over.look_at(t, at_rest=at_rest)
+        b = dolfinx.fem.petsc.assemble_vector(self._own_of_given)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        found = b.array_r.copy()
+        b.destroy()
+        return np.asarray(found)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         assert self.field is not None
@@ -89,7 +108,7 @@ class MeanStressPart(Part):
         return float(self._forces.norm())
 
     def own_residual(self) -> Array:
-        return np.asarray(self._own.array_r - self._load)
+        return np.asarray(self._own.array_r + self._strained[2] - self._load)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
@@ -107,18 +126,24 @@ class MeanStressPart(Part):
         difference.axpy(-1.0, old)
         self._change.array[:] = self.field.x.array[: self.own_size] - self._old.array_r
         self._mid.array[:] = self.field.x.array[: self.own_size]
-        before, after, of_change = (
-            self._energy(u, E) for u, E in ((old, self._old), (now, self._mid), (difference, self._change))
-        )
-        self._more.array[:] = self._load
-        supplied = float(self._more.dot(self._change))
+        theta, (new_s, old_s, _) = self.interval.theta, self._strained
+        ends = (old, self._old, old_s), (now, self._mid, new_s), (difference, self._change, new_s - old_s)
+        before, after, of_change = (self._energy(*one) for one in ends)
+        supplied = self._product(self._load, self._change)
+        supplied += theta * self._product(new_s - old_s, self._mid)
+        supplied += (1 - theta) * self._product(new_s - old_s, self._old)
         difference.destroy()
-        return Outcome(before, after, 0.0, (2 * self.interval.theta - 1) * of_change, kept=False, supplied=supplied)
+        return Outcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)
 
-    def _energy(self, u: PETSc.Vec, E: PETSc.Vec) -> float:
+    def _energy(self, u: PETSc.Vec, E: PETSc.Vec, own: Array) -> float:
+        """Energy at displacements and a mean strain, with the own forces of given strains."""
         self.B.mult(E, self._forces)
         self.D.mult(E, self._more)
-        return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2
+        return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2 + self._product(own, E)
+
+    def _product(self, forces: Array, E: PETSc.Vec) -> float:
+        self._more.array[:] = forces
+        return float(self._more.dot(E))
 
     @property
     def resists_rigid(self) -> bool:
@@ -155,8 +180,3 @@ class MeanStressPart(Part):
             self._change,
         ):
             thing.destroy()
-
-
-def _alone(p: Term, E: ufl.core.expr.Expr, size: float) -> Term:
-    """The term of a body under a mean strain alone, given by its components times the size."""
-    return replace(p, strain=lambda u: lift(of_components(E)) / size)

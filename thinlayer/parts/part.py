@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -160,6 +161,9 @@ class Part(ABC):
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
         cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements. The
             rounding of these forces is that of the displacements times this stiffness.
+        tie: (n, k) sparse, the displacements of this rank that follow all k own unknowns of the part, as those of a rigid
+            plate do; other rows are empty. The forces on these displacements are added to the own residual. None: no
+            displacement follows them.
         stress_width: number of stress components that states keep at each point of the memory; 0: none.
     """
 
@@ -169,6 +173,7 @@ class Part(ABC):
     failed: int = 0
     K: PETSc.Mat | None = None
     cancelling: float = 0.0
+    tie: Any = None
     stress_width: int = 0
     interval: Interval
 
@@ -188,6 +193,9 @@ class Part(ABC):
     def add_forces(self, out: PETSc.Vec) -> float:
         """Add the nodal forces of the last evaluation; returns their norm if the force scale shall know it, else 0."""
 
+    def add_fixed(self, out: PETSc.Vec) -> None:
+        """Add the nodal forces beside those of `K` that do not depend on the unknowns of the step, as of given strains."""
+
     @abstractmethod
     def tangents(self, relative_residual: float) -> list[Block]:
         """Derivatives of the forces and `own_residual`, at the last evaluation, by the unknowns at the end of the step.
@@ -199,6 +207,11 @@ class Part(ABC):
     @abstractmethod
     def commit(self) -> Outcome:
         """Energies and memory at the end of the step, for the last evaluation."""
+
+    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
+        """Add the nodal forces of the last evaluation of what has one of these keys."""
+        if self.key in keys:
+            self.add_forces(out)
 
     def failure(self) -> str:
         """Text that says what failed in the last evaluation and where; "" if nothing did."""
@@ -236,6 +249,10 @@ class Part(ABC):
     def own_start(self, old: Configuration) -> Array:
         """Own unknowns on this rank at the start of a step from `old`."""
         return np.zeros(self.own_size)
+
+    def own_held(self, t: float) -> tuple[npt.NDArray[np.int64], Array]:
+        """Own unknowns of this rank that are prescribed at time t: their numbers, always the same ones, and values."""
+        return np.empty(0, np.int64), np.empty(0)
 
     def own_result(self) -> fem.Function:
         """Own unknowns at the end of the step, in the units of the state, for the last evaluation."""

@@ -96,7 +96,7 @@ def falling(p: Term, u: Any, old: Any) -> Any:
     minors is negative. NaNs fulfil no condition.
     """
     assert p.n is not None
-    e = ufl.variable(p.strain(u))
+    e = ufl.variable(p.step(u).e)
     stress = p.law.stress(Step(e, p.n))
     d = p.n.ufl_shape[0]
     directions = [jump_strain(ufl.as_vector([float(i == k) for i in range(d)]), p.n) for k in range(d)]
@@ -106,7 +106,7 @@ def falling(p: Term, u: Any, old: Any) -> Any:
     over = ufl.conditional(ufl.gt(size, TINY), size, 1.0)
     B = ufl.as_matrix([[A[i][j] / over + (FALLING if i == j else 0.0) for j in range(d)] for i in range(d)])
     minors = [ufl.det(ufl.as_matrix([[B[i, j] for j in range(k)] for i in range(k)])) for k in range(2, d + 1)]
-    change, of_stress = p.strain(u) - p.strain(old), stress - p.law.stress(Step(p.strain(old), p.n))
+    change, of_stress = p.strain(u) - p.strain(old), stress - p.law.stress(p.step(old))
     sizes = ufl.sqrt(ufl.inner(change, change) * ufl.inner(of_stress, of_stress))
     found = ufl.Or(ufl.lt(B[0, 0], 0.0), ufl.lt(ufl.inner(change, of_stress), -FALLING * sizes))
     for minor in minors:

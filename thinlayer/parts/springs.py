@@ -3,46 +3,123 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import basix.ufl
+import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.conditional import Condition
 
 from forms.base import is_number
 from forms.kinematics import Expr
+from geometry.errors import place as at_place
+from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.loads import refuse_seam
+from thinlayer.discretisation.axis import refuse_axis
+from thinlayer.discretisation.load_curves import symbols
+from thinlayer.discretisation.loads import has_finite_numbers, refuse_seam
+from thinlayer.discretisation.reactions import Array, count, rigid_expression, work_in_motions
+from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
+
+Stiffness = float | Callable[[Any], Any]
+ROUNDING = 1e-9  # a negative stiffness that counts as rounding, over the largest one
+DEGREE = 2  # of stiffnesses that are functions in numpy
+
+
+def stiffness(given: Stiffness, model: Host, what: str) -> Expr:
+    """A stiffness as a UFL scalar, or a number."""
+    if not callable(given):
+        return given
+    found = _in_ufl(given, model, what)
+    return interpolated(given, model, what) if found is None else found
+
+
+def _in_ufl(given: Callable[[Any], Any], model: Host, what: str) -> Expr | None:
+    """What a function gives for UFL coordinates; None if it is one of arrays."""
+    try:
+        with symbols():
+            found = ufl.as_ufl(given(model.coordinates.x))
+    except Exception:
+        return None
+    if found.ufl_shape or isinstance(found, Condition) or not has_finite_numbers(found):
+        raise ModelError(f"{what} gives {found}; it must be a finite number for each place")
+    return found
+
+
+def interpolated(given: Callable[[Any], Any], model: Host, what: str) -> fem.Function:
+    """A function of the place, of degree 2 in each cell. Collective."""
+    mesh, d = model.domain.mesh, model.joint.dim
+    V = fem.functionspace(mesh, ("DG", DEGREE))
+    f, found = fem.Function(V), _in_ufl(given, model, what)
+    points = interpolation_points(V)
+    if found is not None:
+        f.interpolate(fem.Expression(found + fem.Constant(mesh, 0.0), points))
+        return f
+    cells = np.arange(len(V.dofmap.list), dtype=np.int32)
+    x = fem.Expression(model.coordinates.x + fem.Constant(mesh, np.zeros(d)), points).eval(mesh, cells).reshape(-1, d)
+    try:
+        values = np.asarray(given(x.T), float)
+    except Exception as error:
+        raise ModelError(f"{what} is no function of x, in UFL or numpy: {error}") from error
+    if values.shape not in ((), (len(x),)):
+        raise ModelError(f"{what} gives an array of shape {values.shape}; for x of shape ({d}, n) it needs (n,)")
+    f.x.array[np.asarray(V.dofmap.list).ravel()] = values
+    return f
+
+
+def on_facets(f: fem.Function, model: Host, place: str) -> tuple[Array, Array]:
+    """Values (n,) and places (n, d) of a discontinuous function at the nodes of this rank's facets of a name."""
+    mesh, d, V = model.domain.mesh, model.joint.dim, f.function_space
+    mesh.topology.create_connectivity(d - 1, d)
+    mesh.topology.create_connectivity(d, d - 1)
+    to_cells, to_facets = mesh.topology.connectivity(d - 1, d), mesh.topology.connectivity(d, d - 1)
+    nodes = basix.ufl.element("Lagrange", mesh.basix_cell(), DEGREE).basix_element.entity_closure_dofs[d - 1]
+    dofs = [np.empty(0, np.int32)]
+    for facet in model.domain.facets(place):
+        cell = to_cells.links(facet)[0]
+        local = int(np.flatnonzero(to_facets.links(cell) == facet)[0])
+        dofs.append(V.dofmap.cell_dofs(cell)[nodes[local]])
+    found = np.unique(np.concatenate(dofs))
+    return f.x.array[found], V.tabulate_dof_coordinates()[found, :d]
 
 
 @dataclass(frozen=True)
 class Springs(Addition):
     """Springs between a facet set of the outer boundary and a base that does not move: t = -k_N u_N - k_T u_T.
 
-    A structure on springs needs no supports. The side of a meshed layer has another name, "NAME/LAYER", and gets springs
+    They push and pull: a foundation that only pushes is contact with a rigid base (`geometry.block`, a contact law). A
+    structure on springs needs no supports. The side of a meshed layer has another name, "NAME/LAYER", and gets springs
     only under that name.
 
     Attributes:
         place: name of a facet set on the outer boundary.
-        normal, tangential: stiffness k_N across and k_T along the boundary, stress per length; >= 0, not both 0.
+        normal, tangential: stiffness k_N across and k_T along the boundary, stress per length; >= 0, not both 0. A number,
+            or a function of the place, before inflating: in UFL, x -> UFL scalar, which is exact, or in numpy,
+            x (d, n) -> (n,), which is interpolated in each cell with degree 2.
         key: name of their energy, "springs NAME".
 
     Raises:
-        ModelError: a stiffness out of range. When a model is made: an unknown or empty facet set, or inner facets.
+        ModelError: a stiffness out of range. When a model is made: an unknown or empty facet set, or inner facets, a
+            function that is no function of the place or is negative.
     """
 
     place: str
-    normal: float = 0.0
-    tangential: float = 0.0
+    normal: Stiffness = 0.0
+    tangential: Stiffness = 0.0
     key: str = field(init=False)
 
     def __post_init__(self) -> None:
         for name in ("normal", "tangential"):
             value = getattr(self, name)
-            if not is_number(value) or not (math.isfinite(value) and value >= 0):
-                raise ModelError(f"springs on {self.place!r}: {name} is {value!r}; allowed: a finite number >= 0")
+            if not callable(value) and not (is_number(value) and math.isfinite(value) and value >= 0):
+                raise ModelError(
+                    f"springs on {self.place!r}: {name} is {value!r}; allowed: a finite number >= 0, or a function of x"
+                )
         if self.normal == self.tangential == 0:
             raise ModelError(f"springs on {self.place!r} have no stiffness; give normal=... or tangential=...")
         object.__setattr__(self, "key", f"springs {self.place}")
@@ -59,12 +136,35 @@ class Springs(Addition):
             raise ModelError(f"springs on {self.place!r}: this facet set is empty")
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
+        refuse_axis(model.kinematics, model.joint, self.place, "springs")
+        self._check_functions(model)
+
+    def _check_functions(self, model: Host) -> None:
+        """Raise ModelError if a function is not finite or negative at nodes of the facets."""
+        for name, given in (("normal", self.normal), ("tangential", self.tangential)):
+            if callable(given):
+                what = f"springs on {self.place!r}: {name}"
+                values, places = on_facets(interpolated(given, model, what), model, self.place)
+                values = np.where(np.isfinite(values), values, -np.inf)
+                if len(values) and values.min() < -ROUNDING * values.max():
+                    k = int(values.argmin())
+                    raise ModelError(f"{what} is {values[k]:.6g} at {at_place(places[k])}; allowed: finite, >= 0")
 
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
         """Virtual work of the springs, a UFL form."""
         n = ufl.FacetNormal(model.V.mesh)
-        across = (self.normal - self.tangential) * ufl.dot(u, n) * ufl.dot(v, n)
-        return (across + self.tangential * ufl.inner(u, v)) * model.ds(model.domain.values(self.place))
+        normal, tangential = (
+            stiffness(given, model, f"springs on {self.place!r}") for given in (self.normal, self.tangential)
+        )
+        across = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n)
+        work = across + tangential * ufl.inner(u, v)
+        return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
+
+    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:
+        """As in `Addition`: the force and moment of the springs."""
+        motion = fem.Constant(model.domain.mesh, np.zeros(count(model.joint.dim)))
+        v = rigid_expression(model.domain.mesh, motion, model.centre)
+        return [(self.place, -work_in_motions(model.comm, self.work(model, u, v), motion))]
 
     def part(self, model: Host) -> FormPart:
         """The springs as a part of a model's balance. Collective."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import dolfinx.fem.petsc
@@ -11,7 +12,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.kinematics import MANDEL, ROOT2
+from forms.kinematics import MANDEL, ROOT2, Expr
 from forms.law import LawError
 from forms.tangent import LONG
 from forms.work import Term
@@ -64,7 +65,6 @@ class CompiledTerm(Quadrature):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
-        self.slots = [k for k, (_, j) in enumerate(MANDEL) if j < self.dim]
         self._strain_matrix(V)
         self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self.material = Material(self.comm, term.law)
@@ -75,12 +75,22 @@ class CompiledTerm(Quadrature):
         """B: displacements -> strains at the points (m rows each); assembled once, as strains are linear."""
         W = self._space((len(self.slots),))
         du, q = ufl.TrialFunction(V), self.region.side(ufl.TestFunction(W))
-        e = self.term.strain(du)
-        rows = [e[i, j] * (1.0 if i == j else ROOT2) for i, j in (MANDEL[k] for k in self.slots)]
-        form = fem.form(ufl.inner(ufl.as_vector(rows), q) * self.measure, entity_maps=self.region.maps)
+        rows = _components(self.term.strain(du), self.slots)
+        form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
         self.B = dolfinx.fem.petsc.assemble_matrix(form)
         self.B.assemble()
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
+
+    def form_of(self, strain: Expr) -> fem.Form:
+        """A form from which `values_of` computes the values of a strain (3, 3) at the points."""
+        q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
+        rows = _components(strain, self.slots)
+        return fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
+
+    def values_of(self, form: fem.Form) -> Array:
+        """Values (points, m) of the strain of a form, with the present values of its constants."""
+        values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
+        return np.asarray(values / self._integrals[:, None])
 
     def _vector(self, values: Array) -> PETSc.Vec:
         """A vector over the rows of B."""
@@ -109,9 +119,13 @@ class CompiledTerm(Quadrature):
         at = np.flatnonzero(np.isnan(response.stress[:, 0]))[:1]
         if not len(at):
             return ""
-        k, name = int(at[0]), type(self.term.law).__name__
+        k = int(at[0])
         what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
-        return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])})"
+        law = self.term.law
+        plane = any(one.in_space is not one for _, one in law.sublayers)
+        why = ", or no strain out of the plane makes the stresses there zero" if plane else ""
+        name = type(law.in_space).__name__
+        return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])}){why}"
 
     def falls(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
         """Number of this rank's points where stresses fall as the layer opens or slips, at strains e or since e_old.
@@ -209,3 +223,9 @@ class CompiledTerm(Quadrature):
         """Free the matrices."""
         for thing in (self.B, self._strain, self._forces):
             thing.destroy()
+
+
+def _components(strain: Expr, slots: Sequence[int]) -> Expr:
+    """Mandel components of a strain (3, 3) in these slots, a UFL vector."""
+    pairs = [MANDEL[k] for k in slots]
+    return ufl.as_vector([strain[i, j] * (1.0 if i == j else ROOT2) for i, j in pairs])

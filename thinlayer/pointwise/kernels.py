@@ -12,7 +12,7 @@ out of the compiled code: a law is compiled once, whatever its parameters and it
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, NamedTuple
@@ -44,10 +44,11 @@ class Kernel:
 
     Attributes:
         address: address of the C function.
-        memory: number of internal values.
+        memory: number of internal values of the function.
         parameters: real parameters, one after the other.
         fraction: share of the thickness.
         otherwise: address of the function that is called where this one gives NaN; 0 if there is none.
+        plane: whether the strains out of the plane are found at each point, where the stresses there are zero.
         keep: objects that must live as long as the addresses are used.
     """
 
@@ -56,7 +57,13 @@ class Kernel:
     parameters: Array
     fraction: float = 1.0
     otherwise: int = 0
+    plane: bool = False
     keep: Any = field(default=None, repr=False, compare=False)
+
+    @property
+    def values(self) -> int:
+        """Number of internal values of the law: those of the function, and three strains out of the plane."""
+        return self.memory + 3 * self.plane
 
 
 def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
@@ -65,6 +72,8 @@ def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
 
 
 def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
+    if law.in_space is not law:
+        return replace(_kernel(comm, law.in_space.otherwise or law.in_space, fraction), plane=True)
     numbers, kind = law.parameter_values(), type(law)
     if isinstance(law, KernelLaw) and law.source is not None:
         address, keep = _compiled_from_c(comm, law)
@@ -80,7 +89,7 @@ def _kernel(comm: MPI.Intracomm, law: BulkLaw, fraction: float) -> Kernel:
     if substitute is None:
         return Kernel(address, law.memory, numbers, fraction, keep=keep)
     other = _kernel(comm, substitute, fraction)
-    return Kernel(address, law.memory, numbers, fraction, other.address, (keep, other.keep))
+    return Kernel(address, law.memory, numbers, fraction, other.address, keep=(keep, other.keep))
 
 
 def _require_substitute(law: BulkLaw, other: Any) -> None:

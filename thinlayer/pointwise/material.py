@@ -12,10 +12,12 @@ from mpi4py import MPI
 
 from forms.fields import number_of
 from forms.law import BulkLaw, LawError
+from forms.planes import Kinematics
 from thinlayer.compiling.compiled import library
 from thinlayer.errors import ModelError
 from thinlayer.pointwise.kernels import Array, kernels
 
+PLANE_STRAIN = [*Kinematics().slots(2)]
 SOURCE = Path(__file__).with_name("response.c")
 
 
@@ -33,11 +35,12 @@ class Material:
         self._addresses = np.array([k.address for k in self._kernels], np.intp)
         self._others = np.array([k.otherwise for k in self._kernels], np.intp)
         self._memories = np.array([k.memory for k in self._kernels], np.int32)
+        self._planes = np.array([k.plane for k in self._kernels], np.int32)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
         self._fractions = np.array([k.fraction for k in self._kernels])
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
         layers = len(self._kernels)
-        self.memory = int(self._memories.sum()) + (3 * layers if layers > 1 else 0)
+        self.memory = sum(k.values for k in self._kernels) + (3 * layers if layers > 1 else 0)
 
     def take(self, law: BulkLaw) -> None:
         """Use the parameters of another law of the same kind from now on; nothing is compiled.
@@ -114,10 +117,16 @@ class Material:
                 raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
         s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
-        in_plane = m < 6  # laws with `otherwise` are closed forms of plane strain
+        in_plane = components.tolist() == PLANE_STRAIN  # laws with `otherwise` are closed forms of plane strain
         addresses = self._addresses if in_plane else np.where(self._others, self._others, self._addresses)
         law = self._given(
-            addresses, self._others, self._memories, self._counts, self._fractions, self.parameters.ravel()
+            addresses,
+            self._others,
+            self._memories,
+            self._planes,
+            self._counts,
+            self._fractions,
+            self.parameters.ravel(),
         )
         failed = self._library.lib.run(
             len(self._kernels), *law, varying,

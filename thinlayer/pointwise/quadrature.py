@@ -14,8 +14,9 @@ import ufl
 from dolfinx import fem, la
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
+from ufl.classes import Zero
 
-from forms.kinematics import Expr, lift
+from forms.kinematics import MANDEL, Expr, lift
 from forms.work import Term
 from geometry.topology import IntArray
 from thinlayer.compiling.compat import create_submesh
@@ -156,6 +157,16 @@ class Quadrature:
         """Number of coordinates."""
         return int(self.region.parent_mesh.geometry.dim)
 
+    @cached_property
+    def slots(self) -> list[int]:
+        """Mandel components that strains may have here; the others are zero."""
+        given, of_strains = self.term.given, self.term.kinematics.slots(self.dim)
+        return [
+            k
+            for k, pair in enumerate(MANDEL)
+            if k in of_strains or (given is not None and not isinstance(given[pair], Zero))
+        ]
+
     def _space(self, shape: tuple[int, ...]) -> fem.FunctionSpace:
         cell = self.region.mesh.basix_cell()
         return fem.functionspace(
@@ -182,6 +193,17 @@ class Quadrature:
         """Quadrature weight times the values (points, m) of m functions at each point."""
         form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
+
+    def values(self, f: Expr) -> Array:
+        """Values (points, m) of a vector expression (m,), as integrands of the measure may have it. Collective."""
+        q = self.region.side(ufl.TestFunction(self._space(f.ufl_shape)))
+        return self._integrated(f, q) / self._integrals[:, None]
+
+    def means(self, values: Array) -> Array:
+        """Means (cells, ...) of values (points, ...) over each cell or facet of the region that this rank owns."""
+        of_cells, weights = values[self.cells], self.weights[self.cells]
+        whole = weights.sum(axis=1).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(np.einsum("cp,cp...->c...", weights, of_cells) / whole)
 
     @cached_property
     def joint_x(self) -> Array:

@@ -12,8 +12,8 @@ typedef void function(double *, const double *, const double *, const double *, 
 
 typedef struct {
     function *law, *otherwise; /* which answers where the law leaves a NaN; or NULL */
-    int memory, n_parameters;
-    double fraction;
+    int memory, plane, n_parameters; /* plane: the strains out of the plane are unknown, the stresses there zero */
+    double fraction, out_strains[3];
     double *in, *out;
     double across[6][3];       /* n . tangent, for each component of strain */
     double K[3][3], stiffness; /* n . tangent . n, and its largest entry */
@@ -33,7 +33,7 @@ static void call(function *law, sublayer *a)
     law(a->out, NULL, a->in, NULL, NULL, NULL, NULL);
 }
 
-static void evaluate(sublayer *a)
+static void evaluate_in_space(sublayer *a)
 {
     call(a->law, a);
     if (a->otherwise && isnan(a->out[0])) call(a->otherwise, a);
@@ -112,6 +112,16 @@ static int solve(double *A, int size, int stride, int columns)
             if (!isfinite(A[k * stride + c])) return 0;
         }
     return 1;
+}
+
+#include "plane_stress.h"
+
+static void evaluate(sublayer *a)
+{
+    if (a->plane)
+        evaluate_in_plane(a);
+    else
+        evaluate_in_space(a);
 }
 
 /* Tractions of all sublayers, whose strains are along + sym(g (x) n); returns whether the laws succeeded. */
@@ -286,11 +296,12 @@ static int in_series(sublayer *layers, int count, const double *e, const frame *
  * its stress; its tangent is zero where there was no stress, else it has an entry that is not finite.
  *
  * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
- * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each; parameters: of all points,
+ * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each, in plane stress followed
+ * by its strains 33, 13 and 23; parameters: of all points,
  * or, with `varying`, (points, n), of each. With `fixed`, strains stay e_old, those of sublayers too: nothing is solved, there is
  * no stress, and the energies are those of e_old. */
-int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *n_parameters,
-        const double *fractions, const double *parameters, int varying, int m, const int32_t *slots, int points, int width,
+int run(int count, const intptr_t *addresses, const intptr_t *others, const int32_t *memories, const int32_t *planes,
+        const int32_t *n_parameters, const double *fractions, const double *parameters, int varying, int m, const int32_t *slots, int points, int width,
         const double *e, const double *e_old, const double *q, const double *n, double dt, double theta, int fixed,
         double *stress, double *C, double *q_new, double *energy)
 {
@@ -305,7 +316,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
     for (int i = 0; i < count; i++) {
         sublayer *a = &layers[i];
         a->law = (function *)addresses[i], a->otherwise = (function *)others[i];
-        a->memory = memories[i], a->n_parameters = n_parameters[i];
+        a->memory = memories[i], a->plane = planes[i], a->n_parameters = n_parameters[i];
         a->fraction = fractions[i];
         a->in = next, a->out = a->in + 17 + a->memory + a->n_parameters;
         next = a->out + 45 + a->memory;
@@ -328,6 +339,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             }
             memcpy(a->in + 12, old, a->memory * sizeof(double));
             old += a->memory;
+            for (int j = 0; a->plane && j < OUT; j++) a->in[6 + out_of_plane[j]] = a->out_strains[j] = *old++;
             memcpy(tail, n, 3 * sizeof(double));
             tail[3] = dt, tail[4] = theta;
             if (varying || k == 0) memcpy(tail + 5, numbers_of, a->n_parameters * sizeof(double));
@@ -335,7 +347,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
         }
         if (!varying) numbers_of = parameters;
         if (fixed) {
-            for (int i = 0; i < count; i++) memcpy(layers[i].in, layers[i].in + 6, sizeof now), evaluate(&layers[i]);
+            for (int i = 0; i < count; i++) memcpy(layers[i].in, layers[i].in + 6, sizeof now), evaluate_in_space(&layers[i]);
         } else if (count > 1) {
             turn_to(&S, n);
             if (!in_series(layers, count, now, &S, system, s, D)) s[0] = NAN;
@@ -352,6 +364,7 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             if (count > 1) memcpy(q_new + 3 * i, a->g, sizeof a->g);
             memcpy(new, a->out + 6, a->memory * sizeof(double));
             new += a->memory;
+            for (int j = 0; a->plane && j < OUT; j++) *new++ = a->in[out_of_plane[j]];
             for (int j = 0; j < 3; j++) energy[3 * k + j] += a->fraction * energies(a)[j];
         }
         int known = isfinite(s[0]), sloped = 1;

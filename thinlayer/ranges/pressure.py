@@ -33,7 +33,9 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
         if name in (S, *model.joint.seams) or name not in model.joint.facets:  # a vertex, or the side of one body
             continue
-        axes = [supports.axes.index(axis) for axis in components]
+        axes = [supports.axes.index(axis) for axis in components if axis in supports.axes] or [
+            *range(len(supports.axes))
+        ]
         held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
     return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
 

@@ -11,9 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
-from mpi4py import MPI
-
-from geometry.parallel import on_root
+from geometry.parallel import on_root, world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError, SolveError
@@ -59,11 +57,11 @@ class Record:
         self._begun = self._noted = False
         self._folder = RunFolder(self.out)
         self._start = time.perf_counter()
-        self.root = MPI.COMM_WORLD.rank == 0
+        self.root = world().rank == 0
 
     def __enter__(self) -> Self:
         """Lock the folder; errors as in `RunFolder.take`. Collective."""
-        on_root(MPI.COMM_WORLD, lambda: self._folder.take(self._problem if self.resume else None))
+        on_root(world(), lambda: self._folder.take(self._problem if self.resume else None))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -97,7 +95,7 @@ class Record:
 
     def has(self, name: str) -> bool:
         """Whether the folder has a file of this name. Collective."""
-        return on_root(MPI.COMM_WORLD, (self.out / name).exists)
+        return on_root(world(), (self.out / name).exists)
 
     def load(self, name: str) -> Table:
         """Read a table of the folder. Collective."""
@@ -119,7 +117,7 @@ class Record:
                 if hash_of(self.out / name) not in (None, found):
                     raise ModelError(f"{self.out / name} is not the table that the run in {self.out} wrote")
 
-        on_root(MPI.COMM_WORLD, check)
+        on_root(world(), check)
 
     def _problem(self) -> str | None:
         """Reason why the run in the folder cannot be resumed; None if it can."""
@@ -153,7 +151,7 @@ class Record:
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
         """Run `thinlayer.march`; files to resume it from are kept until the run is done. Collective."""
         if not (self._begun or self.resume):  # files of a run that was killed
-            on_root(MPI.COMM_WORLD, lambda: shutil.rmtree(self.path(MARCHES), ignore_errors=True))
+            on_root(world(), lambda: shutil.rmtree(self.path(MARCHES), ignore_errors=True))
         self._begun = True
         try:
             history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
@@ -199,7 +197,7 @@ class Record:
 
     def close(self, error: str | None = None) -> None:
         """Write run.json. Collective; raises OSError on all ranks."""
-        on_root(MPI.COMM_WORLD, lambda: self._write(error))
+        on_root(world(), lambda: self._write(error))
 
     def stop(self, error: str) -> None:
         """Write run.json, unless that raises OSError; not collective."""
@@ -214,7 +212,7 @@ class Record:
             "code": code(),
             "petsc": petsc_options(),
             "parameters": self.parameters,
-            "ranks": MPI.COMM_WORLD.size,
+            "ranks": world().size,
             "versions": versions(),
             "seconds": round(time.perf_counter() - self._start, 3),
             "results": self.results,

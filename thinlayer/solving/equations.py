@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,22 +12,30 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import Audit, Configuration, Report, State
+from thinlayer.discretisation.reactions import rigid_values
+from thinlayer.discretisation.rigid import rigid_motions
+from thinlayer.discretisation.state import PRESSURE, Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.making import diagonal_at_rest, parts_of
+from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
+from thinlayer.solving.kept import Kept
 from thinlayer.solving.layout import Layout
+from thinlayer.solving.linear_solvers import orthonormal, rigid_modes
 from thinlayer.solving.part_sum import PartSum
+from thinlayer.solving.substitution import Substitution
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
 
 
 class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
+
+    If supports are inclined or plates are rigid, others take the place of the displacements, see `Substitution`.
 
     The constructor and all methods are collective.
 
@@ -34,30 +44,44 @@ class Equations(PartSum):
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
-        prescribed: displacements that supports prescribe at the end of the step.
+        external: these less the parts' forces that do not depend on the unknowns.
+        held: numbers of the unknowns of this rank that are prescribed.
+        prescribed: their values at the end of the step.
+        substitution: the unknowns in place of displacements; None: the unknowns are the displacements.
         mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
         eased: ease of the parts; 0 is the parts themselves.
+        factor: linear solver with the factor of a tangent, of this model or of another one of its family.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
     """
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
         self.history = LoadHistory(model)
-        self.held = self.history.held
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        super().__init__(parts_of(model, self.held))
+        self._kept = kept = Kept.of(model)
+        kept.bodies = kept.bodies or body_parts(model)
+        self._of_layers = layer_parts(model, self.history.held, kept.bodies)
+        super().__init__([*kept.bodies, *self._of_layers])
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
-        self._matrix = TangentMatrix(self.comm, self._layout.sizes)
+        kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
+        self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
+        ties = {part.key: part.tie for part in self._with_own if part.tie is not None}
+        frames = model.prescribed.frames
+        self.substitution = Substitution(self._layout, frames, ties) if ties or frames is not None else None
+        held, _ = self._prescribed(None)
+        self.held, self._held_order = np.unique(
+            held.astype(np.int32), return_index=True
+        )  # an axis may hold a plate, too
         diagonal = diagonal_at_rest(self.parts)
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         diagonal.destroy()
         self._tangent: PETSc.Mat | None = None
-        self._forces, self.loads = self.u.x.petsc_vec.duplicate(), self.u.x.petsc_vec.duplicate()
+        self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
 
     # ---------------------------------------------------------------- unknowns
@@ -71,25 +95,64 @@ class Equations(PartSum):
         values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
         for part in self._with_own:
             values[part.key][:] = part.own_start(state)
+        if self.substitution:
+            self.substitution.start(values)
+
+    def _put(self, x: PETSc.Vec) -> None:
+        """Write unknowns into the displacements u and the parts' own functions."""
+        self._layout.put(x)
+        if self.substitution:
+            self.substitution.put(self.u)
+
+    def _prescribed(self, t: float | None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+        """Numbers of the held unknowns, in the order of what holds them, and their values at time t."""
+        of_supports = np.zeros(len(self.history.held)) if t is None else self.history.prescribed_at(t)
+        tied = self.substitution.tied if self.substitution else np.empty(0, np.int32)
+        numbers: list[npt.NDArray[Any]] = [self.history.held, tied]
+        values, first = [of_supports, np.zeros(len(tied))], self.n_displacements
+        for part in self._with_own:
+            own, held = part.own_held(0.0 if t is None else t)
+            numbers.append(first + own)
+            values.append(held)
+            first += self._layout.sizes[part.key]
+        return np.concatenate(numbers).astype(np.int64), np.concatenate(values)
 
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
-        """Global numbers, among the unknowns, of the held displacements."""
+        """Global numbers of the held unknowns."""
         return self._layout.rows(self.held)
+
+    @property
+    def _linear(self) -> list[PETSc.Mat]:
+        return [part.K for part in self.parts if part.K is not None]
 
     @cached_property
     def K(self) -> PETSc.Mat:
         """Matrix of the forces that are linear in the displacements."""
-        first, *others = [part.K for part in self.parts if part.K is not None]
-        K = first if not others else first.copy()
-        for other in others:
+        K = self._linear[0].copy()
+        for other in self._linear[1:]:
             K.axpy(1.0, other, DIFFERENT)
         return K
+
+    def near_null(self) -> list[PETSc.Vec]:
+        """The unknowns of rigid motions of the whole structure, orthonormal."""
+        if not self.substitution:
+            return rigid_modes(self.model)
+        found = []
+        for motion in rigid_motions(self.model.V, self.model.joint, self.model.kinematics).values():
+            x, n = self.vector(), self.n_displacements
+            values, own = self._layout.split(x.array), self.substitution.followed(motion.x.array[:n])
+            values[DISPLACEMENTS][:] = motion.x.array[:n]
+            for key, q in own.items():
+                values[key][:] = q[: len(values[key])]
+            self.substitution.start(values)
+            found.append(x)
+        return orthonormal(found)
 
     # ---------------------------------------------------------------- uniqueness
     @cached_property
     def _rigid(self) -> RigidMotions:
-        return RigidMotions(self.model, self.held, self.scale.stiffness)
+        return RigidMotions(self.model, self.held, self.scale.stiffness, self.substitution)
 
     def require_unique(self, unbalanced: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
@@ -129,13 +192,13 @@ class Equations(PartSum):
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
         lost, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
-        return State(u, t, memory, stresses=stresses, model=model, report=report, dissipated=lost)
+        return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: Interval) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
 
         Raises:
-            ModelError: loads or supports that are not finite at the times of the step.
+            ModelError: loads, supports or given strains that are not finite at the times of the step.
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
@@ -144,7 +207,8 @@ class Equations(PartSum):
                 b = self.history.loads_at(t)
                 self.loads.axpy(share, b)
                 b.destroy()
-        self.prescribed = self.history.prescribed_at(interval.t)
+        self.prescribed = self._prescribed(interval.t)[1][self._held_order]
+        self.history.strains_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
         if self.model.strain:  # moves the sides of the cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
@@ -152,6 +216,10 @@ class Equations(PartSum):
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
         self.scale.begin(float(self.loads.norm()), largest_displacement, moved)
         self.begin_parts(interval)
+        self.external.set(0.0)
+        for part in self.parts:
+            part.add_fixed(self.external)
+        self.external.aypx(-1.0, self.loads)
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Compute the residual at the displacements before the step, and tell the force scale its norm.
@@ -164,7 +232,7 @@ class Equations(PartSum):
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Internal forces less loads, then the parts' own residuals. All forces are NaN if a part failed."""
-        self._layout.put(x)
+        self._put(x)
         theta, mid = self.interval.theta, self._mid.x.petsc_vec
         self.u.x.petsc_vec.copy(mid)
         mid.scale(theta)
@@ -176,6 +244,8 @@ class Equations(PartSum):
         rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
         for part in self._with_own:
             rows[part.key][:] = part.own_residual()
+        if self.substitution:
+            self.substitution.forces(rows)
         self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
@@ -185,7 +255,7 @@ class Equations(PartSum):
             LawError: a law declares a symmetric tangent and has another one.
         """
         self._tangent = self._matrix.fill(self.blocks(self._relative_residual))
-        return self._tangent
+        return self.substitution.tangent(self._tangent) if self.substitution else self._tangent
 
     def ease(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
@@ -206,12 +276,16 @@ class Equations(PartSum):
             self.require_unique()
         self.u.x.petsc_vec.copy(change)
         change.axpy(-1.0, self.interval.old.u.x.petsc_vec)
-        at_supports = self.comm.allreduce(float(out.array_r[self.held] @ change.array_r[self.held]))
-        supplied = float(self.loads.dot(change)) + at_supports
+        old = self.vector()
+        self.put_state(self.interval.old, old)
+        moved = x.array_r[self.held] - old.array_r[self.held]
+        supplied = float(self.loads.dot(change)) + self.comm.allreduce(float(out.array_r[self.held] @ moved))
+        old.destroy()
         out.destroy()
         change.destroy()
         found, end = self.end_parts(self.u, self.interval.t)
         every = found.values()
+        end = replace(end, reactions=self._reactions())
         audit = Audit(
             supplied + sum(one.supplied for one in every),
             sum(one.after - one.before for one in every),
@@ -222,9 +296,58 @@ class Equations(PartSum):
         dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
         return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
 
+    # ---------------------------------------------------------------- reactions
+    @cached_property
+    def _motions(self) -> npt.NDArray[np.float64]:
+        return rigid_values(self.model.V, self.model.centre)
+
+    def _reactions(self) -> npt.NDArray[np.float64]:
+        """Forces and moments of `Model.holders` at the end of the step, for the last residual.
+
+        They are linear in the forces of the step: what balances within it is the mean of the step's two ends.
+        """
+        now, theta, old = self._resultants(self._forces), self.interval.theta, self.interval.old
+        if theta == 1:
+            return now
+        before = old.reactions
+        if before is None:  # at rest there are no stresses
+            loads = self.history.loads_at(old.t)
+            loads.scale(-1.0)
+            before = self._resultants(loads, layers=False)
+            loads.destroy()
+        return np.asarray((now - (1 - theta) * before) / theta)
+
+    def _resultants(self, r: PETSc.Vec, *, layers: bool = True) -> npt.NDArray[np.float64]:
+        """Forces and moments of `Model.holders`, for nodal forces r less loads; of layers on bases if asked for."""
+        rows = [self.model.prescribed.resultants(r.array_r, self._motions)]
+        for R in self.substitution.ties.values() if self.substitution else ():
+            tied = np.diff(R.indptr) > 0
+            rows.append((r.array_r[tied] @ self._motions[tied])[None])
+        first = len(self.model.supports.entries) + len(rows) - 1
+        for name in self.model.holders[first:]:
+            on_base = r.duplicate()
+            on_base.set(0.0)
+            if layers:
+                keys = self._keys_of(self.model.layers[str(name)].key)
+                for part in self.parts:
+                    part.add_layer_forces(keys, on_base)
+            rows.append(-(on_base.array_r @ self._motions)[None])
+            on_base.destroy()
+        return np.asarray(self.comm.allreduce(np.concatenate(rows)))
+
+    def _keys_of(self, key: str) -> set[str]:
+        """Keys of the terms and parts of a layer, sublayers and pressure included."""
+        pressure = PRESSURE + key.removeprefix(LAYER)
+        alone = len(self.model.joint.seams) == 1
+        keys = {key, pressure, PRESSURE} if alone else {key, pressure}
+        for one in [*(part.key for part in self.parts), *(p.key for p in self.model.layer_terms)]:
+            if one.startswith(f"{key}/") or (alone and one.startswith(f"{key} ")):
+                keys.add(one)
+        return keys
+
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""
-        self._layout.put(x)
+        self._put(x)
         nothing = self._forces.duplicate()
         local = {part.key: float((part.error_measure(self.u, nothing) ** 2).sum()) for part in self.parts}
         nothing.destroy()
@@ -251,8 +374,12 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self.parts, self.K, self._matrix, self._forces, self.loads):
-            thing.destroy()
+        for thing in (*self._of_layers, self.substitution, self._forces, self.loads, self.external):
+            if thing is not None:
+                thing.destroy()
+        if "K" in vars(self):
+            self.K.destroy()
+        self._kept.give_back(self.model)
 
     @property
     def comms(self) -> list[MPI.Intracomm]:

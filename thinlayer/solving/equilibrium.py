@@ -10,7 +10,7 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.finder import Found
 from thinlayer.solving.force_scale import ALLOWED
-from thinlayer.solving.linear_solvers import mark, tell_multigrid
+from thinlayer.solving.linear_solvers import mark
 from thinlayer.solving.newton import newton, reason_name
 from thinlayer.solving.options import PREFIX
 
@@ -28,7 +28,7 @@ class Equilibrium:
     Attributes:
         equations: the equations of the step.
         nonlinear: whether Newton's method follows the linear step.
-        reused: whether the last step used the factor of an earlier one.
+        reused: whether the last step used the solver of an earlier one.
     """
 
     eases = True
@@ -36,22 +36,17 @@ class Equilibrium:
     def __init__(self, equations: Equations, *, nonlinear: bool, own_test: bool, yields: bool, advice: str) -> None:
         self.equations, self.nonlinear = equations, nonlinear
         self._own_test, self._yields, self._advice = own_test, yields, advice
-        self._ksp: PETSc.KSP | None = None
-        self._factored: tuple[float, float] | None = None
-        self.reused = False
+        self._factor, self.reused = equations.factor, False
         self._vectors = [equations.vector() for _ in range(4)]
 
     def forget(self) -> bool:
-        """Drop the factor of the last matrix. True if the last step used the factor of an earlier one."""
-        if self._ksp is not None:
-            self._ksp.destroy()
-        self._ksp = self._factored = None
+        """Drop the solver with its factor. True if the last step used that of an earlier one."""
+        self._factor.destroy()
         was_reused, self.reused = self.reused, False
         return was_reused
 
     def close(self) -> None:
-        """Free vectors and factor."""
-        self.forget()
+        """Free the vectors."""
         for vector in self._vectors:
             vector.destroy()
 
@@ -133,8 +128,8 @@ class Equilibrium:
         equations = self.equations
         dt = equations.interval.dt if equations.traits.uses_dt else 0.0
         key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
-        self.reused = move is None and self._factored == key
-        if self.reused:
+        if move is None and self._factor.of == key:
+            self.reused = True
             return
         A = equations.tangent()
         A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
@@ -143,13 +138,7 @@ class Equilibrium:
         else:
             equations.require_unique()
         mark(A, equations.model, saddle=equations.traits.saddle)
-        self.forget()
-        self._ksp = ksp = PETSc.KSP().create(equations.comm)
-        ksp.setOptionsPrefix(PREFIX)
-        ksp.setOperators(A)
-        ksp.setFromOptions()
-        tell_multigrid(ksp, A, equations.model)
-        self._factored = key
+        self.reused = self._factor.renew(A, key, equations.near_null) and not self.nonlinear
 
     def _require_finite(self, quantity: str, size: float) -> None:
         """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
@@ -162,9 +151,10 @@ class Equilibrium:
             )
 
     def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        assert self._ksp is not None
-        self._ksp.solve(b, x)
-        return int(self._ksp.getIterationNumber())
+        ksp = self._factor.ksp
+        assert ksp is not None
+        ksp.solve(b, x)
+        return int(ksp.getIterationNumber())
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> float:
         """Refine the linear solution x iteratively; returns its relative residual.
@@ -172,7 +162,7 @@ class Equilibrium:
         Raises:
             SolveError: the solution is not unique, or its residual is too large.
         """
-        equations, ksp = self.equations, self._ksp
+        equations, ksp = self.equations, self._factor.ksp
         assert ksp is not None
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"

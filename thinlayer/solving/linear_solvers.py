@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 from petsc4py import PETSc
 
@@ -51,10 +51,10 @@ def direct_solver(model: Model) -> dict[str, OptionValue]:
     return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
-def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, model: Model) -> None:
-    """Attach the rigid motions as the near null space of A if the preconditioner is algebraic multigrid."""
+def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, modes: Callable[[], list[PETSc.Vec]]) -> None:
+    """Attach rigid motions, orthonormal, as the near null space of A if the preconditioner is algebraic multigrid."""
     if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
-        A.setNearNullSpace(PETSc.NullSpace().create(vectors=rigid_modes(model), comm=model.comm))
+        A.setNearNullSpace(PETSc.NullSpace().create(vectors=modes(), comm=A.comm))
 
 
 def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str]) -> None:
@@ -95,11 +95,14 @@ def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
 
 def rigid_modes(model: Model) -> list[PETSc.Vec]:
     """Orthonormal rigid motions. Collective."""
-    basis: list[PETSc.Vec] = []
-    for motion in rigid_motions(model.V, model.joint).values():
-        v = motion.x.petsc_vec.copy()
-        for b in basis:
+    motions = rigid_motions(model.V, model.joint, model.kinematics)
+    return orthonormal([motion.x.petsc_vec.copy() for motion in motions.values()])
+
+
+def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
+    """Make vectors, which are overwritten, orthonormal; they are independent."""
+    for k, v in enumerate(vectors):
+        for b in vectors[:k]:
             v.axpy(-v.dot(b), b)
         v.normalize()
-        basis.append(v)
-    return basis
+    return vectors

@@ -97,7 +97,7 @@ def newton(
     if own_test:
         snes.setConvergenceTest(converged)
     snes.setFromOptions()
-    tell_multigrid(snes.getKSP(), A, equations.model)
+    tell_multigrid(snes.getKSP(), A, equations.near_null)
     snes.solve(None, x)
     reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
     if own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN

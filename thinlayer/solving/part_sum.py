@@ -100,4 +100,4 @@ class PartSum:
         fields = {part.key: part.own_result() for part in self.parts if part.field is not None}
         stored = {key: one.after for key, one in found.items() if one.kept}
         stresses = {key: one.stress for key, one in found.items() if one.stress is not None}
-        return found, Configuration(u.copy(), t, memory, fields, stored, stresses)
+        return found, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)

@@ -107,7 +107,7 @@ class Restraint:
         """
         equations, r, d = self.equations, self._r, self._d
         equations.begin(Interval(rest, step.old.t, step.dt, 1.0))
-        loads, prescribed = equations.loads.copy(), equations.prescribed
+        loads, prescribed = equations.external.copy(), equations.prescribed
         ease = equations.eased
         equations.ease(1.0)
         try:
@@ -120,7 +120,7 @@ class Restraint:
         A.shift(LEAST_STIFFNESS * self._unit)
         n = equations.n_displacements
         r.set(0.0)
-        r.array[:n] = equations.loads.array_r - loads.array_r
+        r.array[:n] = equations.external.array_r - loads.array_r
         loads.destroy()
         d.set(0.0)
         d.array[equations.held] = equations.prescribed - prescribed
@@ -212,6 +212,6 @@ class Restraint:
                 self._ksp.setOptionsPrefix(PREFIX)
                 self._ksp.setOperators(A)
                 self._ksp.setFromOptions()
-                tell_multigrid(self._ksp, A, self.equations.model)
+                tell_multigrid(self._ksp, A, self.equations.near_null)
             self._ksp.setOperators(A)
             solve_linear(self._ksp, b, x, self._options.keys())

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import is_number
+from geometry.parallel import world
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import LooseBody, ModelError, SolveError, warn
@@ -105,8 +106,8 @@ def require_hardening(model: Model, what: str) -> None:
 
 
 def comm_of(model: Any) -> MPI.Intracomm:
-    """Communicator of a model; MPI.COMM_WORLD if `model` is no model."""
-    return model.comm if isinstance(model, Model) else MPI.COMM_WORLD
+    """Communicator of a model; the world if `model` is no model."""
+    return model.comm if isinstance(model, Model) else world()
 
 
 def _require_model(model: Any) -> None:

@@ -89,7 +89,7 @@ class StepProblem(PartSum):
         with on_all(self.comm):
             for part in self.of_kind(CompiledPart):
                 part.law.check_at(part.points.joint_x)
-        self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest)
+        self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
         size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
         held = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))

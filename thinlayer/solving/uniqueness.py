@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 from petsc4py import PETSc
 
 from geometry.errors import place
@@ -13,6 +15,7 @@ from thinlayer.discretisation.loads import AXES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.errors import LooseBody
+from thinlayer.solving.substitution import Substitution
 
 # Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
 # supports.
@@ -24,6 +27,14 @@ RESISTED_MOTION = 1e3 * np.finfo(float).eps
 SEVERAL = 1e-6  # least singular value of motions of a piece that are independent of each other
 
 Array = npt.NDArray[np.float64]
+Sparse = Any  # scipy.sparse.csr_matrix, which has no types
+
+
+def _of_pieces(motions: Array, piece: npt.NDArray[np.int32], pieces: int) -> Sparse:
+    """Motions (n, per) of the pieces that displacements belong to as columns, one for each motion of each piece."""
+    n, per = motions.shape
+    columns = (piece[:, None] * per + np.arange(per)).ravel()
+    return scipy.sparse.csr_matrix((motions.ravel(), columns, np.arange(n + 1) * per), (n, pieces * per))
 
 
 class RigidMotions:
@@ -33,18 +44,23 @@ class RigidMotions:
         model: the model.
         held: displacements of this rank that supports prescribe (local, unrolled).
         stiffness: norm of the diagonal of the stiffness matrix.
+        substitution: the unknowns in place of displacements, to which `held` refers then.
     """
 
-    def __init__(self, model: Model, held: npt.NDArray[np.int32], stiffness: float) -> None:
-        self.model, self.held, self._stiffness = model, held, stiffness
+    def __init__(
+        self, model: Model, held: npt.NDArray[np.int32], stiffness: float, substitution: Substitution | None = None
+    ) -> None:
+        self.model, self.held, self._stiffness, self._substitution = model, held, stiffness, substitution
 
     @cached_property
-    def _free(self) -> tuple[Array, npt.NDArray[PETSc.IntType], Array]:
-        """Rigid motions of a piece at each of its displacements, zero at supports: (n, per), their numbers (n, per).
+    def _free(self) -> tuple[Sparse, Array]:
+        """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.
 
-        The third value, (pieces times per, k), has the motions that supports allow, as sums of these.
+        The second value, (c, k), has the motions that supports allow, as sums of these.
         """
         motions, piece = self._motions()
+        if self._substitution:
+            return self._with_plates(self._substitution, motions, piece)
         count, per = len(self._names), motions.shape[1]
         gram = np.zeros((count, per, per))
         np.add.at(gram, piece[self.held], motions[self.held][:, :, None] * motions[self.held][:, None, :])
@@ -54,8 +70,40 @@ class RigidMotions:
         allowed[block, :, np.arange(len(block))] = vectors[block, :, way]
 
         motions[self.held] = 0.0
-        columns = (piece[:, None] * per + np.arange(per)).astype(PETSc.IntType)
-        return motions, columns, allowed.reshape(count * per, -1)
+        return _of_pieces(motions, piece, count), allowed.reshape(count * per, -1)
+
+    def _with_plates(self, given: Substitution, motions: Array, piece: npt.NDArray[np.int32]) -> tuple[Sparse, Array]:
+        """The same if others take the place of displacements: the motions of plates are further columns."""
+        n = len(piece)
+        ties = [given.ties[key] for key in given.ties]
+        of_pieces = _of_pieces(motions, piece, len(self._names))
+        shown = scipy.sparse.hstack([of_pieces, *(-R for R in ties)], format="csr")
+        y = (given.Q.T @ shown).tocsr()
+        held = self.held[self.held < n]
+        rows = np.asarray(y[held].todense())
+        gram = rows.T @ rows
+        first = of_pieces.shape[1]
+        for k in self._held_motions(n):
+            gram[first + k, first + k] += 1.0
+        values, vectors = np.linalg.eigh(self.model.comm.allreduce(gram))
+        allowed = vectors[:, values <= ALLOWED_MOTION * max(values.max(), 1.0)]
+        kept = np.ones(n)
+        kept[held] = 0.0
+        none = scipy.sparse.csr_matrix((n, first))
+        followed = scipy.sparse.hstack([none, *ties], format="csr")
+        return (given.Q @ scipy.sparse.diags(kept) @ y + followed).tocsr(), allowed
+
+    def _held_motions(self, n: int) -> list[int]:
+        """Which motions of plates, counted through all of them, are prescribed; on the rank that has them."""
+        assert self._substitution
+        found, local, number = [], n, 0
+        for key, own in self._substitution.own_sizes.items():
+            here = self.held[(self.held >= local) & (self.held < local + own)] - local
+            if key in self._substitution.ties:
+                found += [number + int(k) for k in here]
+                number += self._substitution.ties[key].shape[1]
+            local += own
+        return found
 
     def _motions(self) -> tuple[Array, npt.NDArray[np.int32]]:
         """At each displacement of this rank, its translations and rotations (n, per), of order 1; its piece (n,)."""
@@ -69,7 +117,8 @@ class RigidMotions:
         of = np.zeros(owned + V.dofmap.index_map.num_ghosts, np.int32)
         dofs = np.asarray(V.dofmap.list)
         of[dofs] = model.domain.on_cells(number)[: len(dofs), None]
-        rigid = [f.x.array[: owned * bs] for f in rigid_motions(V, joint).values()]
+        rigid = [f.x.array[: owned * bs] for f in rigid_motions(V, joint, model.kinematics).values()]
+        self._per = len(rigid)
         return np.column_stack(rigid), of[:owned].repeat(bs)
 
     def require_resisted(self, A: PETSc.Mat, unbalanced: PETSc.Vec | None = None) -> None:
@@ -79,12 +128,12 @@ class RigidMotions:
             A: the tangent.
             unbalanced: forces that nothing balances, whose direction the error tells; None: any motion that is free.
         """
-        motions, columns, allowed = self._free
+        motions, allowed = self._free
         if not allowed.shape[1]:
             return
         rows = A.getLocalSize()[0]  # displacements, then further unknowns
-        starts = np.minimum(np.arange(rows + 1), len(motions)) * motions.shape[1]
-        csr = starts.astype(PETSc.IntType), columns.ravel(), motions.ravel()
+        starts = motions.indptr[np.minimum(np.arange(rows + 1), motions.shape[0])]
+        csr = starts.astype(PETSc.IntType), motions.indices.astype(PETSc.IntType), motions.data
         rigid = PETSc.Mat().createAIJ(((rows, None), (None, len(allowed))), csr=csr, comm=self.model.comm)
         product = A.ptap(rigid)
         first, last = product.getOwnershipRange()
@@ -93,11 +142,11 @@ class RigidMotions:
         stiffness[np.repeat(np.arange(first, last), np.diff(begins)), columns] = values
         product.destroy()
         rigid.destroy()
-        _, sizes, motions = np.linalg.svd(allowed.T @ self.model.comm.allreduce(stiffness) @ allowed)
+        _, sizes, ways = np.linalg.svd(allowed.T @ self.model.comm.allreduce(stiffness) @ allowed)
         if sizes[-1] > RESISTED_MOTION * self._stiffness or not np.isfinite(sizes[-1]):
             return
         least = np.flatnonzero(sizes <= max(RESISTED_MOTION * self._stiffness, sizes[-1]))
-        free = allowed @ motions[least].T
+        free = allowed @ ways[least].T
         if unbalanced is not None:
             free = self._led(free, unbalanced)
         motion = self._described(free)
@@ -109,9 +158,8 @@ class RigidMotions:
 
     def _led(self, free: Array, forces: PETSc.Vec) -> Array:
         """Free motions (pieces times per, k), and as a further one that to which forces on the displacements lead."""
-        motions, columns, _ = self._free
-        along = np.zeros(len(free))
-        np.add.at(along, columns, motions * forces.array_r[: len(motions), None])
+        motions, _ = self._free
+        along = motions.T @ forces.array_r[: motions.shape[0]]
         led = free @ (free.T @ self.model.comm.allreduce(along))
         size = float(np.linalg.norm(led))
         return np.column_stack([free, led / size]) if size else free
@@ -119,13 +167,16 @@ class RigidMotions:
     def _described(self, motions: Array) -> str:
         """Words for the motions (pieces times per, k) of the piece that moves most in the last one."""
         d = self.model.joint.dim
+        of_plates = len(motions) - len(self._names) * (self._per)
+        motions = motions[: len(motions) - of_plates]
         each = motions.reshape(len(self._names), -1, motions.shape[1])
         of_pieces = each[..., -1]
         k = int(np.abs(of_pieces).max(axis=1).argmax())
-        shift, turn = of_pieces[k, :d], of_pieces[k, d:]
+        axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
+        shift[axes], turn = of_pieces[k, : len(axes)], of_pieces[k, len(axes) :]
         where = f" at {place(self._places[k])}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
-        if np.linalg.matrix_rank(each[k], tol=SEVERAL) == len(each[k]):
+        if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=SEVERAL) == len(each[k]):
             return f"{body} can move and turn freely"
         if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:

@@ -25,6 +25,7 @@ from thinlayer.time.history import History, dissipated_columns
 Array = npt.NDArray[Any]
 TABLE = "table.csv"
 REQUIRED = {"t", "iterations", "residual", "supplied", "stored", "dissipated", "remainder"}  # columns to resume from
+REACTIONS = "reactions"
 MEMORY, FIELD, STORED, STRESS = "memory ", "field ", "stored ", "stress "  # prefixes of keys of parts in a state's file
 
 
@@ -134,6 +135,8 @@ class Checkpoint:
                 order = self._orders[key]
                 arrays[start + key] = self._gather(order.numbers, order.ordered(values))
         arrays["t"] = np.array(state.t)
+        if state.reactions is not None:
+            arrays[REACTIONS] = state.reactions
         arrays |= {STORED + key: np.array(energy) for key, energy in state.stored.items()}
         arrays["march"] = np.array(digest(self.mark))
 
@@ -225,8 +228,11 @@ class Checkpoint:
         dissipated |= {place: found.get(column, np.nan) for column, place in dissipated_columns(self.model).items()}
         audit = Audit(found["supplied"], found["stored"], found["dissipated"], found["remainder"])
         report = Report("resumed", int(found["iterations"]), found["residual"], 0.0)
-        parts = memory, fields, stored, stresses
-        return State(u, t, *parts, model=self.model, report=report, audit=audit, dissipated=dissipated)
+        parts, reactions = (memory, fields, stored), self.comm.bcast(arrays.get(REACTIONS))
+        return State(
+            u, t, *parts, reactions=reactions, stresses=stresses,
+            model=self.model, report=report, audit=audit, dissipated=dissipated,
+        )  # fmt: skip
 
     def _read_values(self, row: int, rows: Array | None, key: str, rest: Array) -> Array:
         """Values (n, m) at the points of a part, from the rows of a state's file on rank 0."""

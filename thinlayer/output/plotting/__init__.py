@@ -3,6 +3,20 @@
 from thinlayer.output.plotting.contacts import contact
 from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, rates
 from thinlayer.output.plotting.layers import layers
+from thinlayer.output.plotting.lines import along
+from thinlayer.output.plotting.picture import Picture
 from thinlayer.output.plotting.structures import VIEWS, deformed
 
-__all__ = ["COLOURS", "ERRORS", "VIEWS", "contact", "curves", "deformed", "layers", "panels", "rates"]
+__all__ = [
+    "COLOURS",
+    "ERRORS",
+    "VIEWS",
+    "Picture",
+    "along",
+    "contact",
+    "curves",
+    "deformed",
+    "layers",
+    "panels",
+    "rates",
+]

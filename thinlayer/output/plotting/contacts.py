@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from thinlayer.discretisation.contact_nodes import Array
 from thinlayer.errors import ModelError
 from thinlayer.output.contact_report import PINNED, ContactReport
-from thinlayer.output.plotting.curves import COLOURS, finish
+from thinlayer.output.plotting.curves import COLOURS
+from thinlayer.output.plotting.picture import Picture, finish
 
 STATUS = {"separated": "#d7d7d7", "sliding": "#f0a202", "stick": "#1b6ca8", "pinned": "#222222"}
 FLAT = 1e-6  # sine of the largest angle between normals of an S that counts as planar
@@ -32,7 +32,7 @@ def contact(
     title: str = "",
     length: str = "",
     stress: str = "",
-) -> Figure:
+) -> Picture:
     """Contact along S: in 2D a status strip, tractions and displacements; in 3D maps of status and tractions.
 
     Args:
@@ -57,10 +57,10 @@ def contact(
     return finish(figure, save)
 
 
-def _curves(cases: Mapping[str, ContactReport], length: str, stress: str) -> Figure:
+def _curves(cases: Mapping[str, ContactReport], length: str, stress: str) -> Picture:
     strip = 0.32 * len(cases)
     heights = [strip, 2.4, 2.4, 1.8]
-    figure = Figure(figsize=(6.8, sum(heights) + 1.4), layout="constrained")
+    figure = Picture(figsize=(6.8, sum(heights) + 1.4), layout="constrained")
     axes: Sequence[Axes] = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": heights})
     for row, (name, report) in enumerate(cases.items()):
         for left, right, status in _cells(report):
@@ -104,12 +104,12 @@ def _cells(report: ContactReport) -> list[tuple[float, float, str]]:
     return cells
 
 
-def _maps(cases: Mapping[str, ContactReport], length: str, stress: str) -> Figure:
+def _maps(cases: Mapping[str, ContactReport], length: str, stress: str) -> Picture:
     plans = {name: _Plan(report) for name, report in cases.items()}
     first = next(iter(plans.values()))
     ratio = np.ptp(first.x[:, 1]) / np.ptp(first.x[:, 0])
     height = min(max(4.2 * ratio, 1.6), 9.0) * len(cases) + 1.4
-    figure = Figure(figsize=(9.6, height), layout="constrained")
+    figure = Picture(figsize=(9.6, height), layout="constrained")
     axes = figure.subplots(len(cases), 2, squeeze=False)
     seen = {str(s) for report in cases.values() for s in report.status}
     for (left, right), (name, report) in zip(axes, cases.items(), strict=True):

@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from forms.temperature import real
-from geometry.parallel import on_root
 from thinlayer.errors import ModelError
-from thinlayer.files.table import Table, replaced
+from thinlayer.files.table import Table
+from thinlayer.output.plotting.picture import Picture, finish
 
-SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}  # options of all pictures that are saved
 # Colours and markers of the curves of a picture, in turn.
 COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#8f5ea2", "#c77d0a")
 MARKERS = ("o", "s", "^", "D", "v")
@@ -31,7 +29,7 @@ def rates(
     title: str = "",
     reference: float = 1.0,
     errors: Mapping[str, str] = ERRORS,
-) -> Figure:
+) -> Picture:
     """Draw the errors of sweeps against eps on logarithmic axes, with a line of a reference order.
 
     Collective if the picture is saved or a file is read, both by rank 0.
@@ -95,7 +93,7 @@ def curves(
     logarithmic: bool = False,
     xscale: str = "linear",
     ylim: tuple[float, float] | None = None,
-) -> Figure:
+) -> Picture:
     """Draw curves in one picture.
 
     Args:
@@ -132,7 +130,7 @@ def panels(
     columns: int = 3,
     yscale: str = "linear",
     ylims: Mapping[str, tuple[float, float]] | None = None,
-) -> Figure:
+) -> Picture:
     """Draw curves in several panels with one legend.
 
     Args:
@@ -147,7 +145,7 @@ def panels(
     """
     columns = min(columns, len(parts))
     rows = -(-len(parts) // columns)
-    figure = Figure(figsize=(3.1 * columns, 2.6 * rows + 0.6), layout="constrained")
+    figure = Picture(figsize=(3.1 * columns, 2.6 * rows + 0.6), layout="constrained")
     for k, (title, lines) in enumerate(parts.items()):
         axes = figure.add_subplot(rows, columns, k + 1)
         _plot(axes, lines, styles, colours)
@@ -179,39 +177,7 @@ def _numbers(label: str, line: Any) -> list[npt.NDArray[np.float64]]:
     return [x, y]
 
 
-def _figure(width: float, height: float) -> tuple[Figure, Axes]:
-    """A picture with one set of axes. It is made without pyplot, so that a notebook keeps its backend."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+def _figure(width: float, height: float) -> tuple[Picture, Axes]:
+    """A picture with one set of axes."""
+    figure = Picture(figsize=(width, height), layout="constrained")
     return figure, figure.subplots()
-
-
-def finish(figure: Figure, save: str | Path | None) -> Figure:
-    """Save a picture, if asked to. Collective: rank 0 writes."""
-    if save:
-        require_name(save)
-        on_root(None, lambda: put(figure, Path(save)))
-    return figure
-
-
-def require_name(save: Any) -> None:
-    """Raise ModelError unless `save` is the name of a file."""
-    if not isinstance(save, (str, Path)):
-        raise ModelError(f"save is {save!r}; it must be the name of a picture")
-
-
-def put(figure: Figure, path: Path) -> None:
-    """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
-
-    Raises:
-        ModelError: the name is that of a folder, or has an ending that matplotlib does not know.
-        OSError: the file could not be written.
-    """
-    if path.is_dir():
-        raise ModelError(f"{str(path)!r} is a folder; give the name of a picture")
-    kind = path.suffix.removeprefix(".") or "png"
-    if kind not in (known := figure.canvas.get_supported_filetypes()):
-        raise ModelError(
-            f"{str(path)!r} ends with {path.suffix}; allowed: {', '.join(f'.{one}' for one in sorted(known))}"
-        )
-    with replaced(path if path.suffix else path.with_suffix(".png")) as file:
-        figure.savefig(file, format=kind, **SAVED)

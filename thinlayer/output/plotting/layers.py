@@ -10,17 +10,15 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from forms.base import is_number
-from geometry.parallel import on_root
 from geometry.topology import is_tensor
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.fields import at_corners
+from thinlayer.output.grid import at_corners
 from thinlayer.output.layer_report import CRUSHED, ELASTIC, NO_LAYER, OPEN, SLIDING, STATUSES, TORN, LayerReport
-from thinlayer.output.plotting.curves import put, require_name
+from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
 
 Array = npt.NDArray[np.float64]
 STATES = {
@@ -39,19 +37,22 @@ WIDTH = 3.0  # of the lines of layers, points
 def layers(
     states: Mapping[str, State] | State,
     *,
-    save: str | Path,
+    save: str | Path | None = None,
     scale: float | None = None,
     title: str = "",
-) -> None:
+) -> Picture | None:
     """Deformed bodies side by side in 2D, the facets of S coloured by their status (`LayerReport`). Collective.
 
     Open joints without a layer are black; gaps between the bodies have the colour of their layer.
 
     Args:
         states: label -> state of an interface model without contact, or one state.
-        save: PNG file.
+        save: PNG file; None: it is not saved.
         scale: factor of the displacements (default: the largest is a twentieth of the structure).
         title: text over the picture.
+
+    Returns:
+        The picture on rank 0, None on other ranks.
 
     Raises:
         ModelError: no state, a state in 3D, errors of `LayerReport`; a scale that is no number. OSError: the picture could
@@ -69,13 +70,13 @@ def layers(
     moved = {label: at_corners(state) for label, state in panels.items()}
     comm = next(iter(panels.values())).model.comm
 
-    def draw() -> None:
+    def draw() -> Picture:
         size = max(float(np.ptp(one.state.model.joint.points, axis=0).max()) for one in reports.values())
         largest = max(float(np.linalg.norm(u, axis=2).max()) for u in moved.values())
         factor = scale if scale is not None else LARGEST * size / largest if largest else 1.0
         first = next(iter(reports.values())).state.model.joint.points
         ratio = float(np.ptp(first[:, 1]) / np.ptp(first[:, 0]))
-        figure = Figure(figsize=(5.2 * len(reports), 5.2 * ratio + 1.2), layout="constrained")
+        figure = Picture(figsize=(5.2 * len(reports), 5.2 * ratio + 1.2), layout="constrained")
         for axes, (label, report) in zip(
             figure.subplots(1, len(reports), squeeze=False)[0], reports.items(), strict=True
         ):
@@ -88,9 +89,9 @@ def layers(
         )  # fmt: skip
         if title:
             figure.suptitle(title)
-        put(figure, Path(save))
+        return figure
 
-    on_root(comm, draw)
+    return drawn_on_root(comm, draw, save)
 
 
 def _draw(axes: Axes, report: LayerReport, moved: Array) -> None:

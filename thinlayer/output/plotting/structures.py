@@ -17,14 +17,13 @@ import numpy.typing as npt
 import pyvista
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 from forms.base import is_number
-from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.output.fields import Shape, edges, gather, surface
-from thinlayer.output.plotting.curves import put, require_name
+from thinlayer.output.grid import gather
+from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
+from thinlayer.output.plotting.shapes import Shape, edges, surface
 
 LARGEST = 0.05  # largest drawn displacement, over the size of the structure
 VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
@@ -39,7 +38,7 @@ BODY: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": Fa
 def deformed(
     states: Mapping[str, State] | State,
     *,
-    save: str | Path,
+    save: str | Path | None = None,
     component: str = "size",
     scale: float | None = None,
     title: str = "",
@@ -47,14 +46,14 @@ def deformed(
     zoom: Sequence[float] | None = None,
     view: Sequence[float] | None = None,
     cut: bool = False,
-) -> None:
+) -> Picture | None:
     """Deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
 
     The meshed layer has red outlines, a rigid base is grey. Three-dimensional structures are seen in parallel projection.
 
     Args:
         states: label -> state, or one state. Collective.
-        save: PNG file.
+        save: PNG file; None: it is not saved.
         component: "size", "x", "y" or "z".
         scale: factor of the displacements (default: the largest is a twentieth of the structure).
         title, unit: text over the picture; unit of the displacements, for the colour bar.
@@ -63,6 +62,9 @@ def deformed(
         view: in 3D the direction from the structure to the viewer, (3,) (default: the viewer stands in front, z > 0, to
             the right and above). y points up on the picture; from right above, -z does.
         cut: in 3D whether to leave out the half in front of the middle in z, to see S inside.
+
+    Returns:
+        The picture on rank 0, which has the fields; None on other ranks.
 
     Raises:
         ModelError: what is no state, a scale or a window that is no number, no name of a file.
@@ -83,7 +85,7 @@ def deformed(
     grids = {label: gather(state) for label, state in panels.items()}
     comm = next(iter(panels.values())).model.comm
 
-    def draw() -> None:
+    def draw() -> Picture:
         first = next(iter(grids.values()))
         camera = _View.of(first.dim, view, cut)
         largest = max(np.linalg.norm(g.u, axis=1).max() for g in grids.values())
@@ -95,9 +97,9 @@ def deformed(
         figure = _side_by_side(shown, camera, window, f"{name}; drawn displacements x {factor:.3g}")
         if title:
             figure.suptitle(title)
-        put(figure, Path(save))
+        return figure
 
-    on_root(comm, draw)
+    return drawn_on_root(comm, draw, save)
 
 
 def _window(zoom: Any) -> tuple[float, ...]:
@@ -137,7 +139,7 @@ class _View:
         return points @ np.array([self.right, self.up, self.towards]).T
 
 
-def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float] | None, label: str) -> Figure:
+def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float] | None, label: str) -> Picture:
     """Picture of structures in a common window, with a common colour bar."""
     x, y, _ = view.on_screen(np.concatenate([shape.points for shape in shapes.values()])).T
     x0, x1, y0, y1 = window = (*_range(x), *_range(y)) if zoom is None else tuple(zoom)
@@ -148,7 +150,7 @@ def _side_by_side(shapes: Mapping[str, Shape], view: _View, zoom: Sequence[float
     seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
     limits = (float(np.nanmin(seen)), float(np.nanmax(seen)))
     panel_width, height_per_width = 4.6, (y1 - y0) / (x1 - x0)
-    figure = Figure(figsize=(panel_width * len(shapes), panel_width * height_per_width + 1.3), layout="constrained")
+    figure = Picture(figsize=(panel_width * len(shapes), panel_width * height_per_width + 1.3), layout="constrained")
     axes = list(figure.subplots(1, len(shapes), squeeze=False)[0])
     for one, (name, shape) in zip(axes, shapes.items(), strict=True):
         one.imshow(_render(shape, limits, view, window), extent=(x0, x1, y0, y1))

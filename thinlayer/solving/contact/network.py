@@ -113,7 +113,7 @@ class NetworkFinder:
         known = bool(x.array_r[self._dofs].any())
         x.array[equations.held] = equations.prescribed
         u = x.array_r[self._dofs].copy()
-        b = equations.loads.array_r - self._K[:, equations.held] @ equations.prescribed
+        b = equations.external.array_r - self._K[:, equations.held] @ equations.prescribed
         g = np.where(self._free, 0.0, system.stiffness.diagonal() * u)
         g[self._free] = condensation.condense(b)
         u, residuals = system.solve(u if known else system.bonded(g), g, max(equations.scale.least, TINY))

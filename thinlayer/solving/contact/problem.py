@@ -31,7 +31,7 @@ class ContactProblem:
         nodes: the nodes of S.
         law: the contact law.
         near: the rigid motions, as near null space for multigrid.
-        loads: nodal forces of the loads; zero at held displacements.
+        loads: nodal forces of loads and given strains; zero at held displacements.
         prescribed: prescribed values at held displacements; zero at the others.
         b: loads less the forces of prescribed displacements; at held displacements the diagonal times the prescribed value.
         slip: (n, d - 1) slip at the beginning of the step.
@@ -86,9 +86,9 @@ class ContactProblem:
         self.prescribed.set(0.0)
         self.prescribed.array[self.held] = equations.prescribed
         self.K.mult(self.prescribed, self.b)
-        self.b.aypx(-1.0, equations.loads)
+        self.b.aypx(-1.0, equations.external)
         self.b.array[self.held] = self.diagonal * equations.prescribed
-        equations.loads.copy(self.loads)
+        equations.external.copy(self.loads)
         self.loads.array[self.held] = 0.0
         self.K.mult(old.u.x.petsc_vec, self._forces)
         self.largest = max(float(self.b.norm()), float(self._forces.norm()))
@@ -105,7 +105,7 @@ class ContactProblem:
         out.array[self.held] = 0.0
         self.loads.copy(self._forces)
         self._forces.axpy(1.0, out)
-        scale.see(float(self._forces.norm()))
+        scale.see(float(self._forces.norm()), float(self.loads.norm()))
         self.nodes.add_forces(self.law.traction(self.nodes.jump(u), self.slip), out)
         out.array[self.held] = 0.0
         norm = float(out.norm())

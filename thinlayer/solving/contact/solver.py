@@ -89,11 +89,12 @@ def _is_network(model: Model) -> bool:
 
 
 def _is_linear(model: Model) -> bool:
-    """Whether bodies, seams without contact, and additions have a constant, symmetric stiffness matrix, by forms alone."""
+    """Whether the unknowns are displacements with a constant, symmetric stiffness, by forms alone, beside contact."""
     added = all(part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
     traits = [p.law.traits for p in model.terms if p.proportional]
     return (
         added
+        and not model.substituted
         and len(traits) == len(model.terms)
         and all(one.symmetric and not (one.constrained or one.compiled) for one in traits)
     )
@@ -164,7 +165,8 @@ def check_method(model: Model, method: Any) -> None:
         )
     if method in METHODS and not _is_linear(model):
         raise ModelError(
-            f"method={method!r} needs linear bodies without eigenstrains, and linear, symmetric parts and layers; "
+            f"method={method!r} needs linear bodies without stresses at rest, linear, symmetric parts and layers, and no "
+            "inclined supports or rigid plates; "
             "use method='newton'"
         )
     own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]

@@ -25,6 +25,8 @@ class Tangent:
         start: expected jumps, which choose the springs of the hierarchy; None: bonded.
     """
 
+    _matrix: PETSc.Mat
+
     def __init__(self, surface: SurfaceStiffness, start: Array | None) -> None:
         self.surface, self.problem, self.nodes = surface, surface.problem, surface.problem.nodes
         self._build(self._springs(start))
@@ -60,7 +62,7 @@ class Tangent:
         M.setOption(PETSc.Mat.Option.SPD, True)
         M.setBlockSize(nodes.dim)
         M.setNearNullSpace(problem.near)
-        self._matrix = in_blocks(M, nodes.dim)
+        self._matrix: PETSc.Mat = in_blocks(M, nodes.dim)
         self._cycle = PETSc.PC().create(problem.comm)
         self._cycle.setOptionsPrefix(PREFIX)
         self._cycle.setOperators(M)

@@ -1,10 +1,10 @@
-"""The csv file of a sweep, and the file beside it that describes the data and code behind its rows."""
+"""The csv file of a table that grows row by row, and the file beside it that describes what its rows were made from."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,43 +15,53 @@ from thinlayer.identity.described import referred
 from thinlayer.identity.describer import CODE, SAME
 from thinlayer.identity.differences import MISSING, differences
 
-ERRORS = ("eps", "error_traction", "error_jump")
-ORDERS = ("order_traction", "order_jump")  # columns that a sweep adds
 
+class RowFile:
+    """A csv file of rows that a user's function gives, and beside it what they were made from; on one rank.
 
-class SweepFile:
-    """The csv file of a sweep, and beside it a description of the data and code behind its rows; on one rank.
+    The description leaves out data that the function itself changes, such as a list of its results.
 
-    The description leaves out data that `run` itself changes, such as a list of its results.
+    Args:
+        path: the csv file; the description is path.json.
+        run: the function.
+        kind: what the table is, for messages: "sweep", "ensemble".
+        numbers: columns that hold a number in every row.
     """
 
-    def __init__(self, path: Path, run: Callable[[float], Mapping[str, Any]]) -> None:
+    def __init__(self, path: Path, run: Callable[..., Any], kind: str, numbers: Sequence[str]) -> None:
         self.path, self.beside, self._run = path, path.with_name(f"{path.name}.json"), run
+        self._kind, self._numbers = kind, numbers
         self._made_from = referred(run)
         self._changing: set[tuple[str, ...]] = set()
 
-    def begin(self, resume: bool) -> dict[float, Row]:
-        """Thickness -> row, without orders, of the rows that are kept; errors as in `sweep`."""
+    def begin(self, resume: bool) -> list[Row]:
+        """The rows that are kept.
+
+        Raises:
+            ModelError: the file is to be resumed and has other rows than those of this function.
+        """
         if not self.path.exists():
-            return {}
+            return []
         problem = self._problem()
         if problem and resume:
             raise ModelError(f"{problem}; give another name, or remove it")
         if problem:
             moved_away(self.path.parent, [self.path.name, self.beside.name])
         if not resume:
-            return {}
+            return []
         rows = Table.load_here(self.path).rows
-        if any(not isinstance(row.get(name), float) for row in rows for name in ERRORS):
-            raise ModelError(f"{str(self.path)!r} is not the table of a sweep; give another name, or remove it")
-        return {float(row["eps"]): {n: v for n, v in row.items() if n not in ORDERS} for row in rows}  # type: ignore[arg-type]
+        if any(not isinstance(row.get(name), float) for row in rows for name in self._numbers):
+            raise ModelError(
+                f"{str(self.path)!r} is not the table of {_a(self._kind)}; give another name, or remove it"
+            )
+        return rows
 
     def _problem(self) -> str | None:
-        """Reason why the existing table does not belong to this sweep; None if it does."""
-        name = str(self.path)
+        """Reason why the existing table does not belong to this function; None if it does."""
+        name, beside = str(self.path), self.beside.name
         if not self.beside.exists():
             return (
-                f"{name!r} is not the table of a sweep: there is no {self.beside.name} that tells what it was made from"
+                f"{name!r} is not the table of {_a(self._kind)}: there is no {beside} that tells what it is made from"
             )
         try:
             content = json.loads(self.beside.read_text(encoding="utf-8"))
@@ -63,11 +73,11 @@ class SweepFile:
         except (OSError, ValueError, LookupError, TypeError) as error:
             return f"{str(self.beside)!r} cannot be read ({error})"
         if hash_of(self.path) not in hashes:
-            return f"{name!r} is not the table of a sweep: it has been changed since one wrote it"
+            return f"{name!r} is not the table of {_a(self._kind)}: it has been changed since one wrote it"
         self._changing = changing
         found = [one for one in differences(there, self._made_from) if _changed(*one) not in changing]
         what = "; ".join(f"{'.'.join(path)}: {_short(one)} there, {_short(two)} here" for path, one, two in found)
-        return f"{name!r} is the table of another sweep ({what})" if found else None
+        return f"{name!r} is the table of another {self._kind} ({what})" if found else None
 
     def write(self, table: Table) -> None:
         """Replace the table. The file beside it names the old and the new one, and is written first."""
@@ -85,6 +95,11 @@ def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
     if {CODE, SAME} & {*path}:
         return None
     return (*path[:-1], "*") if one is MISSING else path
+
+
+def _a(kind: str) -> str:
+    """The noun with its article."""
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 def _short(value: Any) -> str:

@@ -1,0 +1,144 @@
+"""Kinematics: what the displacements of a plane, an axisymmetric or a three-dimensional mesh mean in three dimensions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from forms.kinematics import MANDEL, Expr, lift, strain
+from forms.law import BulkLaw
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """Strains (3, 3) of displacements, the factor of measures, and the laws of these strains.
+
+    These are the kinematics of plane strain in 2D, and of three dimensions; others derive from them.
+
+    Attributes:
+        x: place on the mesh, (d,) UFL; None: there is no mesh yet, see `on`.
+        name: as in `Structure(plane=...)`.
+        turns: whether rotations are rigid motions.
+        degree: polynomial degree of the factor of measures.
+    """
+
+    x: Expr | None = None
+    name: ClassVar[str] = "strain"
+    turns: ClassVar[bool] = True
+    degree: ClassVar[int] = 0
+
+    def on(self, mesh: Any) -> Self:
+        """The same kinematics at the places of a mesh."""
+        return replace(self, x=ufl.SpatialCoordinate(mesh))
+
+    def slots(self, d: int) -> tuple[int, ...]:
+        """Mandel components that the strains of displacements (d,) have; the others are zero."""
+        return tuple(k for k, (_, j) in enumerate(MANDEL) if j < d)
+
+    def translations(self, d: int) -> tuple[int, ...]:
+        """Axes along which translations are rigid motions."""
+        return tuple(range(d))
+
+    def radius(self, x: Array) -> Array:
+        """(n,) distances of places (n, d) from the axis of revolution; infinite, as there is none."""
+        return np.full(len(x), np.inf)
+
+    def stressed(self, d: int) -> tuple[int, ...]:
+        """Mandel components that stresses may have; the others are zero, whatever the law of `law` gives for them."""
+        return tuple(range(len(MANDEL)))
+
+    @property
+    def factor(self) -> Any:
+        """Factor of all measures dx, ds and dS of the mesh: 1, for integrals per unit thickness in 2D."""
+        return 1
+
+    def node_areas(self, corners: Array, lengths: Array) -> Array:
+        """Areas (n, k) of S around the corners (n, k, d) of facets, whose shares of the mesh's own areas are `lengths`."""
+        return lengths
+
+    def strain(self, u: Expr) -> Expr:
+        """Strain (3, 3) of a displacement in a body or in a meshed layer."""
+        return strain(u)
+
+    def along(self, u: Expr, side: Callable[[Expr], Expr], n: Expr) -> Expr:
+        """Strain (3, 3) along S, of normal n (d,), of the displacements on one side."""
+        tangential = ufl.Identity(len(n)) - ufl.outer(n, n)
+        return lift(ufl.sym(ufl.dot(side(ufl.grad(u)), tangential)))
+
+    def seen(self, e: Expr) -> Expr:
+        """The part of a given strain (3, 3), such as a free expansion, that the laws of `law` take."""
+        return e
+
+    def law(self, law: BulkLaw) -> BulkLaw:
+        """The law of the strains of `strain`, `along` and of jumps, for a law of strains in three dimensions."""
+        return law
+
+
+class PlaneStress(Kinematics):
+    """Plane stress: no stress out of the plane; laws find the strain there themselves (`BulkLaw.plane_stress`)."""
+
+    name = "stress"
+
+    def stressed(self, d: int) -> tuple[int, ...]:
+        return self.slots(d)
+
+    def seen(self, e: Expr) -> Expr:
+        """The strain in the plane: nothing holds a strain out of it."""
+        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
+
+    def law(self, law: BulkLaw) -> BulkLaw:
+        return law.plane_stress()
+
+
+class Axisymmetric(Kinematics):
+    """Bodies of revolution without twist: x is the distance r >= 0 from the axis, y the place along it.
+
+    The third strain is that of hoops, u_r/r. Integrals are over the whole revolution, with the factor 2 pi r.
+    """
+
+    name = "axisymmetric"
+    turns = False
+    degree = 1
+
+    def slots(self, d: int) -> tuple[int, ...]:
+        return (0, 1, 2, 3)
+
+    def translations(self, d: int) -> tuple[int, ...]:
+        return (1,)
+
+    def radius(self, x: Array) -> Array:
+        return x[:, 0]
+
+    @property
+    def factor(self) -> Any:
+        """2 pi r."""
+        return 2 * ufl.pi * self._r
+
+    def node_areas(self, corners: Array, lengths: Array) -> Array:
+        """Integrals of the functions of degree 1 over the revolution: 2 pi (2 r_i + r_j)/3 of each half length."""
+        r = corners[:, :, 0]
+        return np.asarray(2 * np.pi * lengths * (r + r.sum(axis=1, keepdims=True)) / 3)
+
+    def strain(self, u: Expr) -> Expr:
+        return strain(u) + self._hoops(u)
+
+    def along(self, u: Expr, side: Callable[[Expr], Expr], n: Expr) -> Expr:
+        return super().along(u, side, n) + self._hoops(side(u))
+
+    @property
+    def _r(self) -> Expr:
+        assert self.x is not None, "kinematics of no mesh; see `on`"
+        return self.x[0]
+
+    def _hoops(self, u: Expr) -> Expr:
+        return ufl.as_tensor([[0, 0, 0], [0, 0, 0], [0, 0, u[0] / self._r]])
+
+
+PLANES: dict[str, Kinematics] = {one.name: one for one in (Kinematics(), PlaneStress(), Axisymmetric())}

@@ -1,0 +1,44 @@
+"""mpirun -n N python3 -m tests.eigenstrain_cases: norms of models with eigenstrains."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+
+from forms import HolonomicCoulomb, LinearElastic, Maxwell
+from geometry import periodic, sandwich
+from thinlayer import Prestress, Structure, Surface, ThermalExpansion, ThinLayer, march, solve
+
+BODY, GLUE = LinearElastic.young(30.0, 0.3), Maxwell(7.0, 5.0, t1=0.7, t2=0.9)
+HOT = ThermalExpansion(2e-3, lambda x, t: t * (1 + x[0] ** 2))
+
+
+def numbers() -> dict[str, float]:
+    found: dict[str, float] = {}
+    joint = sandwich(2.0, 0.5, 0.75, 0.25)
+    data = {"body": BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.02, -0.05)}}
+    layer = ThinLayer(GLUE, 0.1, eigenstrain=[HOT, lambda x, t: ((0, 1e-3 * x[0]), (1e-3 * x[0], -2e-3 * t))])
+    for kind in ("full", "interface"):
+        model = getattr(Structure(joint, eigenstrain=HOT, **data), kind)(layer)
+        state = march(model, [0.5, 1.0]).last
+        found[f"{kind} u"] = state.integral(ufl.inner(state.u, state.u) * ufl.dx)
+        found[f"{kind} supplied"] = state.audit.supplied
+        found[f"{kind} stored"] = state.audit.total
+    surface = Surface(model)
+    found["traction"] = surface.norm(surface.traction(state))
+    sides = ("LEFT", "RIGHT"), ("BOTTOM", "TOP")
+    cell = Structure(periodic(joint, *sides), body=BODY, supports={}, stress=np.eye(2), eigenstrain=HOT)
+    found |= {f"E{k}": e for k, e in enumerate(solve(cell.bonded(), 1.0).mean_strain()[[0, 1], [0, 1]])}
+    pressed = {"supports": {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}}, "eigenstrain": [HOT, Prestress(-0.01)]}
+    law = HolonomicCoulomb(K_N=40.0, K_T=9.0, friction=0.4)
+    state = solve(Structure(joint, body=BODY, element="P1", **pressed).interface(law), 1.0)
+    return found | {"contact u": state.integral(ufl.inner(state.u, state.u) * ufl.dx)}
+
+
+if __name__ == "__main__":
+    found = numbers()
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(found))

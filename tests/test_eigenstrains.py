@@ -1,0 +1,362 @@
+"""Eigenstrains of bodies: free and confined expansion, in-situ stress, energies in time, contact, cells; refusals."""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Stack, VonMises
+from forms.law import BulkLaw
+from geometry import block, periodic, sandwich
+from tests.dry_walls import dry_wall
+from tests.ranks import mpirun
+from tests.test_readme import README
+from thinlayer import (
+    ModelError,
+    Prestress,
+    Structure,
+    Surface,
+    ThermalExpansion,
+    ThinLayer,
+    homogenised_stiffness,
+    march,
+    piecewise,
+    solve,
+)
+
+LAW = LinearElastic.young(30.0, 0.3)
+GLUE = LinearElastic(7.0, 5.0)
+SHEARED = ((2e-3, 1e-3), (1e-3, -3e-3))  # neither a unit nor symmetric about an axis
+FLAT, SOLID = sandwich(2.0, 0.5, 0.75, 0.5), sandwich(1.0, 0.4, 0.6, 0.5, depth=0.5)
+SIDES = ("LEFT", "RIGHT"), ("BOTTOM", "TOP")
+AT_REST = {(0.0, -0.5): 0.0, (2.0, -0.5): {"y": 0.0}}
+AT_REST_3D = {(0.0, -0.4, 0.0): 0.0, (1.0, -0.4, 0.0): {"y": 0.0, "z": 0.0}, (0.0, -0.4, 0.5): {"y": 0.0}}
+ROLLERS = {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+
+
+@dataclass(frozen=True)
+class Hardening(BulkLaw):
+    """lmbda tr(e) I + 2 mu (1 + a e:e) e."""
+
+    lmbda: float
+    mu: float
+    a: float
+
+    def stress(self, step):
+        e = step.e
+        return self.lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * self.mu * (1 + self.a * ufl.inner(e, e)) * e
+
+    def energy(self, step):
+        square = ufl.inner(step.e, step.e)
+        return self.lmbda * ufl.tr(step.e) ** 2 / 2 + self.mu * (square + self.a * square**2 / 2)
+
+
+def largest_stress(state):
+    """Root mean square of the in-plane stresses of bodies."""
+    from forms.work import stress
+
+    d, volume = state.model.joint.dim, 0.0
+    for p in state.bodies:
+        s = stress(p, state.u)
+        inside = ufl.as_matrix([[s[i, j] for j in range(d)] for i in range(d)])
+        volume += state.integral(ufl.inner(inside, inside) * p.measure)
+    return np.sqrt(volume)
+
+
+# ---------------------------------------------------------------- free expansion
+@pytest.mark.parametrize("law", [LAW, Hardening(20.0, 10.0, 5.0)], ids=["linear", "hardening"])
+def test_bodies_that_expand_freely_have_no_stress(law):
+    """Any uniform strain, and a temperature that is linear in place, are strains of displacements."""
+    hot = ThermalExpansion(2e-3, lambda x, t: 1 + 3 * x[0] - x[1] + 2 * x[2])
+    state = solve(Structure(SOLID, body=law, supports=AT_REST_3D, eigenstrain=hot).bonded())
+    confined = 2e-3 * 3 * LAW.lmbda
+    assert largest_stress(state) < 1e-11 * confined
+    assert state.energies()["bodies"] < 1e-20 * confined
+    bent = ThermalExpansion(2e-3, lambda x, t: x[0] ** 2)
+    assert largest_stress(solve(Structure(SOLID, body=law, supports=AT_REST_3D, eigenstrain=bent).bonded())) > 1e-3
+
+
+def test_a_strip_in_plane_strain_is_stressed_across_the_plane_alone():
+    state = solve(Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=4e-3).bonded())
+    assert largest_stress(state) < 1e-12
+    assert state.energies()["bodies"] == pytest.approx(30.0 * 4e-3**2 / 2 * 2.5, rel=1e-12)  # E e^2/2 of s_33 = -E e
+    x = np.array([[2.0], [0.75]])
+    corner = (1 + 0.3) * 4e-3 * (x - np.array([[0.0], [-0.5]]))
+    top = np.abs(state.model.V.tabulate_dof_coordinates()[:, :2].T - x).sum(axis=0).argmin()
+    assert state.u.x.array.reshape(-1, 2)[top] == pytest.approx(corner.ravel(), rel=1e-12)
+    flat = solve(Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=SHEARED, plane="stress").bonded())
+    assert largest_stress(flat) + flat.energies()["bodies"] < 1e-12
+
+
+def test_a_hollow_cylinder_expands_freely():
+    """Its radii and its height grow by the expansion; unequal expansion of hoops alone is no strain of displacements."""
+    tube = replace(FLAT, points=np.add(FLAT.points, (1.0, 0.0)))
+    data = {"body": LAW, "supports": {(1.0, -0.5): {"y": 0.0}}, "plane": "axisymmetric"}
+    state = solve(Structure(tube, eigenstrain=4e-3, **data).bonded())
+    assert state.energies()["bodies"] < 1e-20
+    x = state.model.V.tabulate_dof_coordinates()
+    assert state.u.x.array[::2] == pytest.approx(4e-3 * x[:, 0], rel=1e-10)
+    hoops = np.diag([0.0, 0.0, 4e-3])
+    assert solve(Structure(tube, eigenstrain=hoops, **data).bonded()).energies()["bodies"] > 1e-5
+
+
+@pytest.mark.parametrize("plane", ["strain", "stress", "axisymmetric"])
+def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
+    """As a linear one below their strength, also what is across the plane; beyond it they carry no more."""
+    tube = replace(FLAT, points=np.add(FLAT.points, (1.0, 0.0)))
+    hot = ThermalExpansion((1e-3, 2e-3, 4e-3), lambda x, t: t * (1 + x[0]))
+    found = {}
+    for law in (
+        LAW,
+        VonMises(LAW.lmbda, LAW.mu, strength=9.0),
+        VonMises(LAW.lmbda, LAW.mu, strength=0.04, hardening=1.0),
+    ):
+        data = {"body": law, "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.01}}, "plane": plane, "eigenstrain": hot}
+        state = march(Structure(tube, **data).bonded(), [0.5, 1.0]).last
+        assert abs(state.audit.imbalance) < 1e-8
+        found[law] = state.energies()["bodies"]
+    linear, strong, weak = found.values()
+    assert strong == pytest.approx(linear, rel=1e-8)
+    assert weak < 0.7 * linear
+
+
+# ---------------------------------------------------------------- confined
+def confined(plane="strain", law=LAW, **data):
+    return solve(Structure(FLAT, body=law, supports=ROLLERS, plane=plane, **data).bonded()).mean_stress()
+
+
+def test_bodies_between_rollers_are_stressed_by_their_expansion():
+    lmbda, mu = LAW.lmbda, LAW.mu
+    assert confined(eigenstrain=4e-3) == pytest.approx(-(3 * lmbda + 2 * mu) * 4e-3 * np.eye(2), rel=1e-12, abs=1e-12)
+    assert confined("stress", eigenstrain=4e-3) == pytest.approx(-30 / 0.7 * 4e-3 * np.eye(2), rel=1e-12, abs=1e-12)
+    e = np.diag([2e-3, -3e-3])
+    assert confined(eigenstrain=e) == pytest.approx(-lmbda * e.trace() * np.eye(2) - 2 * mu * e, rel=1e-12, abs=1e-12)
+    out = confined(eigenstrain=np.diag([0.0, 0.0, 5e-3]))  # across the plane: free in plane stress
+    assert out == pytest.approx(-lmbda * 5e-3 * np.eye(2), rel=1e-12, abs=1e-12)
+    assert np.abs(confined("stress", eigenstrain=np.diag([0.0, 0.0, 5e-3]))).max() == 0.0
+
+
+def test_eigenstrains_add_up_and_forms_of_input_agree():
+    hot = ThermalExpansion((1e-3, 2e-3, 3e-3), T=2.0)
+    summed = confined(eigenstrain=[hot, 1e-3, lambda x, t: np.diag([0.0, 0.0, -6e-3])])
+    assert summed == pytest.approx(confined(eigenstrain=np.diag([3e-3, 5e-3, 1e-3])), rel=1e-12)
+    several = confined(eigenstrain={"LOWER": 1e-3, "UPPER": lambda x, t: 1e-3 + 0 * x[0]})
+    assert several == pytest.approx(confined(eigenstrain=1e-3), rel=1e-12, abs=1e-12)
+    bent = ThermalExpansion(np.diag([1e-3, 2e-3, 0]) + 1e-3 * np.ones((3, 3)), piecewise({0: 0.0, 1: 2.0}))
+    states = march(Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=bent).bonded(), [0.5])
+    assert states.last.model.break_times == {0.0, 1.0}
+    table = np.diag([2e-3, 3e-3, 1e-3]) + 1e-3 * (1 - np.eye(3))
+    assert states.last.mean_stress() == pytest.approx(confined(eigenstrain=table), rel=1e-12, abs=1e-12)
+
+
+# ---------------------------------------------------------------- in-situ stress
+TILTED = Anisotropic(  # orthotropic, its axes turned about z
+    np.array(
+        [
+            [45.0, 5.0, 5.0, 0.0, 0.0, 1.5],
+            [5.0, 35.0, 5.0, 0.0, 0.0, 1.5],
+            [5.0, 5.0, 25.0, 0.0, 0.0, 0.5],
+            [0.0, 0.0, 0.0, 9.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0, 8.0, 0.0],
+            [1.5, 1.5, 0.5, 0.0, 0.0, 7.0],
+        ]
+    )
+)
+
+
+def rock(law, sigma, plane="strain", joint=FLAT):
+    """Two blocks and a layer under their weight, 2 per volume, between smooth walls."""
+    walls = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    if joint.dim == 3:
+        walls |= {"FRONT": {"z": 0.0}, "BACK": {"z": 0.0}}
+    insitu = {} if sigma is None else {"eigenstrain": Prestress(sigma)}
+    data = {"body_force": (0.0, -2.0, 0.0)[: joint.dim], "supports": walls, "plane": plane}
+    return Structure(joint, body=law, **data, **insitu).interface(ThinLayer(GLUE, 0.05, **insitu))
+
+
+@pytest.mark.parametrize("law", [LAW, TILTED], ids=["isotropic", "tilted"])
+@pytest.mark.parametrize("shape", [2, 3, "stress", "solid"])
+def test_rock_under_its_weight_does_not_move(law, shape):
+    """The in-situ stress balances the weight: nothing moves, and S carries it."""
+    joint, plane = SOLID if shape == "solid" else FLAT, "stress" if shape == "stress" else "strain"
+    if plane == "stress" and law is TILTED:
+        return  # has no law of plane stress
+    top, sides = (0.6, 0.5) if shape == "solid" else (0.75, 2.0)
+
+    def sigma(x, t):
+        s = 2.0 * (x[1] - top)
+        rows = ((0.4 * s, 0, 0), (0, s, 0), (0, 0, 0.7 * s))
+        return rows if shape in (3, "solid") else tuple(row[:2] for row in rows[:2])
+
+    model = rock(law, sigma, plane, joint)
+    state, surface = solve(model), Surface(model)
+    alone = np.abs(solve(rock(law, None, plane, joint)).u.x.array).max()
+    assert np.abs(state.u.x.array).max() < 1e-11 * alone
+    assert surface.integral(surface.traction(state)[1]) == pytest.approx(-2.0 * top * sides, rel=1e-10)
+
+
+def test_a_prestress_of_two_components_has_the_third_of_plane_strain():
+    nu = LAW.lmbda / (2 * (LAW.lmbda + LAW.mu))
+    clamped = Structure(
+        FLAT, body=LAW, supports=dict.fromkeys(ROLLERS, 0.0), eigenstrain=Prestress(((0.3, 0.1), (0.1, -0.2)))
+    )
+    given = solve(clamped.bonded()).mean_stress()
+    assert given == pytest.approx(np.array([[0.3, 0.1], [0.1, -0.2]]), rel=1e-12, abs=1e-12)
+    structure = Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=Prestress(((0.3, 0), (0, -0.2))))
+    energy = solve(structure.bonded()).energies()["bodies"]  # a free body keeps none of it, s_33 vanishes too
+    assert energy < 1e-20
+    other = Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=Prestress(np.diag([0.3, -0.2, 0.1 * nu + 0.06])))
+    assert solve(other.bonded()).energies()["bodies"] == pytest.approx(0.06**2 / 30.0 / 2 * 2.5, rel=1e-10)
+
+
+# ---------------------------------------------------------------- energies in time
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+@pytest.mark.parametrize("kind", ["full", "interface"])
+def test_the_energy_balance_knows_the_work_of_growing_strains(kind, theta):
+    """Heat in place and time, beside a load: what is supplied is stored, but for the scheme's remainder."""
+    hot = ThermalExpansion(2e-3, lambda x, t: ufl.sin(t) * (1 + x[0] ** 2))
+    data = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": lambda x, t: (0.02 * t, -0.05 * t)}, "eigenstrain": hot}
+    layer = ThinLayer(GLUE, 0.1, eigenstrain=lambda x, t: ((-3e-3 * t, 0), (0, 2e-3 * t * x[0])))
+    model = getattr(Structure(FLAT, body=LAW, **data), kind)(layer)
+    history = march(model, [0.4, 1.0, 1.5], theta=theta)
+    for state in history:
+        audit = state.audit
+        assert abs(audit.imbalance) < 1e-11
+        energies = state.energies()
+        assert audit.total == pytest.approx(energies["bodies"] + energies["layer"], rel=1e-10, abs=1e-16)
+        if theta == 0.5 and state.t:
+            assert abs(audit.remainder) < 1e-11 * audit.total
+    assert history.last.audit.supplied > 0
+
+
+def test_bodies_that_are_not_linear_balance_their_energy():
+    hot = ThermalExpansion(0.1, lambda x, t: t * (1 + x[0]))
+    data = {"supports": {"BOTTOM": 0.0, "TOP": {"y": 0.0}}, "eigenstrain": hot}
+    law = Hardening(20.0, 10.0, 40.0)
+    states = march(Structure(FLAT, body=law, **data).bonded(), [0.5, 1.0])
+    assert max(abs(state.audit.imbalance) for state in states) < 1e-9
+    half, whole = (np.abs(state.mean_stress()[1, 1]) for state in list(states)[1:])
+    assert whole > 2.1 * half
+
+
+# ---------------------------------------------------------------- contact
+@pytest.mark.parametrize("method", ["condensed", "multigrid", "newton", "relaxation"])
+def test_a_block_that_expands_against_its_base(method):
+    """Springs of S and the block in series: w (K + M/H) = -(3 lmbda + 2 mu) e."""
+    joint, e, K = block(4.0, 2.0, 0.5, structured=True), 3e-3, 40.0
+    walls = {"TOP": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(joint, body=LAW, supports=walls, element="P1", eigenstrain=e)
+    state = solve(structure.interface(HolonomicCoulomb(K_N=K, K_T=9.0, friction=0.4)), method=method)
+    surface = Surface(state.model)
+    w = -(3 * LAW.lmbda + 2 * LAW.mu) * e / (K + (LAW.lmbda + 2 * LAW.mu) / 2.0)
+    assert surface.integral(surface.jump(state)[1]) == pytest.approx(4.0 * w, rel=1e-8)
+    assert surface.integral(surface.traction(state)[1]) == pytest.approx(4.0 * K * w, rel=1e-8)
+
+
+def test_bricks_that_expand_in_a_dry_wall():
+    found = []
+    for method in ("condensed", "newton"):
+        state = solve(dry_wall(eigenstrain=ThermalExpansion(1e-3, lambda x, t: 1 + x[0])), 0.1, method=method)
+        found.append(state.u.x.array)
+    assert found[0] == pytest.approx(found[1], rel=1e-7, abs=1e-8 * np.abs(found[1]).max())
+    assert np.abs(found[0] - solve(dry_wall(), 0.1).u.x.array).max() > 1e-3 * np.abs(found[0]).max()
+
+
+# ---------------------------------------------------------------- periodic cells
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+def test_the_expansion_of_a_laminate(theta):
+    """Free of mean stress: (1 + nu) times the mean expansion, and the jump of a layer that shrinks; energies balance."""
+    joint = periodic(sandwich(1.0, 0.4, 0.6, 0.2, cell="quadrilateral", structured=True), *SIDES)
+    expansion = {"LOWER": lambda x, t: 1e-3 * t, "UPPER": lambda x, t: 4e-3 * t}
+    layer = ThinLayer(GLUE, 0.02, eigenstrain=lambda x, t: -5e-3 * t)
+    data = {"body": LAW, "supports": {}, "stress": np.zeros((2, 2)), "eigenstrain": expansion}
+    history = march(Structure(joint, **data).interface(layer), [0.5, 1.0], theta=theta)
+    closed = 1.3 * (0.4 * 1e-3 + 0.6 * 4e-3) * np.eye(2)
+    closed[1, 1] -= 0.02 * 5e-3 * (3 * GLUE.lmbda + 2 * GLUE.mu) / (GLUE.lmbda + 2 * GLUE.mu)
+    assert history.last.mean_strain() == pytest.approx(closed, rel=1e-10, abs=1e-14)
+    assert np.abs(history.last.mean_stress()).max() < 1e-13
+    assert max(abs(state.audit.imbalance) for state in history) < 1e-11
+
+
+def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
+    """What the models of a family share has their strains, and not those by which the stiffness is found."""
+    joint = periodic(sandwich(1.0, 0.4, 0.6, 0.2, cell="quadrilateral", structured=True), *SIDES)
+    data = {"body": LAW, "supports": {}, "strain": np.diag([1e-3, 2e-3])}
+    heated = Structure(joint, eigenstrain=2e-3, **data).interface(ThinLayer(GLUE, 0.02))
+    other = heated.with_layer(ThinLayer(GLUE, 0.03))
+    before = solve(other).mean_stress()
+    plain = Structure(joint, **data).interface(ThinLayer(GLUE, 0.03))
+    assert homogenised_stiffness(other) == pytest.approx(homogenised_stiffness(plain), rel=1e-11, abs=1e-11)
+    assert np.array_equal(solve(other).mean_stress(), before)
+    assert np.abs(before - solve(plain).mean_stress()).max() > 1e-3
+
+
+def test_what_the_readme_writes():
+    section = README.partition("## Heat, shrinkage, in-situ stress\n")[2].partition("\n## ")[0]
+    code = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
+    given = {"joint": FLAT, "steel": LAW, "glue": GLUE, "supports": AT_REST}
+    names = {one: globals()[one] for one in ("Structure", "ThinLayer", "ThermalExpansion", "Prestress", "ufl")} | given
+    exec(code, names)
+    for structure in (names["strips"], names["stones"]):
+        march(structure.interface(names["setting"]), [1.0])
+
+
+# ---------------------------------------------------------------- ranks, refusals
+def test_ranks():
+    found, alone = (json.loads(mpirun(n, "-m", "tests.eigenstrain_cases").stdout) for n in (2, 1))
+    assert found == pytest.approx(alone, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        (np.nan, "component nan"),
+        ("hot", "the eigenstrain of the body 'LOWER' is 'hot'"),
+        (True, "needs a number, a symmetric table"),
+        ([1.0, 2.0], "a list of these that add up"),
+        ([], "a list of these that add up"),
+        (np.eye(4), r"\(2, 2\) or \(3, 3\)"),
+        (((1.0, 2.0), (3.0, 1.0)), "is not symmetric: its components 21 and 12"),
+        (lambda x, t: ((x[0], x[1]), (x[0], x[1])), "is not symmetric"),
+        (lambda x, t: (x[0], x[1]), "needs a number"),
+        (lambda x, t: np.inf, "component inf"),
+        (lambda x, t: ufl.lt(x[0], 1), "component"),
+        (lambda x, t: t > 1, "component"),
+        ({"MIDDLE": 1.0}, "unknown body 'MIDDLE'"),
+    ],
+)
+def test_refused(given, match):
+    with pytest.raises(ModelError, match=match):
+        Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded()
+
+
+def test_refused_helpers():
+    for alpha in ((1.0, 2.0), np.nan, "x", ((1.0, 2.0, 0), (0, 1.0, 0), (0, 0, 1.0))):
+        with pytest.raises(ModelError, match=r"alpha|symmetric"):
+            ThermalExpansion(alpha, 1.0)
+    with pytest.raises(ModelError, match="T is 'warm'"):
+        ThermalExpansion(1.0, "warm")
+    hot = Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=ThermalExpansion(1.0, lambda x, t: 1 / (t - 1)))
+    with pytest.raises(ModelError, match="eigenstrain of the bodies is not finite at t = 1"):
+        solve(hot.bonded(), 1.0)
+    out = Structure(FLAT, body=LAW, supports=ROLLERS, plane="stress", eigenstrain=Prestress(1.0))
+    with pytest.raises(ModelError, match="out of the plane"):
+        out.bonded()
+    plates = Structure(FLAT, body=LAW, supports=ROLLERS)
+    stacked = ThinLayer(Stack((0.3, GLUE), (0.7, LAW)), 0.1, eigenstrain=Prestress(1.0))
+    with pytest.raises(ModelError, match="the layer: its sublayers have stiffnesses"):
+        plates.interface(stacked)
+    with pytest.raises(ModelError, match=r"no strain of .* causes some stresses"):
+        plates.interface(ThinLayer(Anisotropic.springs(K_N=2.0, K_T=1.0), 0.1, eigenstrain=Prestress(1.0)))
+
+
+def test_models_with_other_eigenstrains_are_others():
+    marks = set()
+    for e in (None, 1e-3, 2e-3, ThermalExpansion(1e-3, 2.0), Prestress(1.0)):
+        model = Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=e).bonded()
+        marks |= {model.mark, json.dumps(model.identity(), sort_keys=True)}
+        layer = ThinLayer(GLUE, 0.1, eigenstrain=e)
+        marks.add(json.dumps(Structure(FLAT, body=LAW, supports=ROLLERS).interface(layer).identity(), sort_keys=True))
+    assert len(marks) == 11  # marks are empty on one rank

@@ -1,0 +1,230 @@
+"""Eigenstrains of layers: free and held shrinkage, histories, layers that remember or yield, the next order in eps."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms.elastic import lame
+from geometry import sandwich
+from studies.problems import FOURIER_LAYER, fourier
+from tests.own_laws import layer_of
+from thinlayer import (
+    Adaptive,
+    ModelError,
+    Prestress,
+    Structure,
+    Surface,
+    ThermalExpansion,
+    ThinLayer,
+    compare,
+    march,
+    observed_orders,
+    piecewise,
+    solve,
+)
+
+STEEL, EPS, WIDTH = LinearElastic.young(3e4, 0.3), 0.1, 2.0
+GLUE = LinearElastic(70.0, 50.0)  # per thickness
+KINDS = ("full", "interface")
+JOINT = sandwich(WIDTH, 0.5, 0.75, 0.5, cell="quadrilateral", structured=True)
+SLIDING = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # the upper body is free to come down
+HELD = SLIDING | {"TOP": {"y": 0.0}}
+
+
+def model(kind, law, eigenstrain, supports=SLIDING, plane="strain", **data):
+    plates = Structure(JOINT, body=STEEL, supports=supports, plane=plane, **data)
+    return getattr(plates, kind)(ThinLayer(law, EPS, eigenstrain=eigenstrain))
+
+
+def across(state):
+    """Mean normal traction and jump on S."""
+    surface = Surface(
+        Structure(JOINT, body=STEEL, supports=SLIDING, plane=state.model.plane).interface(layer_of(GLUE, EPS))
+    )
+    t, w = surface.traction(state), surface.jump(state)
+    return surface.integral(t[1]) / WIDTH, surface.integral(w[1]) / WIDTH
+
+
+# ---------------------------------------------------------------- free
+@pytest.mark.parametrize("law", [GLUE, Maxwell(70.0, 50.0, t1=0.7, t2=0.9), Stack((0.3, GLUE), (0.7, FOURIER_LAYER))])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_layer_that_shrinks_freely_has_no_stress(kind, law):
+    """It closes by eps e; what is left are roundings of (lmbda + 2 mu) e."""
+    state = solve(model(kind, law, ((0.0, 0.0), (0.0, -3e-3))))
+    assert across(state) == pytest.approx((0.0, -3e-3 * EPS), rel=1e-12, abs=1e-13)
+    energies = state.energies()
+    assert energies["bodies"] + energies["layer"] < 1e-18
+    held = solve(model(kind, law, ((0.0, 0.0), (0.0, -3e-3)), HELD))
+    assert across(held)[0] > 0.01
+
+
+@pytest.mark.parametrize("plane", ["strain", "stress"])
+def test_uniform_shrinkage_on_s_is_resisted_along_s(plane):
+    """The plates keep the layer's length: it closes by (3 lmbda + 2 mu)/(lmbda + 2 mu), in plane stress by 1 + nu."""
+    nu = GLUE.lmbda / (2 * (GLUE.lmbda + GLUE.mu))
+    factor = (3 * 70 + 2 * 50) / (70 + 2 * 50) if plane == "strain" else 1 + nu
+    state = solve(model("interface", GLUE, -3e-3, plane=plane))
+    assert across(state) == pytest.approx((0.0, -3e-3 * EPS * factor), rel=1e-9, abs=1e-12)
+
+
+# ---------------------------------------------------------------- held, in time
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_stress_of_a_held_layer_follows_the_history_of_its_shrinkage(kind):
+    """C e of an elastic one, the relaxing integral of a Maxwell one step by step; plates and layer in series."""
+    M = (170.0 * EPS, 310.0 * EPS)  # lmbda + 2 mu, 3 lmbda + 2 mu
+    plates = (STEEL.lmbda + 2 * STEEL.mu) / 1.25
+    series = plates / (plates + M[0] / EPS)
+    times, shrinkage = [0.5, 1.0, 2.0], piecewise({0: 0.0, 1: -2e-3, 2: -3e-3})
+    for law in (GLUE, Maxwell(70.0, 50.0, t1=1e12)):
+        history = march(model(kind, law, ThermalExpansion(1.0, shrinkage), HELD), times)
+        found = [across(state)[0] for state in history][1:]
+        near = 2e-2 if kind == "full" else 1e-7  # the meshed layer also shrinks along S, at its free ends
+        assert found == pytest.approx([M[1] * e * series for e in (1e-3, 2e-3, 3e-3)], rel=near)
+        assert max(abs(state.audit.imbalance) for state in history) < 1e-10
+    t1 = 0.8
+    relaxing = march(model("interface", Maxwell(70.0, 50.0, t1=t1), ThermalExpansion(1.0, shrinkage), HELD), times)
+    stress, before = [0.0], 0.0
+    for dt, e in ((0.5, 1e-3), (0.5, 2e-3), (1.0, 3e-3)):
+        # s + s dt/t1 = s_old + M1 de - M0/eps dw with dw = -s/plates
+        grown = M[1] * (e - before)
+        stiff = M[0] / EPS / plates
+        stress.append((stress[-1] * (1 + stiff) + grown) / (1 + dt / t1 + stiff))
+        before = e
+    assert [across(state)[0] for state in relaxing] == pytest.approx(stress, rel=1e-7, abs=1e-13)
+    assert max(abs(state.audit.imbalance) for state in relaxing) < 1e-10
+
+
+def test_a_rate_law_answers_to_the_rate_of_shrinkage():
+    """Kelvin-Voigt between rigid plates: elastic stress plus theta times the rate."""
+    law = KelvinVoigt(70.0, 50.0, theta_lmbda=0.3, theta_mu=0.2)
+    stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
+    shrinking = ThinLayer(law, EPS, eigenstrain=lambda x, t: -1e-3 * t)
+    history = march(stiff.interface(shrinking), [0.5, 1.0])
+    surface = Surface(history.last.model)
+    t_N = surface.integral(surface.traction(history.last)[1]) / WIDTH
+    assert t_N == pytest.approx(EPS * 1e-3 * ((3 * 70 + 2 * 50) + (3 * 70 * 0.3 + 2 * 50 * 0.2)), rel=1e-5)
+    assert max(abs(state.audit.imbalance) for state in history) < 1e-9
+
+
+@dataclass(frozen=True)
+class Curing(BulkLaw):
+    """A resin whose moduli grow in time: the stress of each strain increment has the moduli of its time."""
+
+    lmbda: float
+    mu: float
+    time: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    internal: ClassVar = {"s": (3, 3)}
+    varies = True
+
+    def at(self, x, t):
+        cured = np.full(x.shape[1], 0.1 + 0.9 * t / self.time)
+        return {"lmbda": self.lmbda * cured, "mu": self.mu * cured}
+
+    def _stress(self, step):
+        return step.q["s"] + lame(self.lmbda, self.mu, step.e - step.e_old)
+
+    def stress(self, step):
+        return self._stress(step)
+
+    def advance(self, step):
+        return {"s": self._stress(step)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_layer_that_shrinks_while_it_hardens(kind):
+    """C(t) times de, 0.1 + 0.9 t/T of the hard layer's, at the ends of n equal steps."""
+    stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
+    layer = ThinLayer(Curing(70.0, 50.0, time=2.0), EPS, eigenstrain=lambda x, t: -2e-3 * t)
+    n = 5
+    history = march(getattr(stiff, kind)(layer), [2.0 * (k + 1) / n for k in range(n)])
+    hard = EPS * 310.0 * 4e-3
+    assert across(history.last)[0] == pytest.approx(hard * (0.1 + 0.9 * (n + 1) / (2 * n)), rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_friction_of_a_layer_that_is_pressed_by_in_situ_stress(kind):
+    """t_T tends to C cos(Omega) + p sin(Omega), with a stress across the plane of which the law also knows."""
+    law = MohrCoulomb(70.0, 50.0, cohesion=0.2, friction_angle=30.0, elastic_fraction=1e-4)
+    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.2 * t, "y": 0.0}}
+    insitu = Prestress(-1.5)
+    plates = Structure(JOINT, body=LinearElastic.young(3e6, 0.3), supports=supports, element="Q1")
+    history = march(getattr(plates, kind)(ThinLayer(law, EPS, eigenstrain=insitu)), [0.05, 0.2, 0.6, 1.0])
+    surface = Surface(plates.interface(ThinLayer(law, EPS, eigenstrain=insitu)))
+    t = [surface.integral(surface.traction(history.last)[k]) / WIDTH for k in (0, 1)]
+    start = [surface.integral(surface.traction(history.at(0.0))[k]) / WIDTH for k in (0, 1)]
+    assert start == pytest.approx([0.0, -1.5], abs=1e-4 if kind == "interface" else 0.02)
+    if kind == "interface":  # the meshed layer is squeezed out at its free ends
+        assert t[0] == pytest.approx(0.2 * np.cos(np.pi / 6) + 1.5 * 0.5, rel=3e-2)
+    assert max(abs(state.audit.imbalance) for state in history) < 1e-7  # rounding of stiff plates
+
+
+# ---------------------------------------------------------------- orders in eps
+def varying(size):
+    """A strain that varies along S as the loads of the Fourier problem do."""
+
+    def strain(x, t):
+        c, s = ufl.cos(ufl.pi * x[0]), ufl.sin(ufl.pi * x[0])
+        return [[0.3 * size * c, 0.5 * size * s, 0], [0.5 * size * s, 0.7 * size * c, 0], [0, 0, 0.2 * size * c]]
+
+    return strain
+
+
+@pytest.mark.parametrize("scaled", [False, True], ids=["fixed", "over eps"])
+def test_the_next_order_knows_the_eigenstrain(scaled):
+    """Rate 2 with order 1, for strains that are fixed, of order eps in tractions, and for those over eps; 1 without."""
+    joint, setup = fourier(1 / 16, cell="quadrilateral")
+    eps, errors = (1 / 16, 1 / 32), {"order 1": [], "order 0": [], "none": []}
+    for e in eps:
+        strain, structure = varying(1e-3 / e if scaled else 2e-2), Structure(joint, **setup)
+        full = solve(structure.full(ThinLayer(FOURIER_LAYER, e, eigenstrain=strain)))
+        for name, layer in {
+            "order 1": ThinLayer(FOURIER_LAYER, e, 1, eigenstrain=strain),
+            "order 0": ThinLayer(FOURIER_LAYER, e, eigenstrain=strain),
+            "none": ThinLayer(FOURIER_LAYER, e, 1),
+        }.items():
+            errors[name].append(compare(full, solve(structure.interface(layer)))["error_traction"])
+    orders = {name: observed_orders(eps, found)[-1] for name, found in errors.items()}
+    assert orders["order 1"] == pytest.approx(2.0, abs=0.12)
+    assert orders["order 0"] == pytest.approx(1.0, abs=0.15)
+    assert orders["none"] == pytest.approx(0.0 if scaled else 1.0, abs=0.12)
+
+
+# ---------------------------------------------------------------- marches, refusals
+def test_a_march_goes_on_where_it_was_cut(tmp_path):
+    def made():
+        return model("full", Maxwell(70.0, 50.0, t1=0.8), ThermalExpansion(-1e-3, lambda x, t: ufl.sin(t)), HELD)
+
+    whole = march(made(), [0.5, 1.0, 1.5])
+    march(made(), [0.5, 1.0], out=tmp_path / "run")
+    again = march(made(), [0.5, 1.0, 1.5], out=tmp_path / "run", resume=True)
+    assert np.abs(again.last.u.x.array - whole.last.u.x.array).max() < 1e-14 * np.abs(whole.last.u.x.array).max()
+    assert again.table["supplied"] == pytest.approx(whole.table["supplied"], rel=1e-10)
+    other = model("full", Maxwell(70.0, 50.0, t1=0.8), ThermalExpansion(-2e-3, lambda x, t: ufl.sin(t)), HELD)
+    with pytest.raises(ModelError, match="eigenstrain"):
+        march(other, [0.5, 1.0, 1.5], out=tmp_path / "run", resume=True)
+
+
+def test_adaptive_steps_follow_shrinkage_and_end_at_its_breaks():
+    heat = ThermalExpansion(-1e-3, piecewise({0: 0.0, 0.7: 1.0, 3: 1.0}))
+    history = march(
+        model("interface", Maxwell(70.0, 50.0, t1=0.8), heat, HELD), Adaptive(end=3.0, first=0.05, tolerance=1e-3)
+    )
+    assert 0.7 in history.t
+    assert len(history) > 8
+
+
+def test_refused():
+    with pytest.raises(ModelError, match="keeps its volume; the layer takes no eigenstrain"):
+        model("interface", Incompressible(50.0), 1e-3)
+    with pytest.raises(ModelError, match="the eigenstrain of the layer is 'much'"):
+        model("full", GLUE, "much")
+    with pytest.raises(ModelError, match="the eigenstrain of the layer has a component nan"):
+        model("full", GLUE, np.nan)
+    late = model("full", GLUE, ThermalExpansion(1e-3, piecewise({0: 0.0, 1: 1.0})))
+    with pytest.raises(ModelError, match="eigenstrain of the layer is not finite at t = 2"):
+        march(late, [2.0])

@@ -1,0 +1,117 @@
+"""Ensembles: one table of many runs, over groups of ranks and over jobs, resumed with the same runs only."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from tests import ensemble_run
+from tests.ranks import mpirun
+from thinlayer import ModelError, SolveError, Table, ensemble
+
+CASES = [{"E": 1.5 + k, "name": f"n{k}"} for k in range(5)]
+FACTOR = 3.0
+
+
+def doubled():
+    return lambda case: {"double": 2 * case["E"], "same": case["name"]}
+
+
+def scaled():
+    return lambda case: {"scaled": FACTOR * case["E"]}
+
+
+def test_a_table_has_the_cases_and_the_rows_of_their_runs_in_order(tmp_path):
+    for out in (None, tmp_path / "new" / "t.csv"):
+        table = ensemble(doubled, CASES, out=out)
+        assert table.columns == ["run", "E", "name", "double", "same"]
+        assert table["run"].tolist() == [0, 1, 2, 3, 4]
+        assert table["double"].tolist() == [3.0, 5.0, 7.0, 9.0, 11.0]
+        assert [row["same"] for row in table.rows] == ["n0", "n1", "n2", "n3", "n4"]
+    assert Table.load(out).rows == table.rows
+
+
+@pytest.mark.parametrize(("ranks", "group"), [(3, 1), (2, 2)])
+def test_groups_of_ranks_give_the_rows_of_one_process(tmp_path, ranks, group):
+    alone = ensemble(ensemble_run.make, ensemble_run.CASES)
+    done = mpirun(ranks, "-m", "tests.ensemble_run", str(tmp_path), str(group))
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)
+    assert [row.pop("ranks") for row in rows] == [group] * 5
+    for row, other in zip(rows, alone.rows, strict=True):
+        assert row["jump"] == pytest.approx(other["jump"], rel=1e-10)  # another order of sums
+        assert (row["side"], row["mu"]) == (other["side"], other["mu"])
+    again = ensemble(ensemble_run.make, ensemble_run.CASES, out=tmp_path / "table.csv", resume=True)  # all there
+    assert again["ranks"].tolist() == [group] * 5
+
+
+def test_jobs_share_a_table_and_each_does_its_part(tmp_path):
+    out, done = tmp_path / "t.csv", []
+
+    def make():
+        return lambda case: done.append(case["E"]) or {"half": case["E"] / 2}
+
+    ensemble(make, CASES, out, resume=True, part=(1, 2))
+    assert done == [2.5, 4.5]
+    assert Table.load(out)["run"].tolist() == [1, 3]
+    table = ensemble(make, CASES, out, resume=True, part=(0, 2))
+    assert sorted(done) == [case["E"] for case in CASES]
+    assert table["half"].tolist() == [case["E"] / 2 for case in CASES] == Table.load(out)["half"].tolist()
+    assert len(ensemble(make, CASES, out, resume=True)) == len(done) == 5
+
+
+def test_a_run_that_fails_keeps_the_rows_before_it_and_is_repeated(tmp_path):
+    out, broken = tmp_path / "t.csv", {3.5}
+
+    def make():
+        def run(case):
+            if case["E"] in broken:
+                raise SolveError("no equilibrium")
+            return {"half": case["E"] / 2}
+
+        return run
+
+    with pytest.raises(SolveError, match="no equilibrium"):
+        ensemble(make, CASES, out)
+    assert Table.load(out)["run"].tolist() == [0, 1]
+    kept = ensemble(make, CASES, out, keep_failures=True)
+    assert [row["failure"] for row in kept.rows] == [None, None, "no equilibrium", None, None]
+    assert np.isnan(kept["half"][2])
+    assert kept["half"][[0, 1, 3, 4]].tolist() == [0.75, 1.25, 2.25, 2.75]
+
+
+def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
+    out = tmp_path / "t.csv"
+    ensemble(scaled, CASES, out)
+    monkeypatch.setattr("tests.test_ensembles.FACTOR", 4.0)
+    with pytest.raises(ModelError, match=r"is the table of another ensemble \(.*FACTOR: 3\.0 there, 4\.0 here"):
+        ensemble(scaled, CASES, out, resume=True)
+    monkeypatch.undo()
+    with pytest.raises(ModelError, match=r"is the table of other cases \(run 1: E = 2\.5 there"):
+        ensemble(scaled, [case | {"E": case["E"] ** 2 / 1.5} for case in CASES], out, resume=True)
+    assert ensemble(scaled, CASES, out, resume=True)["scaled"][0] == 4.5
+    assert ensemble(doubled, CASES[:2], out)["double"].tolist() == [3.0, 5.0]  # another one moves it away
+    assert (tmp_path / "previous-1" / "t.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"cases": []}, "one case or more"),
+        ({"cases": 3}, "cases is 3; it needs mappings"),
+        ({"cases": [{"a": 1.0}, {"b": 1.0}]}, "case 1 has b, the first one a"),
+        ({"cases": [{"a": None}]}, "case 0: a is None"),
+        ({"cases": [{"run": 1.0}]}, "case 0 has 'run'"),
+        ({"ranks": 2}, "ranks is 2; allowed: a number that divides the number of ranks, 1"),
+        ({"part": (2, 2)}, r"part is \(2, 2\); allowed"),
+        ({"part": (0, 2)}, "give out=... and resume=True"),
+        ({"make": lambda: 3}, "make returns 3"),
+        ({"make": lambda: lambda case: {"E": 1.0}}, "the row of run 0 has 'E', which is a column of the case"),
+        ({"make": lambda: lambda case: [1.0]}, r"run 0 returns \[1\.0\]"),
+    ],
+)
+def test_bad_input_is_told(change, what):
+    with pytest.raises(ModelError, match=what):
+        ensemble(**{"make": doubled, "cases": CASES} | change)

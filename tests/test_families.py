@@ -1,0 +1,124 @@
+"""Models of a family, made by with_layer and with_loads, have the results of models made by themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic, MohrCoulomb
+from forms.laws import HolonomicCoulomb, Incompressible, KelvinVoigt, Norton
+from geometry import sandwich
+from thinlayer import ModelError, Springs, Structure, ThinLayer, march, solve
+from thinlayer.solving.solvers import Solver
+
+JOINT = sandwich(width=2.0, lower=0.5, upper=0.7, h=0.25, structured=True)
+STEEL = LinearElastic.young(E=900.0, nu=0.3)
+SUPPORTS = {"BOTTOM": 0, "TOP": {"x": 0.003}}
+PULL, OTHER = {"TOP": (0.0, -0.8)}, {"TOP": (0.0, 0.5), "RIGHT": (0.2, 0.1)}
+GLUE, SOFT = ThinLayer(LinearElastic(60.0, 40.0), 0.01), ThinLayer(LinearElastic(20.0, 30.0), 0.03)
+
+
+def joined(tractions=PULL, **data) -> Structure:
+    return Structure(JOINT, body=STEEL, tractions=tractions, **{"supports": SUPPORTS} | data)
+
+
+def apart(one, other) -> float:
+    return float(np.abs(one.u.x.array - other.u.x.array).max() / np.abs(other.u.x.array).max())
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of free ends of an incompressible layer
+@pytest.mark.parametrize(
+    "layer",
+    [
+        SOFT,
+        ThinLayer(LinearElastic(60.0, 40.0), 0.01, order=1),
+        ThinLayer(Incompressible(mu=40.0), 0.01),
+        ThinLayer(MohrCoulomb(60.0, 40.0, cohesion=0.2, friction_angle=30.0), 0.01),
+        {"S": SOFT},
+    ],
+)
+def test_another_layer_is_as_in_a_model_of_its_own(layer):
+    first = joined().interface(GLUE)
+    solve(first)
+    own = joined().interface(layer)
+    for _ in range(2):  # the second time with what the family keeps
+        derived = first.with_layer(layer)
+        assert derived.made_from == own.made_from
+        assert derived.V is first.V
+        assert apart(solve(derived), solve(own)) < 1e-10
+    assert apart(solve(first), solve(joined().interface(GLUE))) < 1e-12  # the first one is what it was
+
+
+def test_contact_after_glue_and_glue_after_contact():
+    law = HolonomicCoulomb(60.0, 40.0, friction=0.3)
+    pressed = joined(element="P1" if JOINT.cell_type == "triangle" else "Q1")
+    model = pressed.interface(GLUE)
+    assert apart(solve(model.with_layer(law)), solve(pressed.interface(law))) < 1e-10
+    assert apart(solve(model.with_layer(law).with_layer(SOFT)), solve(pressed.interface(SOFT))) < 1e-10
+
+
+@pytest.mark.parametrize("kind", ["interface", "full", "bonded"])
+def test_other_loads_are_as_in_a_model_of_its_own(kind):
+    layer = () if kind == "bonded" else (GLUE,)
+    supports = {"BOTTOM": 0, "TOP": {"x": lambda x, t: -0.001 * x[0]}}
+    springs = (Springs("RIGHT", normal=3.0, tangential=1.0),)
+    first = getattr(joined(parts=springs), kind)(*layer)
+    own = getattr(joined(OTHER, supports=supports, body_force=(0.1, -0.2), parts=springs), kind)(*layer)
+    for _ in range(2):
+        derived = first.with_loads(tractions=OTHER, supports=supports).with_loads(body_force=(0.1, -0.2))
+        assert derived.made_from == own.made_from
+        assert apart(solve(derived), solve(own)) < 1e-11
+    other = first.with_loads(tractions=PULL)
+    assert apart(solve(other), solve(first)) < 1e-12
+
+
+def test_the_factor_stays_under_other_loads_and_goes_with_the_layer():
+    first = joined().interface(GLUE)
+    derived = first.with_loads(tractions=OTHER)
+    found = []
+    for model in (derived, first, derived.with_layer(SOFT), first):
+        with Solver(model) as solver:
+            before = solver.equations.factor.of
+            solver.step(solver.rest(0.0), 0.0)
+            found.append(before is not None)
+    assert found == [False, True, False, False]
+
+
+def test_two_solvers_of_a_family_at_once():
+    first = joined().interface(GLUE)
+    second = first.with_loads(tractions=OTHER)
+    alone = [solve(model) for model in (first, second)]
+    with Solver(first) as a, Solver(second) as b:
+        states = [one.step(one.rest(0.0), 0.0) for one in (a, b, a)]
+    assert max(apart(state, alone[k]) for state, k in zip(states, (0, 1, 0), strict=True)) < 1e-12
+
+
+@pytest.mark.parametrize(
+    "law", [KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), Norton(60.0, 40.0, eta=300.0, p=2.0)]
+)
+def test_marches_of_a_family(law):
+    first = joined().interface(GLUE)
+    layer, times = ThinLayer(law, 0.02), [0.1, 0.3]
+    for _ in range(2):
+        own = march(joined(OTHER).interface(layer), times).last
+        assert apart(march(first.with_layer(layer).with_loads(tractions=OTHER), times).last, own) < 1e-10
+
+
+def test_a_meshed_layer_keeps_its_shape():
+    first = joined().full(GLUE)
+    same = ThinLayer(LinearElastic(20.0, 30.0), 0.01)
+    assert apart(solve(first.with_layer(same)), solve(joined().full(same))) < 1e-11
+    with pytest.raises(
+        ModelError, match=r"the mesh has a layer 'S' of .* \(0\.01, None, \(\)\), not \(0\.03, None, \(\)\)"
+    ):
+        first.with_layer(SOFT)
+    with pytest.raises(ModelError, match="it has no meshed layer"):
+        first.with_layer(HolonomicCoulomb(60.0, 40.0, friction=0.3))
+
+
+def test_supports_keep_their_places():
+    first = joined().interface(GLUE)
+    with pytest.raises(ModelError, match=r"supports hold .*those of the model .*build another structure"):
+        first.with_loads(supports={"BOTTOM": 0, "TOP": {"y": 0.003}})
+    with pytest.raises(ModelError, match="traction on 'TOP' is"):
+        first.with_loads(tractions={"TOP": (1.0,)})

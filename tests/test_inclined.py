@@ -1,0 +1,135 @@
+"""Rollers on inclined and curved sides: turned structures, closed forms, corners, values in time, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+
+from forms.laws import LinearElastic
+from geometry import ring, sandwich
+from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, turn
+from thinlayer import ModelError, Pressure, Structure, ThinLayer, march, solve
+
+
+def column(kind: str, angle: float, law=GLUE, t: float = 0.0, **change):
+    """A column between inclined rollers, pressed by a pressure that grows along its top."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.5).rotated(angle) if angle else sandwich(2.0, 0.5, 0.6, 0.5)
+    axis = turn(angle) @ np.array([1.0, 0.0])
+    sides = {"BOTTOM": {"n": 0.0}, "LEFT": {"n": 0.0}, "RIGHT": {"n": lambda x, t: 0.01 + t}}
+    load = {"TOP": Pressure(lambda x, t: 0.4 + 0.1 * (axis[0] * x[0] + axis[1] * x[1]))}
+    return model(Structure(joint, body=BODY, **{"supports": sides, "tractions": load} | change), kind, law)
+
+
+# ---------------------------------------------------------------- the same turned
+@pytest.mark.parametrize("kind", KINDS)
+def test_turned_columns(kind):
+    """Along the axes and turned: the same energies and forces, within rounding."""
+    straight, turned = (solve(column(kind, angle), t=0.02) for angle in (0.0, 0.4))
+    assert straight.model.prescribed.frames is None  # normals along the axes need no other unknowns
+    assert turned.model.prescribed.frames is not None
+    for name, energy in straight.energies().items():
+        assert turned.energies()[name] == pytest.approx(energy, rel=1e-9)
+    for place in ("BOTTOM", "LEFT", "RIGHT"):
+        one, other = straight.reaction(place), turned.reaction(place)
+        assert turn(-0.4) @ other.force == pytest.approx(one.force, rel=1e-9, abs=1e-9)
+        assert other.moment == pytest.approx(one.moment, rel=1e-8, abs=1e-9)
+    assert out_of_balance(turned) < 1e-10
+    by_axes = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.03}}
+    same = solve(column(kind, 0.0, supports=by_axes), t=0.02)
+    assert same.u.x.array == pytest.approx(straight.u.x.array, abs=1e-12)
+
+
+@pytest.mark.parametrize(("law", "theta"), [(CREEP, 1.0), (CREEP, 0.5), (MORTAR, 1.0)])
+def test_turned_columns_in_time(law, theta):
+    move = {"RIGHT": {"n": lambda x, t: -0.002 * t}, "LEFT": {"n": 0.0}, "BOTTOM": {"n": 0.0}}
+    histories = [march(column("interface", a, law, supports=move), [0.2, 0.5, 1.0], theta=theta) for a in (0.0, 0.4)]
+    for name in ("supplied", "stored", "dissipated"):
+        one, other = (history.table[name] for history in histories)
+        assert other == pytest.approx(one, rel=1e-7, abs=1e-12)
+    assert np.abs(histories[1].table["imbalance"]).max() < 1e-8
+    assert out_of_balance(histories[1].last) < 1e-9
+
+
+def test_a_slope_in_three_dimensions():
+    """A cube on an inclined plane and against two walls: corners of two and three planes. Turned, the same."""
+    about = np.array([1.0, 2.0, -1.0])
+    joint = sandwich(1.0, 0.5, 0.6, 0.5, depth=0.8)
+    sides = {name: {"n": 0.0} for name in ("BOTTOM", "LEFT", "BACK")}
+    found = []
+    for one in (joint, _rotated(joint, about)):
+        structure = Structure(one, body=BODY, supports=sides, tractions={"TOP": Pressure(0.7)}, element="P1")
+        found.append(solve(model(structure, "interface")))
+    straight, turned = found
+    assert turned.energies()["bodies"] == pytest.approx(straight.energies()["bodies"], rel=1e-9)
+    size = np.linalg.norm(straight.reaction("BOTTOM").force)
+    assert size == pytest.approx(0.7 * 0.8, rel=1e-9)
+    assert np.linalg.norm(turned.reaction("BOTTOM").force) == pytest.approx(size, rel=1e-9)
+    assert np.linalg.norm(turned.reaction("BACK").force) < 1e-9
+    assert out_of_balance(turned) < 1e-10
+
+
+def _rotated(joint, axis):
+    """A joint in space, turned by .5 about an axis; its normals are found anew from its points."""
+    n = axis / np.linalg.norm(axis)
+    K = np.cross(np.eye(3), n)
+    R = np.eye(3) + np.sin(0.5) * K + (1 - np.cos(0.5)) * K @ K
+    return replace(joint, points=joint.points @ R.T)
+
+
+# ---------------------------------------------------------------- curved sides
+@pytest.mark.parametrize("degree", [1, 2])
+def test_lame(degree):
+    """A ring whose outer rim is held along its normal alone, pressed from inside: Lame's closed form of its stiffness."""
+    a, b, E, nu, p = 1.0, 2.0, 100.0, 0.3, 2.0
+    joint = ring(a, 1.5, b, h=0.25, degree=degree)
+    held = {"OUTSIDE": {"n": 0.0}, _rightmost(joint): {"y": 0.0}}
+    structure = Structure(joint, body=LinearElastic.young(E, nu), supports=held, tractions={"INSIDE": Pressure(p)})
+    state = solve(structure.bonded())
+    # u = A r + B/r, u(b) = 0, sigma_r(a) = -p
+    lmbda, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
+    B = p / (2 * (lmbda + mu) / b**2 + 2 * mu / a**2)
+    inner = B * (1 / a - a / b**2)
+    assert _mean_radial(state) == pytest.approx(inner, rel={1: 0.03, 2: 2e-4}[degree])
+    assert np.abs(state.reaction("OUTSIDE").force).max() < 1e-8  # each balances itself
+
+
+def _rightmost(joint):
+    return tuple(float(c) for c in joint.points[joint.points[:, 0].argmax()])
+
+
+def _mean_radial(state):
+    model = state.model
+    ds = model.ds(model.domain.values("INSIDE"))
+    x = ufl.SpatialCoordinate(model.domain.mesh)
+    outward = x / ufl.sqrt(ufl.dot(x, x))
+    return state.integral(ufl.dot(state.u, outward) * ds) / state.integral(fem.Constant(model.domain.mesh, 1.0) * ds)
+
+
+def test_a_smooth_side_has_one_normal_and_a_corner_two():
+    """Two arcs of one circle meet smoothly, with different facets' normals: the node may slide; a corner may not."""
+    joint = ring(1.0, 1.5, 2.0, h=0.5)
+    smooth = Structure(joint, body=BODY, supports={"OUTSIDE": {"n": 0.0}, _rightmost(joint): {"y": 0.0}}).bonded()
+    _, counts = np.unique(smooth.prescribed.blocks, return_counts=True)
+    assert (counts == 1).sum() >= len(counts) - 1  # but for the one that is held
+    corner = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": {"n": 0.0}, "LEFT": {"n": 0.0}})
+    _, counts = np.unique(corner.bonded().prescribed.blocks, return_counts=True)
+    assert sorted(counts)[-2:] == [1, 2]
+
+
+# ---------------------------------------------------------------- refused
+def test_refused():
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    with pytest.raises(ModelError, match="a vertex has no normal"):
+        Structure(joint, body=BODY, supports={(0.0, -0.5): {"n": 0.0}}).bonded()
+    with pytest.raises(ModelError, match="rigid motion of the structure"):
+        Structure(joint, body=BODY, supports={"BOTTOM": {"n": 0.0}}).bonded()
+    with pytest.raises(ModelError, match=r"rigid motion of the structure \(rotation"):  # a circle may turn, exactly
+        Structure(ring(1.0, 1.5, 2.0, h=0.5), body=BODY, supports={"OUTSIDE": {"n": 0.0}}).bonded()
+    turned = joint.rotated(0.3)
+    clash = {"BOTTOM": {"n": 0.0, "y": 0.1, "x": 0.0}, "LEFT": {"n": 0.0}}
+    with pytest.raises(ModelError, match=r"contradictory supports at .* 'LEFT' prescribes n = 0"):
+        Structure(turned, body=BODY, supports=clash).interface(ThinLayer(GLUE, EPS))

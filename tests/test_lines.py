@@ -1,0 +1,186 @@
+"""Values along S by arc length: pieces of seams, closed ones, junctions, cuts in 3D."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+
+from forms import LinearElastic
+from geometry import faults, grains, ring, sandwich, wall
+from tests.fields_run import BODY, EPS, K, axes, uniform
+from tests.ranks import mpirun
+from thinlayer import ModelError, Structure, Surface, ThinLayer, plotting, solve
+
+LAYER = ThinLayer(K, EPS)
+PULLED = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.05, -0.1)}}
+
+
+def interface(joint, layer=LAYER, **data):
+    return Structure(joint, body=BODY, **(PULLED | data)).interface(layer)
+
+
+def place(surface):
+    """The place as an expression on S: what it is along a line is known."""
+    return surface.sides.upper(ufl.SpatialCoordinate(surface.model.domain.mesh))
+
+
+def test_a_straight_seam():
+    surface = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.25).rotated(0.4)))
+    state = solve(surface.model)
+    t = surface.traction(state)
+    (line,) = surface.along(t)
+    x, values = surface.profile(t)
+    assert (line.seam, line.closed) == ("S", False)
+    assert line.x == pytest.approx(x, abs=1e-12)
+    assert line.values == pytest.approx(values, rel=1e-12)
+    assert line.s == pytest.approx(x @ axes(2)[0], abs=1e-12)
+    (normal,) = surface.along(surface.frame(t)[1])
+    assert normal.values == pytest.approx(values @ axes(2)[1], rel=1e-9, abs=1e-12)
+    assert line.length == pytest.approx(2.0)
+
+
+def test_a_closed_seam():
+    """A circle of curved facets: the arc, not its chords; it starts at its lowest place and comes back to it."""
+    joint = ring(1.0, 1.5, 2.0, h=0.4, degree=2)
+    model = interface(joint, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": lambda x, t: (0.1 * x[0], 0.05 * x[1])})
+    (line,) = (surface := Surface(model)).along(place(surface))
+    assert line.closed
+    assert line.length == pytest.approx(2 * np.pi * 1.5, rel=1e-4)
+    chords = np.linalg.norm(np.diff(line.x, axis=0), axis=1).sum()
+    assert line.length != pytest.approx(chords, rel=1e-4)
+    assert line.x[0] == pytest.approx(line.x[-1])
+    assert line.values[0] == pytest.approx(line.values[-1])
+    assert line.x[:, 0].argmin() in (0, len(line.x) - 1)
+    angle = np.unwrap(np.arctan2(line.x[:, 1], line.x[:, 0]))
+    assert np.abs(angle - angle[0]) * 1.5 == pytest.approx(line.s, rel=1e-4, abs=1e-6)
+    assert line.values == pytest.approx(line.x, rel=2e-2, abs=2e-2)  # a projection of a curve to degree 1
+
+
+def test_beds_and_heads_of_a_wall():
+    """Beds are whole, with two rows where a head meets them and the traction jumps; sums of forces are the load."""
+    joint = wall(2, 3, brick=(2.0, 1.0), h=0.5)
+    surface = Surface(interface(joint, {"BED": LAYER, "HEAD": ThinLayer(LinearElastic(1.0, 0.7), 0.2)}))
+    t = surface.traction(solve(surface.model))
+    lines = surface.along(t)
+    beds = [line for line in lines if line.seam == "BED"]
+    assert [line.x[0, 1] for line in beds] == pytest.approx([1.0, 2.0])
+    for line in beds:
+        assert line.length == pytest.approx(4.0)
+        twice = np.flatnonzero(np.diff(line.s) == 0)
+        heads = line.x[twice, 0]
+        assert heads == pytest.approx([1.0, 2.0, 3.0])
+        assert (np.abs(np.diff(line.values, axis=0)[twice]).max(axis=1) > 1e-6).all()
+        assert np.trapezoid(line.values, line.s, axis=0) == pytest.approx([0.05 * 4, -0.1 * 4], rel=1e-9)
+    assert [line.length for line in lines if line.seam == "HEAD"] == pytest.approx([1.0] * 4)
+    assert len(lines) == 2 + 4
+    one = Surface(surface.model, "HEAD").along(t)
+    assert [line.x[0].tolist() for line in one] == [line.x[0].tolist() for line in lines[2:]]
+
+
+def test_grains_meet_at_the_ends_of_lines():
+    surface = Surface(interface(grains(3.0, 2.0, 6, h=0.3, seed=2)))
+    lines = surface.along(place(surface))
+    assert sum(line.length for line in lines) == pytest.approx(surface.integral(1.0 + 0 * place(surface)[0]))
+    joint = surface.model.joint
+    _, times = np.unique(joint.table.vertices[joint.surface_rows], return_counts=True)
+    triple = int((times == 3).sum())
+    ends = int((times == 1).sum())
+    assert 2 * len(lines) == 3 * triple + ends
+    assert triple > 2
+    starts = [tuple(line.x[0].round(9)) for line in lines]
+    assert starts == sorted(starts)
+
+
+def test_a_fault_that_another_one_crosses_is_one_line():
+    joint = faults(4.0, 3.0, {"A": ((0, 1.0), (4.0, 2.0)), "B": ((1.0, 3.0), (2.5, 0.0))}, h=0.4)
+    surface = Surface(interface(joint))
+    lines = surface.along(place(surface))
+    assert [line.seam for line in lines] == ["A", "B"]
+    assert lines[0].length == pytest.approx(np.hypot(4.0, 1.0))
+    assert lines[1].length == pytest.approx(np.hypot(1.5, 3.0))
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("z", [0.3, 0.5, 0.0, 1.0])
+def test_cut_of_a_plane(cell, z):
+    """Between nodes, along them, along both sides of S."""
+    surface = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.5, depth=1.0, cell=cell, structured=True), supports={"BOTTOM": 0},
+        tractions={"TOP": (0.05, -0.1, 0.02)}))  # fmt: skip
+    (line,) = surface.along(place(surface), plane=((0, 0, z), (0, 0, 2.0)))
+    assert line.s == pytest.approx(line.x[:, 0], abs=1e-12)
+    assert line.length == pytest.approx(2.0)
+    assert line.values == pytest.approx(line.x, abs=1e-9)
+    assert (np.diff(line.s) > 0).all()
+    (tilted,) = surface.along(place(surface)[0], plane=((0.5, 0, 0), (1.0, 0.3, 0.5)))
+    assert tilted.length == pytest.approx(np.hypot(1.0, 0.5))
+    assert tilted.values == pytest.approx(tilted.x[:, 0], abs=1e-9)
+    assert tilted.values.ndim == 1
+
+
+def test_cut_of_a_cylinder():
+    joint = ring(1.0, 1.5, 2.0, h=0.6, depth=1.0)
+    supports = {"INSIDE": 0.0}
+    surface = Surface(interface(joint, supports=supports, tractions={"OUTSIDE": (0.0, 0.1, 0.0)}))
+    (line,) = surface.along(place(surface), plane=((0, 0, 0.4), (0, 0, 1)))
+    assert line.closed
+    assert line.x[:, 2] == pytest.approx(0.4)
+    assert line.length == pytest.approx(2 * np.pi * 1.5, rel=2e-2)
+    assert line.x[0] == pytest.approx(line.x[-1])
+    halves = surface.along(place(surface), plane=((0, 0, 0), (0.0, 1.0, 0.0)))
+    assert [half.length for half in halves] == pytest.approx([1.0, 1.0])
+
+
+def test_what_is_no_line():
+    plane = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.5)))
+    with pytest.raises(ModelError, match="in 2D S is a line"):
+        plane.along(place(plane), plane=((0, 0, 0), (1, 0, 0)))
+    with pytest.raises(ModelError, match="no UFL expression"):
+        plane.along("traction")
+    solid = Surface(uniform(3)[0].interface(LAYER))
+    with pytest.raises(ModelError, match="cuts by a plane"):
+        solid.along(place(solid))
+    for wrong in ((0, 0, 1), ((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):
+        with pytest.raises(ModelError, match=r"it needs \(point, normal\)"):
+            solid.along(place(solid), plane=wrong)
+    with pytest.raises(ModelError, match="does not cut S"):
+        solid.along(place(solid), plane=((0, 0, 5), (0, 0, 1)))
+
+
+def test_lines_are_drawn():
+    surface = Surface(interface(wall(2, 3, brick=(2.0, 1.0), h=0.5)))
+    state = solve(surface.model)
+    picture = plotting.along(surface, {"law": state, "again": state}, length="m", stress="MPa")
+    assert len(picture.axes) == 4  # traction and jump of two seams
+    t_N = surface.along(surface.frame(surface.traction(state))[1])[0]
+    drawn = [line.get_xydata() for line in picture.axes[0].lines]
+    assert any(len(xy) == len(t_N.s) and np.allclose(xy, np.column_stack([t_N.s, t_N.values])) for xy in drawn)
+
+
+def numbers() -> dict[str, list]:
+    found = {}
+    flat = Surface(interface(wall(2, 3, brick=(2.0, 1.0), h=0.5)))
+    solid = Surface(uniform(3)[0].interface(LAYER))
+    for name, surface, plane in (("flat", flat, None), ("solid", solid, ((1.0, 0, 0.3), (0.2, 0.1, 1.0)))):
+        for k, line in enumerate(surface.along(surface.jump(solve(surface.model)), plane=plane)):
+            found[f"{name} {k}"] = np.column_stack([line.s, line.x, line.values]).tolist()
+    return found
+
+
+def test_lines_do_not_depend_on_the_ranks():
+    done = mpirun(2, "-m", "tests.test_lines")
+    assert done.returncode == 0, done.stderr
+    alone, there = numbers(), json.loads(done.stdout)
+    assert list(alone) == list(there)
+    for name, rows in alone.items():
+        assert np.array(there[name]) == pytest.approx(np.array(rows), rel=1e-9, abs=1e-11), name
+
+
+if __name__ == "__main__":
+    answer = numbers()
+    if MPI.COMM_WORLD.rank == 0:
+        json.dump(answer, sys.stdout)

@@ -1,0 +1,236 @@
+"""Rigid plates: closed forms, work conjugate motions and moments, mixed data, laws of all kinds, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms.laws import LinearElastic
+from geometry import block, sandwich
+from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, plate, turn
+from tests.taylor import observed_orders
+from thinlayer import (
+    LooseBody,
+    ModelError,
+    RigidPlate,
+    Springs,
+    Structure,
+    ThinLayer,
+    march,
+    piecewise,
+    solve,
+)
+from thinlayer.solving.solvers import Solver
+
+BEAM = LinearElastic.young(100.0, 0.0)
+
+
+# ---------------------------------------------------------------- closed forms
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_moment_turns_a_plate(kind):
+    """nu = 0, a soft layer without Poisson's effect: pure bending of a short column, whose sections stay plane."""
+    width, height, M, N = 2.0, 1.1, 0.7, -0.4
+    inertia, glue = width**3 / 12, LinearElastic(0.0, 2.0)
+    top = RigidPlate("TOP", force=(0.0, N), moment=M)
+    joint = sandwich(width, 0.5, 0.6, 0.25, structured=True)
+    state = solve(model(Structure(joint, body=BEAM, supports={"BOTTOM": 0.0}, parts=[top]), kind, glue))
+    bodies, soft = height / 100.0, (0.0 if kind == "bonded" else 1 / (2 * glue.mu))
+    motion = top.motion_in(state)
+    assert motion.rotation == pytest.approx(M / inertia * (bodies + soft), rel=1e-8)
+    assert motion.translation[1] == pytest.approx(N / width * (bodies + soft), rel=1e-8)
+    energies = state.energies()
+    stored = energies["bodies"] + energies["layer"]
+    assert stored == pytest.approx((M * motion.rotation + N * motion.translation[1]) / 2, rel=1e-9)
+    assert energies["loads"] == pytest.approx(2 * stored, rel=1e-9)
+    assert state.audit.supplied == pytest.approx(2 * stored, rel=1e-9)  # backward Euler: all at once
+    assert state.reaction("TOP").force == pytest.approx([0.0, N], abs=1e-10)
+    assert state.reaction("TOP").moment == pytest.approx(M, rel=1e-10)
+    assert out_of_balance(state) < 1e-10
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_given_forces_and_prescribed_motions_are_conjugate(dim, kind):
+    """The motion found for forces, prescribed in part or whole, gives the same forces as reactions."""
+    top, loaded = plate(dim, kind)
+    first = solve(loaded)
+    assert out_of_balance(first) < 1e-10
+    motion, given = top.motion_in(first), first.reaction("TOP")
+    names = "xyz"[:dim]
+    turns = ["rotation"] if dim == 2 else [f"rotation {axis}" for axis in names]
+    all_motions = dict(zip([*names, *turns], [*motion.translation, *np.atleast_1d(motion.rotation)], strict=True))
+    for held in ([*all_motions], ["x", turns[-1]]):
+        moved = RigidPlate(
+            "TOP", motion={name: float(all_motions[name]) for name in held},
+            force=[0.0 if name in held else f for name, f in zip(names, given.force, strict=True)],
+            moment=_moment({name: 0.0 for name in held}, turns, given.moment),
+        )  # fmt: skip
+        structure = loaded.structure
+        again = Structure(
+            structure.joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[moved], element=structure.element
+        )
+        state = solve(model(again, kind))
+        assert state.reaction("TOP").force == pytest.approx(given.force, rel=1e-7)
+        assert state.reaction("TOP").moment == pytest.approx(given.moment, rel=1e-7)
+        assert moved.motion_in(state).rotation == pytest.approx(motion.rotation, rel=1e-7)
+        assert out_of_balance(state) < 1e-10
+    stored = sum(value for name, value in first.energies().items() if name != "loads")
+    work = given.force @ motion.translation + np.sum(given.moment * motion.rotation)
+    assert stored == pytest.approx(work / 2, rel=1e-9)
+
+
+def _moment(held, turns, given):
+    values = [held.get(name, m) for name, m in zip(turns, np.atleast_1d(given), strict=True)]
+    return values[0] if len(values) == 1 else values
+
+
+def test_turned_structures():
+    """On inclined rollers, with the plate: the same as along the axes; moments and rotations do not change."""
+    states, motions = [], []
+    for angle in (1e-3, 0.3):
+        top, turned = plate(2, "interface", angle=angle)
+        states.append(solve(turned))
+        motions.append(top.motion_in(states[-1]))
+    for place in ("TOP", "BOTTOM", "LEFT"):
+        one, other = (state.reaction(place) for state in states)
+        assert turn(-0.3) @ other.force == pytest.approx(turn(-1e-3) @ one.force, rel=1e-9, abs=1e-10)
+        assert other.moment == pytest.approx(one.moment, rel=1e-9, abs=1e-10)
+    assert motions[1].rotation == pytest.approx(motions[0].rotation, rel=1e-9)
+    assert turn(-0.3) @ motions[1].translation == pytest.approx(turn(-1e-3) @ motions[0].translation, rel=1e-9)
+
+
+def test_the_point_of_the_moment():
+    """The same forces, with their moment about another point: the same motion."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    plates = [
+        RigidPlate("TOP", force=(0.3, -2.0), moment=0.7),
+        RigidPlate("TOP", force=(0.3, -2.0), moment=0.7 - 2.0 * 1.0 - 0.3 * 0.6, about=(0.0, 0.0)),
+    ]
+    states = [
+        solve(model(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[p]), "interface")) for p in plates
+    ]
+    assert states[1].u.x.array == pytest.approx(states[0].u.x.array, abs=1e-10)
+    assert plates[1].motion_in(states[1]).rotation == pytest.approx(plates[0].motion_in(states[0]).rotation, rel=1e-9)
+
+
+# ---------------------------------------------------------------- laws, time, solvers
+@pytest.mark.parametrize(("law", "theta"), [(CREEP, 1.0), (CREEP, 0.5), (MORTAR, 1.0)])
+def test_in_time(law, theta):
+    """The energy balance has the work of given forces and of prescribed motions."""
+    ramp = piecewise({0: 0.0, 1: 1.0})
+    top = RigidPlate("TOP", force=lambda x, t: (0.02 * ramp(x, t), 0.0), motion={"rotation": lambda x, t: 2e-4 * t})
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    made = model(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[top]), "interface", law)
+    assert 1.0 in made.break_times
+    history = march(made, [0.2, 0.6, 1.0], theta=theta)
+    assert np.abs(history.table["imbalance"]).max() < 1e-8
+    assert top.motion_in(history.last).rotation == pytest.approx(2e-4, rel=1e-10)
+    assert history.last.reaction("TOP").force == pytest.approx([0.02, 0.0], abs=1e-9)
+    assert out_of_balance(history.last) < 1e-8
+
+
+def test_resumed(tmp_path):
+    """The plate's motion is among the unknowns that files keep."""
+    top = RigidPlate("TOP", force=lambda x, t: (0.02 * t, -0.01))
+    structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0}, parts=[top])
+    made = model(structure, "interface", CREEP)
+    whole = march(made, [0.2, 0.6, 1.0])
+    march(made, [0.2, 0.6], out=tmp_path / "run")
+    rest = march(made, [0.2, 0.6], out=tmp_path / "run", resume=True)
+    assert top.motion_in(rest.last).translation == pytest.approx(top.motion_in(whole.at(0.6)).translation, rel=1e-12)
+
+
+def test_contact_under_a_plate():
+    """Pressed by a plate that may turn: S carries the force at its place; the solvers for contact are left out."""
+    top = RigidPlate("TOP", force=(0.1, -3.0), moment=0.5)
+    joint = block(4.0, 2.0, 0.5, structured=True)
+    made = Structure(joint, body=BODY, supports={}, parts=[top], element="P1").interface(CONTACT)
+    state = solve(made)
+    assert state.report.method == "newton"
+    assert out_of_balance(state) < 1e-10
+    assert state.reaction("S", about=(2.0, 2.0)).moment == pytest.approx(-0.5, rel=1e-9)
+    with pytest.raises(ModelError, match=r"method='condensed' needs .* no inclined supports or rigid plates"):
+        solve(made, method="condensed")
+
+
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+def test_tangent(theta):
+    _, made = plate(2, "interface", angle=0.3, law=MORTAR if theta == 1 else CREEP)
+    with Solver(made, method="newton") as solver:
+        orders = observed_orders(solver, theta=theta)
+    assert orders == float("inf") or orders > 1.9
+
+
+def test_by_conjugate_gradients():
+    """Multigrid knows the rigid motions in the other unknowns: not many more iterations than a support needs."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.2, depth=1.0)
+    gamg = {"ksp_type": "cg", "pc_type": "gamg", "ksp_rtol": 1e-10}
+    parts = {"plate": [RigidPlate("TOP", force=(0.3, -2.0, 0.1))], "none": []}
+    found = {}
+    for name, part in parts.items():
+        tractions = {} if part else {"TOP": (0.15, -1.0, 0.05)}
+        structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions=tractions, parts=part, element="P1")
+        found[name] = solve(model(structure, "interface"), options=gamg)
+        if part:
+            direct = solve(found[name].model)
+            assert found[name].u.x.array == pytest.approx(direct.u.x.array, abs=1e-8)
+    assert found["plate"].report.iterations <= 2 * found["none"].report.iterations
+
+
+# ---------------------------------------------------------------- what is loose, what is refused
+def test_a_plate_that_holds_nothing():
+    """Neither a free plate nor its given force prevents a motion; prescribed motions do."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    with pytest.raises(ModelError, match="rigid motion of the structure"):
+        model(Structure(joint, body=BODY, supports={}, parts=[RigidPlate("TOP", force=(0.0, -1.0))]), "interface")
+    with pytest.raises(ModelError, match=r"rigid motion of the structure .rotation"):
+        model(Structure(joint, body=BODY, supports={}, parts=[RigidPlate("TOP", motion={"x": 0, "y": 0})]), "interface")
+    held = RigidPlate("TOP", motion={"x": 0.0, "y": 0.0, "rotation": 0.0})
+    structure = Structure(joint, body=BODY, supports={}, parts=[held], tractions={"BOTTOM": (0.1, -0.2)})
+    assert solve(model(structure, "interface")).reaction("TOP").force == pytest.approx([-0.2, 0.4], rel=1e-9)
+    one = RigidPlate("TOP", motion={"x": 0.0, "rotation": 0.0})
+    structure = Structure(joint, body=BODY, supports={}, parts=[one, Springs("BOTTOM", normal=1.0)])
+    solve(model(structure, "interface"))
+
+
+def test_a_body_that_is_loose_beside_a_plate():
+    """An open joint below the plate's body: the plate's own freedom is found, the body named."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[RigidPlate("TOP", motion={"x": 0.0})])
+    with pytest.raises(LooseBody, match="body 'UPPER'"):
+        solve(structure.interface({"S": None}))
+    held = RigidPlate("TOP", motion={"x": 0.01, "y": 0.0, "rotation": 0.0})
+    state = solve(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[held]).interface({"S": None}))
+    assert state.reaction("TOP").force == pytest.approx([0.0, 0.0], abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (dict(place="TOB"), "did you mean 'TOP'"),
+        (dict(place="S"), "inside, or below a layer"),
+        (dict(place="TOP", force=(1.0,)), "it must be 2 finite components"),
+        (dict(place="TOP", moment=(1.0, 2.0)), "must be a number or a function"),
+        (dict(place="TOP", motion={"z": 0.0}), "unknown motion 'z'"),
+        (dict(place="TOP", motion={"x": "fixed"}), "must be a number or a function"),
+        (dict(place="TOP", motion={"x": 0.0}, force=(1.0, 0.0)), "the motion 'x' is prescribed, and 1 is given"),
+        (dict(place="TOP", force=lambda x, t: (x[0], 0.0)), "depends on the place"),
+        (dict(place="TOP", about=(1.0, 2.0, 3.0)), "a point of 2 finite coordinates"),
+        (dict(place="LEFT"), r"support on 'BOTTOM' acts on a node of the rigid plate on 'LEFT', at \(0, -0.5\)"),
+    ],
+)
+def test_refused(given, message):
+    structure = Structure(
+        sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0}, parts=[RigidPlate(**given)]
+    )
+    with pytest.raises(ValueError, match=message):
+        solve(structure.interface(ThinLayer(GLUE, EPS)))
+
+
+def test_plates_that_share_a_node():
+    structure = Structure(
+        sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0},
+        parts=[RigidPlate("TOP"), RigidPlate("RIGHT/UPPER")],
+    )  # fmt: skip
+    with pytest.raises(ModelError, match=r"plate TOP and plate RIGHT/UPPER have a node in common"):
+        solve(structure.interface(ThinLayer(GLUE, EPS)))

@@ -1,0 +1,213 @@
+"""Reactions: sums with the loads in every kind of model, closed forms, what belongs to whom, files, ranks, errors."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from forms import Stack
+from forms.laws import Incompressible, LinearElastic
+from geometry import block, sandwich, wall
+from tests.arc_length_run import KINKED, PATH, tilted
+from tests.ranks import mpirun
+from tests.supports_run import (
+    BODY,
+    CONTACT,
+    CREEP,
+    EPS,
+    GLUE,
+    KINDS,
+    MORTAR,
+    loaded,
+    numbers,
+    on_base,
+    out_of_balance,
+)
+from thinlayer import ModelError, Springs, Structure, ThinLayer, march, solve
+
+BALANCED = 1e-10  # residual at which solvers stop
+
+
+# ---------------------------------------------------------------- sums
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_reactions_and_loads_add_up_to_zero(dim, kind):
+    state = solve(loaded(dim, kind), t=1.5)
+    assert out_of_balance(state) < BALANCED
+    assert set(state.reactions_by_place()) == {"LEFT", "RIGHT/LOWER", "BOTTOM"}
+
+
+@pytest.mark.parametrize(("law", "theta"), [(CREEP, 1.0), (CREEP, 0.5), (MORTAR, 1.0), (Incompressible(40.0), 0.5)])
+def test_layers_on_a_rigid_base(law, theta):
+    """The base is one of what holds the structure; it carries the pressure, whatever the law and the time scheme."""
+    state = march(on_base(law), [0.1, 0.2, 0.4], theta=theta).last
+    assert out_of_balance(state) < BALANCED
+    base = state.reaction("S")
+    assert base.force[1] == pytest.approx(4 * 0.2 + 0.05 * 8, rel=1e-9)
+    assert base.at((0.0, 0.0)).moment == pytest.approx(state.reaction("S", about=(0.0, 0.0)).moment, rel=1e-12)
+    assert base.force[0] + state.reaction("RIGHT").force[0] == pytest.approx(-0.4 * 0.02 * 4, rel=1e-8)
+
+
+def test_stacks_and_meshed_layers_on_a_base():
+    law = Stack((0.3, LinearElastic(3.0, 2.0)), (0.7, CREEP))
+    structure = on_base(law).structure
+    for made in (structure.interface, structure.full):
+        state = march(made(ThinLayer(law, EPS)), [0.1, 0.2]).last
+        assert out_of_balance(state) < BALANCED
+        assert state.reaction("S").force[1] == pytest.approx(1.2, rel=1e-9)
+    assert out_of_balance(solve(structure.bonded(), t=1.0)) < BALANCED
+
+
+@pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
+def test_contact(method):
+    state = solve(on_base(CONTACT, contact=True), method=method)
+    assert out_of_balance(state) < BALANCED
+    assert state.reaction("S").force[1] == pytest.approx(4.0, rel=1e-9)
+
+
+def test_networks():
+    """Condensed body by body, and by Newton's method: the bottom carries what presses on the top."""
+    joint = wall(2, 2, brick=(250, 75), h=50)
+    structure = Structure(
+        joint,
+        body=LinearElastic.young(12e3, 0.2),
+        supports={"BOTTOM": 0},
+        tractions={"TOP": (0.02, -0.5)},
+        element="Q1",
+    )
+    dry = structure.interface({"BED": CONTACT, "HEAD": None})
+    for method in ("condensed", "newton"):
+        state = solve(dry, method=method)
+        assert out_of_balance(state) < BALANCED
+        assert state.reaction("BOTTOM").force == pytest.approx([-10.0, 250.0], rel=1e-8)
+    state = solve(structure.full({"BED": ThinLayer(GLUE, 10), "HEAD": ThinLayer(GLUE, 10)}))
+    assert out_of_balance(state) < BALANCED
+
+
+def test_along_a_path():
+    """By arc length, past the peak of a law that softens."""
+    history = march(tilted(KINKED, cells=4), PATH)
+    opened = [state.reaction("TOP").force[1] for state in history if state.reactions is not None]
+    assert len(opened) > 4
+    assert max(out_of_balance(state) for state in list(history)[2:]) < 1e-8  # paths stop at a larger residual
+    at_rest = next(iter(history))
+    assert at_rest.reactions is None or not at_rest.reactions.any()
+
+
+# ---------------------------------------------------------------- what belongs to whom
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_column_between_rollers(kind):
+    """Uniaxial strain: closed forms of all reactions, and of the moment of a linear pressure about its middle."""
+    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    structure = Structure(joint, body=GLUE.in_layer(EPS), supports=sides, tractions={"TOP": (0.0, -0.7)})
+    state = solve(getattr(structure, kind)(*[ThinLayer(GLUE, EPS)] * (kind != "bonded")))
+    lmbda, mu = GLUE.in_layer(EPS).lmbda, GLUE.in_layer(EPS).mu
+    height = {"full": 1.2, "interface": 1.1, "bonded": 1.1}[kind]
+    side = 0.7 * lmbda / (lmbda + 2 * mu) * height
+    assert state.reaction("BOTTOM").force == pytest.approx([0.0, 1.4], abs=1e-9)
+    assert state.reaction("BOTTOM").moment == pytest.approx(0.0, abs=1e-9)
+    assert state.reaction("LEFT").force == pytest.approx([side, 0.0], abs=1e-9)
+    assert state.reaction("RIGHT").force == pytest.approx([-side, 0.0], abs=1e-9)
+    assert state.reaction("BOTTOM", about=(0.0, 0.0)).moment == pytest.approx(1.4, rel=1e-9)
+    assert state.applied(about=(0.0, 0.0)).moment == pytest.approx(-1.4, rel=1e-9)
+
+
+def test_a_corner_of_two_supports():
+    """Each component's force belongs to the support that prescribes it; if both do, they share it."""
+    joint, pull = sandwich(1.0, 0.5, 0.5, 0.5), {"TOP": (0.4, -0.3)}
+    one = solve(
+        Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}, tractions=pull).bonded()
+    )
+    assert one.reaction("BOTTOM").force == pytest.approx([0.0, 0.3], abs=1e-10)
+    assert one.reaction("LEFT").force == pytest.approx([-0.4, 0.0], abs=1e-10)
+    twice = {"BOTTOM": 0.0, "LEFT/LOWER": 0.0}
+    states = [
+        solve(Structure(joint, body=BODY, supports=supports, tractions=pull).bonded())
+        for supports in (twice, dict(reversed(twice.items())))
+    ]
+    assert max(map(out_of_balance, states)) < BALANCED
+    assert states[0].reaction("BOTTOM").force == pytest.approx(states[1].reaction("BOTTOM").force, rel=1e-9)
+
+
+def test_parts_of_a_side_and_springs():
+    joint = sandwich(1.0, 0.5, 0.5, 0.5)
+    beds = [Springs("TOP", normal=2.0), Springs("LEFT", normal=3.0)]
+    supports = {"RIGHT/LOWER": 0.0, "RIGHT/UPPER": {"y": 0.0}, (0.0, 0.5): {"y": -0.01}}
+    structure = Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.4, -0.3)}, parts=beds)
+    state = solve(structure.interface(ThinLayer(GLUE, EPS)))
+    parts = [state.reaction(f"RIGHT/{name}", about=(1, 0)) for name in ("LOWER", "UPPER")]
+    whole = state.reaction("RIGHT")
+    assert whole.about == pytest.approx([1.0, 0.0])
+    assert whole.force == pytest.approx(parts[0].force + parts[1].force, rel=1e-12)
+    assert whole.moment == pytest.approx(parts[0].moment + parts[1].moment, rel=1e-12)
+    ds = state.model.ds
+    pressed = state.integral(-2.0 * state.u[1] * ds(state.model.domain.values("TOP")))
+    assert state.reaction("TOP").force == pytest.approx([0.0, pressed], rel=1e-12)
+    corner = state.reaction((0.0, 0.5))
+    assert corner.about == pytest.approx([0.0, 0.5])
+    assert corner.moment == pytest.approx(0.0, abs=1e-12)
+    assert out_of_balance(state) < BALANCED
+
+
+def test_kept_in_files(tmp_path):
+    """A march that goes on has the reactions of one that was never stopped, and those of its earlier states."""
+    times = [0.1, 0.2, 0.3]
+    whole = march(on_base(CREEP), times, theta=0.5)
+    march(on_base(CREEP), times[:2], theta=0.5, out=tmp_path)
+    rest = march(on_base(CREEP), times[:2], theta=0.5, out=tmp_path, resume=True)
+    assert rest.last.report.method == "resumed"
+    assert rest.last.reactions == pytest.approx(whole.at(0.2).reactions, rel=1e-12)
+
+
+# ---------------------------------------------------------------- refused
+def test_a_free_side_has_no_reaction():
+    state = solve(Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}).interface(ThinLayer(GLUE, EPS)))
+    with pytest.raises(ModelError, match=r"nothing holds 'LEFT': it is free .* held are: 'TOP', 'S'"):
+        state.reaction("LEFT")
+    with pytest.raises(ModelError, match=r"about is .* a point of 2 finite coordinates"):
+        state.reaction("TOP", about=(0.0,))
+
+
+@pytest.mark.parametrize(
+    ("supports", "message"),
+    [
+        (
+            {"BOTTOM": 0.0, "LEFT": {"y": 0.01}},
+            r"at \(0, -0.5\): 'BOTTOM' prescribes y = 0 and 'LEFT' prescribes y = 0.01;",
+        ),
+        ({"BOTTOM": {"y": lambda x, t: t * x[0], "x": 0.0}, "RIGHT": {"y": 0.0}}, "y = 2 .*y = 0 .*at t = 2"),
+        (
+            {"TOP": 0.0, (1.0, 0.5): {"x": 0.1}},
+            r"\(1, 0.5\): 'TOP' prescribes x = 0 and \(1.0, 0.5\) prescribes x = 0.1",
+        ),
+    ],
+)
+def test_contradictory_supports(supports, message):
+    """Numbers when the model is made, functions when their values are known; both values and the place are told."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.5)
+    with pytest.raises(ModelError, match=message):
+        solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS)), t=2.0)
+
+
+def test_supports_that_agree():
+    """Equal values, by functions too, are fine, up to rounding."""
+    joint = sandwich(1.0, 0.5, 0.5, 0.5)
+    supports = {"BOTTOM": 0.0, "LEFT": {"x": lambda x, t: t * (x[1] + 0.5)}, "TOP": {"x": lambda x, t: t / 3 * 3}}
+    state = solve(Structure(joint, body=BODY, supports=supports).bonded(), t=0.01)
+    assert out_of_balance(state) < BALANCED
+
+
+# ---------------------------------------------------------------- ranks
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_same_on_several_ranks(ranks):
+    done = mpirun(ranks, "-m", "tests.supports_run")
+    assert done.returncode == 0, done.stderr[-2000:]
+    found, expected = json.loads(done.stdout.splitlines()[-1]), numbers()
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        if "out of balance" in name:
+            assert found[name] < BALANCED
+        else:
+            assert found[name] == pytest.approx(value, rel=1e-8, abs=1e-9), name

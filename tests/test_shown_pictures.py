@@ -1,0 +1,78 @@
+"""Pictures that are not saved: what functions return, in notebooks and in windows."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from io import BytesIO
+
+import pytest
+from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from forms import LinearElastic
+from geometry import sandwich
+from tests.contact_bars import bar, coulomb
+from tests.ranks import mpirun
+from thinlayer import ModelError, Structure, Table, ThinLayer, plotting, solve
+
+
+def strip():
+    joint = sandwich(2.0, 0.5, 0.5, 0.5)
+    structure = Structure(joint, body=LinearElastic(60.0, 40.0), supports={"BOTTOM": 0}, tractions={"TOP": (0.2, 0.5)})
+    return solve(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1)))
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """One of each function."""
+    state = strip()
+    table = Table({"eps": e, "error_traction": 3 * e, "error_jump": 2 * e} for e in (0.4, 0.2, 0.1))
+    line = {"a": ([0, 1], [0, 1])}
+    return {
+        "deformed": plotting.deformed(state),
+        "layers": plotting.layers(state),
+        "contact": plotting.contact(bar(8, coulomb("soft"))),
+        "rates": plotting.rates(table),
+        "curves": plotting.curves(line, xlabel="x", ylabel="y"),
+        "panels": plotting.panels({"t": line}, xlabel="x", ylabels={"t": "y"}, styles={}, colours={}),
+    }
+
+
+def test_pictures_are_figures_that_notebooks_display(pictures):
+    for name, picture in pictures.items():
+        assert isinstance(picture, Figure), name
+        image = imread(BytesIO(picture._repr_png_()))
+        assert image[..., :3].std() > 0.01, name
+    assert not pyplot.get_fignums()  # pyplot knows of none, and does not show or close them
+
+
+def test_a_picture_opens_in_a_window(pictures, monkeypatch):
+    """The window's canvas has the picture; without windows there is an error that says what to do."""
+    with pytest.raises(ModelError, match="opens no windows; save the picture"):
+        pictures["deformed"].show()
+    assert not pyplot.get_fignums()
+    shown = []
+    monkeypatch.setattr(FigureCanvasAgg, "required_interactive_framework", "tk")
+    monkeypatch.setattr(pyplot, "show", lambda: shown.append(pyplot.get_current_fig_manager().canvas.figure))
+    pictures["curves"].show()
+    assert shown == [pictures["curves"]]
+    pyplot.close("all")
+
+
+def test_importing_does_not_choose_a_backend():
+    code = "import sys, thinlayer; thinlayer.plotting; print('matplotlib.pyplot' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["False"], done.stderr
+
+
+def test_on_several_ranks_the_first_has_the_picture(tmp_path):
+    done = mpirun(2, "-m", "tests.test_shown_pictures")
+    assert done.returncode == 0, done.stderr
+    assert sorted(done.stdout.split()) == ["NoneType", "Picture"]
+
+
+if __name__ == "__main__":
+    print(type(plotting.deformed(strip())).__name__, flush=True)

@@ -1,0 +1,272 @@
+"""Eigenstrains: strains that bodies and layers would have without stress, as by heat, cure or swelling; in-situ stress."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl.conditional import Condition
+
+from forms.base import is_finite, is_number
+from forms.kinematics import MANDEL, ROOT2, Expr
+from forms.law import BulkLaw
+from forms.planes import Kinematics
+from forms.tangent import tangent_at_rest
+from thinlayer.discretisation.given import summed
+from thinlayer.discretisation.loads import Coordinates, called, has_finite_numbers
+from thinlayer.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
+Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
+SYMMETRY = 1e-12  # difference of a table from its transpose, at most, over its size
+SINGULAR = 1e-12  # smallest singular value of a stiffness, over its largest, below which no strain causes some stresses
+
+
+@dataclass(frozen=True)
+class Matter:
+    """A body or a layer, as far as its eigenstrain depends on it.
+
+    Attributes:
+        name: for messages.
+        law: its law, with real parameters, for these kinematics.
+        n: the mean normal of S, (d,).
+        kinematics: strains of displacements.
+        at: coordinates and time.
+    """
+
+    name: str
+    law: BulkLaw
+    n: Array
+    kinematics: Kinematics
+    at: Coordinates
+
+    def rows(self, value: Any, what: str) -> Rows:
+        """The components of a tensor, (d, d) or (3, 3): of a number times the identity, of a table, or of a function.
+
+        Raises:
+            ModelError: another shape, components that are no finite numbers, or a table that is not symmetric.
+        """
+        what, d = f"{what} of {self.name}", len(self.n)
+        found = called(value, self.at, what) if callable(value) else value
+        if is_number(found) or getattr(found, "ufl_shape", None) == ():
+            one = _component(found, what)
+            return [[one if i == j else 0.0 for j in range(3)] for i in range(3)]
+        try:
+            k = found.ufl_shape[0] if hasattr(found, "ufl_shape") else len(found)
+            whole = k in (d, 3) and all(len(found[i]) == k for i in range(k))
+        except Exception:  # whatever a user gives
+            whole = False
+        if not whole:
+            shapes = "(3, 3)" if d == 3 else "(2, 2) or (3, 3)"
+            raise ModelError(
+                f"{what} is {found!r}; it needs a number, a symmetric table {shapes}, or a function of one"
+            )
+        rows = [[_component(found[i][j], what) for j in range(k)] for i in range(k)]
+        _require_symmetric(rows, what)
+        return rows
+
+
+def _component(value: Any, what: str) -> Any:
+    """A component, a finite number or a UFL scalar; raises ModelError if it is none."""
+    if is_number(value):
+        if not is_finite(value):
+            raise ModelError(f"{what} has a component {value!r}; it needs finite numbers")
+        return float(value)
+    try:
+        found = ufl.as_ufl(value)
+        fits = found.ufl_shape == () and not isinstance(found, Condition) and not isinstance(value, (bool, np.bool_))
+    except Exception:  # UFL's, for anything that is no expression
+        fits = False
+    if not fits or not has_finite_numbers(found):
+        raise ModelError(f"{what} has a component {value!r}; it needs finite numbers, or UFL scalars of x and t")
+    return found
+
+
+def _require_symmetric(rows: Rows, what: str) -> None:
+    numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
+    for i in range(len(rows)):
+        for j in range(i):
+            a, b = rows[i][j], rows[j][i]
+            both = isinstance(a, float) and isinstance(b, float)
+            same = abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)
+            if not same:
+                raise ModelError(
+                    f"{what} is not symmetric: its components {i + 1}{j + 1} and {j + 1}{i + 1} are {a}, {b}"
+                )
+
+
+def lifted(rows: Rows) -> Rows:
+    """A table (d, d) with zeros added to (3, 3)."""
+    k = len(rows)
+    return [[rows[i][j] if max(i, j) < k else 0.0 for j in range(3)] for i in range(3)]
+
+
+class Eigenstrain(ABC):
+    """A strain that matter would have without stress: the stress is that of the strain less it."""
+
+    @abstractmethod
+    def components(self, matter: Matter) -> Rows:
+        """The strain, (3, 3) numbers or UFL scalars. ModelError: it cannot be that of this body or layer."""
+
+
+@dataclass(frozen=True)
+class PlainStrain(Eigenstrain):
+    """An eigenstrain given by itself: a number times the identity, a table (d, d) or (3, 3), or a function (x, t)."""
+
+    value: Tensor
+
+    def components(self, matter: Matter) -> Rows:
+        """As in `Eigenstrain`."""
+        return lifted(matter.rows(self.value, "the eigenstrain"))
+
+
+@dataclass(frozen=True)
+class ThermalExpansion(Eigenstrain):
+    """Thermal expansion by a change of temperature: the eigenstrain alpha T.
+
+    Attributes:
+        alpha: coefficient of expansion, per degree: a number, three of them along the axes x, y, z, or a symmetric (3, 3).
+        T: change of temperature, degrees: a number, a function (x, t) of UFL coordinates, or `piecewise`.
+
+    Raises:
+        ModelError: alpha of another shape, not finite or not symmetric; T that is no number or function.
+    """
+
+    alpha: float | Sequence[float] | Sequence[Sequence[float]] | Array
+    T: float | Callable[[Expr, Any], Any]
+
+    def __post_init__(self) -> None:
+        try:
+            alpha = np.array(self.alpha, float)
+        except (TypeError, ValueError):
+            alpha = np.full(0, np.nan)
+        if alpha.shape not in ((), (3,), (3, 3)) or not np.isfinite(alpha).all():
+            raise ModelError(f"alpha is {self.alpha!r}; allowed: a finite number, three, or a symmetric (3, 3)")
+        if alpha.ndim == 2:
+            _require_symmetric(alpha.tolist(), "alpha")
+        if not (callable(self.T) or is_finite(self.T)):
+            raise ModelError(
+                f"T is {self.T!r}; allowed: a finite number or a function (x, t), the change of temperature"
+            )
+
+    def components(self, matter: Matter) -> Rows:
+        """As in `Eigenstrain`."""
+        what, alpha = f"the change of temperature T of {matter.name}", np.array(self.alpha, float)
+        T = _component(called(self.T, matter.at, what) if callable(self.T) else self.T, what)
+        table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))
+        return [[a * T if a else 0.0 for a in row] for row in table.tolist()]
+
+
+@dataclass(frozen=True)
+class Prestress(Eigenstrain):
+    """A stress that matter has before anything moves, such as the in-situ stress of rock: an eigenstrain -C^-1 sigma.
+
+    C is the tangent of the law at rest (that of a sudden strain for laws that creep or relax), so that laws which yield see
+    the whole stress. Displacements are then those from this state on.
+
+    Attributes:
+        sigma: stress, tension > 0: a number (that times the identity), a symmetric table (3, 3), or a function (x, t).
+            In two dimensions also (2, 2): sigma_33 is then the one of plane strain, lmbda/(2 (lmbda + mu)) (s_11 + s_22)
+            for isotropic laws, or zero in plane stress, where nothing else is allowed; bodies of revolution need (3, 3),
+            with the stress of hoops.
+    """
+
+    sigma: Tensor
+
+    def components(self, matter: Matter) -> Rows:
+        """As in `Eigenstrain`."""
+        sigma = matter.rows(self.sigma, "the prestress")
+        if matter.kinematics.name == "stress":
+            out = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
+            if any(not isinstance(c, float) or c for c in out):
+                raise ModelError(
+                    f"the prestress of {matter.name} has components out of the plane, of which plane stress has none; give "
+                    "(2, 2)"
+                )
+            sigma = [row[:2] for row in sigma[:2]]
+        if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
+            raise ModelError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
+        k = len(sigma)
+        slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < k]
+        inverse = self._compliance(matter, slots)
+        stress = [sigma[i][j] for i, j in (MANDEL[slot] for slot in slots)]
+        found: Rows = [[0.0] * 3 for _ in range(3)]
+        scales = [1.0 if i == j else ROOT2 for i, j in (MANDEL[slot] for slot in slots)]
+        for row, scale, (i, j) in zip(inverse, scales, (MANDEL[slot] for slot in slots), strict=True):
+            summands = [-float(c) * s / scale * one for c, s, one in zip(row, scales, stress, strict=True) if c]
+            found[i][j] = found[j][i] = sum(summands, 0.0)
+        return found
+
+    def _compliance(self, matter: Matter, slots: Sequence[int]) -> Array:
+        """Strains per stress in some Mandel components, the others of the strain being zero."""
+        hint = "; give its eigenstrain instead"
+        if len(matter.law.sublayers) > 1:
+            raise ModelError(f"the prestress of {matter.name}: its sublayers have stiffnesses of their own{hint}")
+        C = tangent_at_rest(matter.law, matter.n)
+        if C is None or not np.isfinite(C).all():
+            raise ModelError(
+                f"the prestress of {matter.name}: the stiffness of {type(matter.law).__name__} is not known at rest{hint}"
+            )
+        C = C[np.ix_(slots, slots)]
+        sizes = np.linalg.svd(C, compute_uv=False)
+        if sizes[-1] <= SINGULAR * sizes[0]:
+            raise ModelError(
+                f"the prestress of {matter.name}: no strain of {type(matter.law).__name__} causes some stresses{hint}"
+            )
+        return np.asarray(np.linalg.inv(C))
+
+
+Given = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
+
+
+def eigenstrains(given: Any) -> list[Eigenstrain]:
+    """What a user gives as eigenstrain, one or a list of several that add up; a table of numbers is one."""
+    if isinstance(given, Eigenstrain):
+        return [given]
+    if isinstance(given, (list, tuple)) and not _is_table(given):
+        if all(is_number(one) for one in given):
+            raise ModelError(
+                f"the eigenstrain is {given!r}; allowed: a number, a symmetric table, a function (x, t), ThermalExpansion, "
+                "Prestress, or a list of these that add up"
+            )
+        return [found for one in given for found in eigenstrains(one)]
+    return [PlainStrain(given)]
+
+
+def _is_table(given: Sequence[Any]) -> bool:
+    """Whether a list is one of rows of numbers."""
+    return bool(given) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in given)
+
+
+def given_strain(given: Any, matter: Matter) -> Expr | None:
+    """Minus the eigenstrain, (3, 3) UFL, which is added to the strain of the displacements; None: it is zero.
+
+    Raises:
+        ModelError: an eigenstrain that is none, or not of this body or layer.
+    """
+    if given is None:
+        return None
+    strains = (_negative(one.components(matter), matter) for one in eigenstrains(given))
+    found = matter.kinematics.seen(summed(*strains))
+    zero = all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3))
+    return None if zero else found
+
+
+def _negative(rows: Rows, matter: Matter) -> Expr:
+    """Minus a table as UFL. Numbers are constants, so that forms are compiled once for all of them; zeros are known."""
+    numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
+    constant = fem.Constant(matter.at.mesh, numbers)
+
+    def entry(i: int, j: int) -> Expr:
+        if isinstance(rows[i][j], float):
+            return constant[i, j] if numbers[i, j] else ufl.as_ufl(0.0)
+        return -rows[i][j]
+
+    return ufl.as_tensor([[entry(i, j) for j in range(3)] for i in range(3)])

@@ -1,0 +1,272 @@
+"""Loads at vertices and along edges, as forms: densities on single cells whose work is that of the load."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import basix
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from forms.kinematics import Expr
+from geometry.domain import Domain
+from geometry.errors import place as at_place
+from geometry.errors import unknown
+from geometry.joint import Joint
+from thinlayer.discretisation.joint_fields import cellwise
+from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, vector
+from thinlayer.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+EDGE_POINTS = 4  # Gauss points on an edge: exact for degree 7
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Places at which a load acts, each in one cell.
+
+    Attributes:
+        cells: (n,) numbers of cells of the joint.
+        points: (n, k, d) places in the reference cell.
+        along: (n, k, d) factors of the load as a vector of the reference cell, whose length in space is the weight; None:
+            all weights are 1.
+    """
+
+    cells: npt.NDArray[np.int64]
+    points: Array
+    along: Array | None = None
+
+
+class Concentrated(Protocol):
+    """A load at points or along lines."""
+
+    force: Load
+
+    @property
+    def what(self) -> str:
+        """Words for errors."""
+
+    def nodes(self, joint: Joint) -> Nodes:
+        """Where it acts. Raises GeometryError or ModelError: no such place, or several nodes are there."""
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """A force at a vertex of the mesh.
+
+    Attributes:
+        place: (d,) coordinates of the vertex, before inflating.
+        force: (d,) force, in 2D per unit thickness, constant or a function (x, t). On a body of revolution its sum around
+            the ring that the vertex makes: along the axis the whole force, x all that pulls outwards.
+        body: region whose node it is; needed where S parts bodies, because each has a node there.
+    """
+
+    place: Sequence[float]
+    force: Load
+    body: str | None = None
+
+    @property
+    def what(self) -> str:
+        """As in `Concentrated`."""
+        return f"point load at {tuple(self.place)!r}"
+
+    def nodes(self, joint: Joint) -> Nodes:
+        """As in `Concentrated`."""
+        vertex = joint.nearest_point(self.place)
+        same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
+        cells, corners = np.nonzero(same[joint.corners])
+        chosen = _in_one_body(joint, cells, joint.splitting.components(0)[cells, corners], self.body, self.what)
+        X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
+        return Nodes(cells[chosen : chosen + 1], X[corners[chosen : chosen + 1], None])
+
+
+@dataclass(frozen=True)
+class LineLoad:
+    """A force per length along the edges that two facet sets of a solid share.
+
+    Attributes:
+        first, second: names of facet sets of the outer boundary.
+        force: (3,) force per length, constant or a function (x, t).
+        body: region whose edges are loaded; needed for edges in S.
+    """
+
+    first: str
+    second: str
+    force: Load
+    body: str | None = None
+
+    @property
+    def what(self) -> str:
+        """As in `Concentrated`."""
+        return f"line load between {self.first!r} and {self.second!r}"
+
+    def nodes(self, joint: Joint) -> Nodes:
+        """As in `Concentrated`."""
+        if joint.dim != 3:
+            raise ModelError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
+        names = joint.facets
+        for name in (self.first, self.second):
+            if name not in names:
+                raise ModelError(f"{self.what}: {unknown('facet set', name, names)}")
+            refuse_periodic(joint, name, "line load")
+        on = [np.isin(np.arange(len(joint.points)), joint.facets[name]) for name in (self.first, self.second)]
+        kind = basix.CellType[joint.cell_type]
+        edges = np.array(basix.topology(kind)[1])
+        near = np.flatnonzero((on[0] & on[1])[joint.corners].sum(axis=1) >= 2)
+        ends = np.sort(joint.corners[near][:, edges], axis=2)
+        shared = _edges_of(joint, self.first) & _edges_of(joint, self.second)
+        found: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        for row, column in zip(*np.nonzero((on[0] & on[1])[ends].all(axis=2)), strict=True):
+            pair = (int(ends[row, column, 0]), int(ends[row, column, 1]))
+            if pair in shared:
+                found.setdefault(pair, []).append((int(near[row]), int(column)))
+        if not found:
+            raise ModelError(f"{self.what}: they have no edge in common")
+        components = joint.splitting.components(1)
+        chosen = []
+        for around in found.values():
+            cells, columns = np.array(around).T
+            k = _in_one_body(joint, cells, components[cells, columns], self.body, self.what)
+            chosen.append((cells[k], columns[k]))
+        cells, columns = np.array(chosen).T
+        return _along_edges(kind, cells, edges[columns])
+
+
+def _edges_of(joint: Joint, name: str) -> set[tuple[int, int]]:
+    """Edges of the facets of a name, as pairs of vertices."""
+    rows = joint.table.index(joint.facets[name])
+    cells, local = joint.table.cells[rows, 0], joint.table.local[rows, 0]
+    kind = basix.CellType[joint.cell_type]
+    topology = basix.topology(kind)
+    found = set()
+    for number, corners in enumerate(topology[2]):
+        inside = [edge for edge in topology[1] if set(edge) <= set(corners)]
+        for edge in inside:
+            ends = np.sort(joint.corners[cells[local == number]][:, edge], axis=1)
+            found |= {(int(a), int(b)) for a, b in ends}
+    return found
+
+
+def _along_edges(kind: basix.CellType, cells: npt.NDArray[np.int64], ends: npt.NDArray[np.int64]) -> Nodes:
+    s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_POINTS - 1)
+    X = np.asarray(basix.geometry(kind))[ends]  # (n, 2, d)
+    points = X[:, None, 0] + s[None, :, :1] * (X[:, None, 1] - X[:, None, 0])
+    return Nodes(cells, points, w[None, :, None] * (X[:, None, 1] - X[:, None, 0]))
+
+
+def _in_one_body(
+    joint: Joint, cells: npt.NDArray[np.int64], components: npt.NDArray[np.int64], body: str | None, what: str
+) -> int:
+    """The first of the cells around a place that are of one body; raises ModelError if the place has several nodes."""
+    regions = joint.region[cells]
+    if body is not None:
+        if body not in joint.bodies:
+            raise ModelError(f"{what}: {unknown('body', body, joint.bodies)}")
+        kept = np.flatnonzero(regions == joint.regions.index(body))
+        if not len(kept):
+            around = ", ".join(sorted({joint.regions[r] for r in regions}))
+            raise ModelError(f"{what}: body {body!r} does not reach this place; around it: {around}")
+    else:
+        kept = np.arange(len(cells))
+    if len(np.unique(components[kept])) > 1:
+        names = sorted({joint.regions[r] for r in regions[kept]})
+        hint = f"give body=..., one of {', '.join(map(repr, names))}" if len(names) > 1 else "move it off S"
+        where = at_place(joint.points[joint.corners[cells[kept[0]]]].mean(axis=0))
+        raise ModelError(f"{what} acts where S parts bodies, near {where}, and each of them has a node there; {hint}")
+    return int(kept[cells[kept].argmin()])
+
+
+# ---------------------------------------------------------------- forms
+class ConcentratedForms:
+    """Virtual work of loads at points, a UFL form: sum over cells of int F . v g dX = F . v at the load's place.
+
+    g is the element's polynomial on the reference cell for which that holds for all displacements v of the cell.
+
+    Args:
+        domain: the domain.
+        joint: the joint before inflating, whose cells are the first of the domain's.
+        degree: of the displacements.
+        at: coordinates and time.
+    """
+
+    def __init__(self, domain: Domain, joint: Joint, degree: int, at: Coordinates) -> None:
+        self.domain, self.joint, self.at, self._degree = domain, joint, at, degree
+        kind = basix.CellType[joint.cell_type]
+        self._ufl = basix.ufl.element("DG", domain.mesh.basix_cell(), degree)
+        self._element = self._ufl.basix_element
+        X, w = basix.make_quadrature(kind, 2 * degree)
+        phi = self._element.tabulate(0, X)[0, :, :, 0]
+        self._inverse = np.linalg.inv(phi.T @ (w[:, None] * phi))
+        mesh = domain.mesh
+        dx = ufl.Measure("dx", domain=mesh, subdomain_data=domain.cell_tags, metadata={"quadrature_degree": 2 * degree})
+        self._dx = dx(domain.cell_values(*joint.bodies))
+        self._jacobian = abs(ufl.JacobianDeterminant(mesh))
+
+    def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
+        """Pairs of a load per volume (d,) and a measure. Collective."""
+        nodes, d = load.nodes(self.joint), self.joint.dim
+        places, lengths = self._in_space(nodes)
+        if not callable(load.force):
+            factor = self._densities(nodes, lengths)
+            return [(vector(load.force, self.at, d, load.what) * self._function(factor) / self._jacobian, self._dx)]
+        found = []
+        for some in _rounds(nodes.cells):
+            for k in range(nodes.points.shape[1]):
+                one = Nodes(nodes.cells[some], nodes.points[some, k : k + 1])
+                x = np.zeros((len(self.domain.joint.cells), 1, d))
+                x[one.cells] = places[some, k : k + 1]
+                at = Coordinates(self.at.mesh, cellwise(self.domain, ("DG", 0, (d,)), x), self.at.t)
+                factor = self._densities(one, lengths[some, k : k + 1])
+                given = vector(load.force, at, d, load.what)
+                found.append((given * self._function(factor) / self._jacobian, self._dx))
+        return found
+
+    def _in_space(self, nodes: Nodes) -> tuple[Array, Array]:
+        """Places (n, k, d) of nodes, as arguments of loads, and weights (n, k)."""
+        joint = self.domain.joint
+        shown = joint.points if joint.band is None or joint.band.bodies == "extended" else joint.reference
+        element = basix.create_element(
+            basix.ElementFamily.P, basix.CellType[joint.cell_type], joint.degree, basix.LagrangeVariant.equispaced
+        )
+        places, weights = np.zeros_like(nodes.points), np.ones(nodes.points.shape[:2])
+        for row, cell in enumerate(nodes.cells):
+            table = element.tabulate(1, nodes.points[row])[..., 0]
+            places[row] = table[0] @ shown[joint.cells[cell]]
+            if nodes.along is not None:
+                J = np.einsum("jkn,ni->kij", table[1:], joint.points[joint.cells[cell]])
+                weights[row] = np.linalg.norm(np.einsum("kij,kj->ki", J, nodes.along[row]), axis=1)
+        return places, weights
+
+    def _densities(self, nodes: Nodes, weights: Array) -> Array:
+        """(n_cells, m) degrees of freedom of g, summed over the nodes of each cell."""
+        out = np.zeros((len(self.domain.joint.cells), len(self._inverse)))
+        phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
+        g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
+        np.add.at(out, nodes.cells, (weights[..., None] * g).sum(axis=1))
+        return out
+
+    def _function(self, values: Array) -> fem.Function:
+        return cellwise(self.domain, self._ufl, values[..., None])
+
+
+def _rounds(cells: npt.NDArray[np.int64]) -> Iterable[npt.NDArray[np.int64]]:
+    """Rows of nodes in groups in which each cell is at most once."""
+    order = np.argsort(cells, kind="stable")
+    first = np.searchsorted(cells[order], cells[order])
+    turn = np.arange(len(cells)) - first
+    return [order[turn == k] for k in range(int(turn.max(initial=-1)) + 1)]
+
+
+def check_loads(loads: Any) -> tuple[Concentrated, ...]:
+    """Loads as a tuple; raises ModelError if one of them is none."""
+    if isinstance(loads, PointLoad | LineLoad):
+        raise ModelError(f"loads is {loads!r}; it must be a list of loads")
+    for one in loads:
+        if not isinstance(one, PointLoad | LineLoad):
+            raise ModelError(f"one of loads is {one!r}; allowed: PointLoad, LineLoad")
+    return tuple(loads)

@@ -1,0 +1,267 @@
+"""Reactions: the forces and moments that supports, springs, plates and rigid bases give to a structure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+from forms.kinematics import Expr
+from forms.planes import Kinematics
+from geometry.domain import Domain
+from geometry.errors import place as at_place
+from geometry.joint import Joint
+from geometry.seam import BASE, S
+from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.supports import Place
+from thinlayer.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+ROUNDING = 1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
+AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
+
+
+class Held(Protocol):
+    """The attributes of a `Model` that tell what holds and loads it."""
+
+    comm: MPI.Intracomm
+    domain: Domain
+    joint: Joint
+    centre: Array
+    kinematics: Kinematics
+    parts: tuple[Any, ...]
+
+    @property
+    def holders(self) -> list[Place]:
+        """What holds it, as rows of `Configuration.reactions`."""
+
+    def external_work(self, v: Expr, t: float) -> Expr:
+        """Virtual work of the loads."""
+
+
+class Solved(Protocol):
+    """The attributes of a `State` from which its reactions follow."""
+
+    @property
+    def model(self) -> Held:
+        """The model."""
+
+    @property
+    def u(self) -> fem.Function:
+        """Displacements."""
+
+    @property
+    def t(self) -> float:
+        """Time."""
+
+    @property
+    def reactions(self) -> Array | None:
+        """Forces and moments of `Held.holders`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Resultant:
+    """A force and its moment about a point. In 2D per unit thickness.
+
+    Attributes:
+        force: (d,) force.
+        moment: moment about the point: (3,), in 2D a number, > 0 from x to y.
+        about: (d,) the point, in the coordinates of the model's mesh.
+    """
+
+    force: Array
+    moment: Array
+    about: Array
+
+    def at(self, about: Sequence[float] | Array) -> Resultant:
+        """The same forces, with their moment about another point (d,)."""
+        point = require_point(about, len(self.force))
+        return Resultant(self.force, self.moment + _moment(self.about - point, self.force), point)
+
+    def __add__(self, other: Resultant) -> Resultant:
+        there = other.at(self.about)
+        return Resultant(self.force + there.force, self.moment + there.moment, self.about)
+
+    def __neg__(self) -> Resultant:
+        return Resultant(-self.force, -self.moment, self.about)
+
+    @classmethod
+    def of(cls, values: Array, about: Array) -> Resultant:
+        """From the work (k,) in the motions of `rigid`: translations, then rotations about the point."""
+        d = len(about)
+        moment = values[d:]
+        return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
+
+    def __repr__(self) -> str:
+        size = np.abs(self.force).max()
+        force = at_place(np.where(np.abs(self.force) > ROUNDING * size, self.force, 0.0))
+        moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
+        return f"force {force}, moment {moment} about {at_place(self.about)}"
+
+
+def require_point(about: Sequence[float] | Array, dim: int) -> Array:
+    """A point (d,) as an array; raises ModelError if it is none."""
+    try:
+        point = np.array(about, float)
+    except (TypeError, ValueError):
+        point = np.empty(0)
+    if point.shape != (dim,) or not np.isfinite(point).all():
+        raise ModelError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
+    return point
+
+
+def _moment(arm: Array, force: Array) -> Array:
+    if len(arm) == 2:
+        return np.asarray(arm[0] * force[1] - arm[1] * force[0])
+    return np.asarray(np.cross(arm, force), float)
+
+
+def count(dim: int) -> int:
+    """Number of rigid motions."""
+    return dim + len(AXIAL[dim])
+
+
+def rigid(x: npt.NDArray[Any], about: Array) -> Array:
+    """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
+    n, d = x.shape
+    out: Array = np.zeros((n, d, count(d)))
+    out[:, np.arange(d), np.arange(d)] = 1.0
+    for k, (i, j, sense) in enumerate(AXIAL[d]):
+        out[:, i, d + k], out[:, j, d + k] = -sense * (x[:, j] - about[j]), sense * (x[:, i] - about[i])
+    return out
+
+
+def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
+    """(k,) 1 for the motions of `rigid` in which forces have a resultant, 0 for those that revolution cancels."""
+    found = np.zeros(count(dim))
+    found[[*kinematics.translations(dim)]] = 1.0
+    found[dim:] = float(kinematics.turns)
+    return found
+
+
+def on_centre(kinematics: Kinematics, x: Array) -> Array:
+    """A place (d,), or of bodies of revolution its place on the axis."""
+    moved = np.zeros(len(x))
+    free = [*kinematics.translations(len(x))]
+    moved[free] = x[free]
+    return moved
+
+
+def rigid_expression(mesh: Mesh, motion: fem.Constant, about: Array) -> Expr:
+    """A sum of rigid motions as a UFL vector (d,), `motion` having k factors of the motions of `rigid`."""
+    x, d = ufl.SpatialCoordinate(mesh), len(about)
+    parts = [motion[i] for i in range(d)]
+    for k, (i, j, sense) in enumerate(AXIAL[d]):
+        parts[i] += -sense * motion[d + k] * (x[j] - float(about[j]))
+        parts[j] += sense * motion[d + k] * (x[i] - float(about[i]))
+    return ufl.as_vector(parts)
+
+
+def rigid_values(V: fem.FunctionSpace, about: Array) -> Array:
+    """The motions of `rigid` in a space: (n, k) at the displacements of this rank. Collective."""
+    d = V.dofmap.bs
+    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    try:
+        places = V.tabulate_dof_coordinates()[:, :d]
+    except RuntimeError:  # the unknowns are no nodal displacements
+        columns = []
+        for k in range(count(d)):
+            f = fem.Function(V)
+            f.interpolate(lambda x, k=k: rigid(x[:d].T, about)[:, :, k].T)
+            f.x.scatter_forward()
+            columns.append(f.x.array[:owned].copy())
+        return np.column_stack(columns)
+    return np.asarray(rigid(places, about).reshape(-1, count(d))[:owned])
+
+
+def centroid(domain: Domain, name: str) -> Array:
+    """Centroid (d,) of the facets of a name, the sides of the layer that continue it included. Collective."""
+    mesh = domain.mesh
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)
+    values = domain.values(name, layer_sides=True)
+    x = ufl.SpatialCoordinate(mesh)
+    chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
+    form = compiled(ufl.dot(chosen, ufl.as_vector([*x, 1.0])) * ds(values))
+    sums = np.zeros(domain.joint.dim + 1)
+    for k in range(len(sums)):
+        chosen.value[:] = np.eye(len(sums))[k]
+        sums[k] = domain.comm.allreduce(fem.assemble_scalar(form))
+    found = sums[:-1] / sums[-1]
+    return np.asarray(np.where(np.abs(found) > ROUNDING * np.ptp(domain.joint.points), found, 0.0))
+
+
+def work_in_motions(comm: MPI.Intracomm, work: Expr, motion: fem.Constant) -> Array:
+    """Work (k,) of forces in rigid motions, from its UFL form in `rigid_expression(mesh, motion, ...)`. Collective."""
+    form, values = compiled(work), np.zeros(len(motion.value))
+    for k in range(len(values)):
+        motion.value[:] = np.eye(len(values))[k]
+        values[k] = comm.allreduce(fem.assemble_scalar(form))
+    return values
+
+
+def applied_to(state: Solved, about: Sequence[float] | None) -> Resultant:
+    """See `State.applied`."""
+    model = state.model
+    point = model.centre if about is None else require_point(about, model.joint.dim)
+    motion = fem.Constant(model.domain.mesh, np.zeros(count(len(point))))
+    v = rigid_expression(model.domain.mesh, motion, model.centre)
+    values = work_in_motions(model.comm, model.external_work(v, state.t), motion)
+    return Resultant.of(values * balanced_motions(model.kinematics, len(point)), model.centre).at(point)
+
+
+def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
+    """See `State.reactions_by_place`."""
+    model = state.model
+    if state.reactions is None:
+        raise ModelError("this state has no reactions: it is no equilibrium that was solved for")
+    rows = list(zip(model.holders, state.reactions, strict=True))
+    for part in model.parts:
+        rows += [(place, found) for place, found in part.reaction(model, state.u)]
+    point = model.centre if about is None else require_point(about, model.joint.dim)
+    found: dict[Place, Resultant] = {}
+    balanced = balanced_motions(model.kinematics, model.joint.dim)
+    for place, values in rows:
+        one = Resultant.of(np.asarray(values) * balanced, model.centre).at(point)
+        found[place] = found[place] + one if place in found else one
+    return found
+
+
+def reaction_of(state: Solved, place: Place, about: Sequence[float] | None) -> Resultant:
+    """See `State.reaction`."""
+    model, every = state.model, all_reactions(state)
+    bases = {BASE, *model.joint.base_seams}
+    chosen = [name for name in every if name == place or str(name).split("/")[0] == place]
+    if place == S or (place in bases and not chosen):
+        chosen = [name for name in every if name in bases]
+    if not chosen:
+        held = ", ".join(map(repr, every)) or "nothing"
+        free = f"nothing holds {place!r}: it is free of supports and springs"
+        raise ModelError(f"{free}; held are: {held}")
+    total = every[chosen[0]]
+    for name in chosen[1:]:
+        total = total + every[name]
+    if about is not None:
+        return total.at(about)
+    return total.at(on_centre(model.kinematics, _middle(model, place, chosen)))
+
+
+def _middle(model: Held, place: Place, chosen: Sequence[Place]) -> Array:
+    """The default point of moments: the centroid of a facet set, the vertex itself."""
+    domain = model.domain
+    if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):
+        return centroid(domain, place)
+    names = [name for name in chosen if isinstance(name, str) and domain.facet_values.get(name)]
+    if names:
+        return np.asarray(np.mean([centroid(domain, name) for name in names], axis=0))
+    joint = domain.joint
+    assert not isinstance(place, str)
+    vertex = joint.nearest_point(place)
+    copies = np.all(joint.reference == joint.reference[vertex], axis=1)
+    return np.asarray(joint.points[copies].mean(axis=0))

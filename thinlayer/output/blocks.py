@@ -1,0 +1,147 @@
+"""Blocks of a state for ParaView, on rank 0: bodies, meshed layers and S, with all that is known there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyvista
+from mpi4py import MPI
+
+from geometry.joint import Joint
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.state import State
+from thinlayer.output.grid import Grid, gather
+from thinlayer.output.law_points import LawPoints, law_points
+from thinlayer.output.surface_block import surface_block
+
+Array = npt.NDArray[np.float64]
+BODIES, LAYER, ON_S = "bodies", "layer", "S"
+VTK_TENSOR = (
+    (0, 0),
+    (1, 1),
+    (2, 2),
+    (0, 1),
+    (1, 2),
+    (0, 2),
+)  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
+STRESS, VON_MISES = "stress", "von Mises"
+TAKEN = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")  # no names of internal variables
+
+
+def blocks(state: State) -> pyvista.MultiBlock | None:
+    """The blocks "bodies", "layer" (a full model) and "S" (an interface model); None on other ranks. Collective."""
+    of_cells, of_facets = _cell_data(state)
+    grid = gather(state)
+    on_s = surface_block(state, of_facets) if isinstance(state.model, InterfaceModel) else None
+    if state.model.comm.rank:
+        return None
+    whole = _volume(state.model.domain.joint, grid, of_cells)
+    out = pyvista.MultiBlock()
+    out[BODIES] = _part(whole, grid.region >= 0)
+    if (grid.region < 0).any():
+        out[LAYER] = _part(whole, grid.region < 0)
+    if on_s is not None:
+        out[ON_S] = on_s
+    return out
+
+
+def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Stresses and internal variables (means) of the cells, internal variables of the facets of S; on rank 0. Collective.
+
+    A cell or facet whose law has no variable of a name has NaN there.
+    """
+    model, joint = state.model, state.model.domain.joint
+    of_cells, of_facets = _Means(model.comm, np.arange(len(joint.cells))), _Means(model.comm, model.joint.surface_rows)
+    through: dict[str, int] = {}  # number of terms so far, on S, of a layer: of order 1 it has two
+    for points in law_points(state):
+        if points.quadrature.region.dim == joint.dim:
+            of_cells.add(points, STRESS, points.stress())
+            for name, values in _named(points.internal(), 0, several=False):
+                of_cells.add(points, name, values)
+            continue
+        key = points.term.key
+        several = sum(term.key == key for term in model.layer_terms) > 1
+        for name, values in _named(points.internal(), through.setdefault(key, 0), several=several):
+            of_facets.add(points, name, values)
+        through[key] += 1
+    return of_cells.found, of_facets.found
+
+
+def _named(sublayers: list[dict[str, Array]], before: int, *, several: bool) -> Iterator[tuple[str, Array]]:
+    """Names and values of internal variables; where a facet has several points of one name they are numbered from below."""
+    for number, variables in enumerate(sublayers, before + 1):
+        for name, values in variables.items():
+            own = f"internal {name}" if name in TAKEN else name
+            yield f"{own} {number}" if several or len(sublayers) > 1 else own, values
+
+
+class _Means:
+    """Means over entities of a joint, gathered on rank 0.
+
+    Args:
+        comm: communicator.
+        numbers: (n,) numbers of the entities in the joint, ascending.
+
+    Attributes:
+        found: name -> (n, components), NaN where nothing was added; tensors have VTK's six components.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, numbers: npt.NDArray[np.int64]) -> None:
+        self._comm, self._numbers = comm, numbers
+        self.found: dict[str, Array] = {}
+
+    def add(self, points: LawPoints, name: str, values: Array) -> None:
+        """Add values (points, ...) to what is known of this name. Collective."""
+        means = points.quadrature.means(six(values) if values.ndim == 3 else values)
+        pieces = self._comm.gather((points.entities, means), root=0)
+        if pieces is None:
+            return
+        entities, means = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
+        at = np.searchsorted(self._numbers, entities)
+        known = self.found.setdefault(name, np.full((len(self._numbers), *means.shape[1:]), np.nan))
+        known[at] = np.where(np.isnan(known[at]), means, known[at] + means)  # several laws may share cells of junctions
+
+
+def six(tensors: Array) -> Array:
+    """Symmetric tensors (n, 3, 3) as (n, 6): XX, YY, ZZ, XY, YZ, XZ."""
+    return np.stack([tensors[:, i, j] for i, j in VTK_TENSOR], axis=1)
+
+
+def von_mises(stress: Array) -> Array:
+    """(n,) equivalent stress of stresses (n, 6) in VTK's order."""
+    normal, shear = stress[:, :3], stress[:, 3:]
+    deviator = normal - normal.mean(axis=1, keepdims=True)
+    return np.asarray(np.sqrt(1.5 * ((deviator**2).sum(axis=1) + 2 * (shear**2).sum(axis=1))))
+
+
+def _volume(joint: Joint, grid: Grid, of_cells: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
+    """All cells with their data."""
+    mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points)
+    mesh.point_data["u"] = grid.u
+    mesh.cell_data.update(of_cells)
+    mesh.cell_data[VON_MISES] = von_mises(of_cells[STRESS])
+    mesh.cell_data["region"] = joint.region
+    mesh.field_data["regions"] = list(joint.regions)
+    if joint.band is not None:
+        of_regions: dict[str, Any] = {name: seam for seam, names in joint.band.of_seam.items() for name in names}
+        of_regions |= joint.band.junctions
+        seams = list(joint.band.base.seams)
+        numbers = [seams.index(of_regions[name]) if name in of_regions else -1 for name in joint.regions]
+        mesh.cell_data["seam"] = np.array(numbers)[joint.region]
+        mesh.field_data["seams"] = seams
+    return mesh
+
+
+def _part(mesh: pyvista.UnstructuredGrid, chosen: npt.NDArray[np.bool_]) -> pyvista.UnstructuredGrid:
+    """Some cells with their points and data; data that are NaN in all of them, which VTK cannot read, are left out."""
+    part = mesh.extract_cells(np.flatnonzero(chosen))
+    for name in ("vtkOriginalCellIds", "vtkOriginalPointIds"):
+        part.point_data.pop(name, None)
+        part.cell_data.pop(name, None)
+    for name, values in list(part.cell_data.items()):
+        if np.issubdtype(values.dtype, np.floating) and np.isnan(values).all():
+            part.cell_data.pop(name)
+    return part

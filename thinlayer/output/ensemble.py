@@ -1,0 +1,278 @@
+"""Many runs of one model: spread over groups of ranks and over jobs, with one table."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from forms.base import is_number
+from geometry.parallel import on_root, within, world
+from thinlayer.errors import ModelError, SolveError
+from thinlayer.files.folder import LOCK, Lock, moved_away, owned
+from thinlayer.files.progress import track
+from thinlayer.files.table import Row, Table, read_back
+from thinlayer.output.row_file import RowFile
+from thinlayer.parallel.agreement import on_all, require_same
+
+RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
+WAIT = 60.0  # s that a job waits for another one that writes the common table
+
+Case = Mapping[str, float | str]
+Run = Callable[[Case], Mapping[str, Any]]
+
+
+def ensemble(
+    make: Callable[[], Run],
+    cases: Sequence[Case],
+    out: str | Path | None = None,
+    resume: bool = False,
+    *,
+    ranks: int | None = None,
+    part: tuple[int, int] = (0, 1),
+    keep_failures: bool = False,
+) -> Table:
+    """A table with a row for each of many cases, such as random layers. Collective.
+
+    The ranks form groups, each of which works on its own cases: run number k goes to group k modulo the number of groups.
+    In `make` and in the runs a group is all there is: calls without a communicator use that of the group.
+
+    Args:
+        make: called once in each group; it builds what the runs share, such as a joint and a model, and returns the
+            function case -> row, a mapping of names to numbers or texts.
+        cases: the inputs of each run, name -> number or text, the same names in all.
+        out: csv file. Each row is on the disk, in the folder out.parts, before the next one is computed; `out` has all rows
+            that are there. What rows were made from (`make`, and what it refers to) is kept beside them.
+        resume: keep the rows that are there, and compute the others, on any number of ranks, groups and parts.
+        ranks: number of ranks of a group (default: all ranks are one group); it divides the number of ranks.
+        part: (k, n), this process does the k-th of n parts of the cases, k = 0, ..., n - 1: for n jobs that run at the same
+            time or one after the other, with the same `out` and `resume=True`.
+        keep_failures: True: a run that fails with a SolveError has a row with the error in the column "failure", and
+            empty entries; the others go on. False: the error is raised, once the other groups have done their runs.
+
+    Returns:
+        The table: "run", the case's columns, the row's, and with `keep_failures` "failure"; with all rows on the disk.
+
+    Raises:
+        ModelError: cases or rows without numbers or texts, or with unlike names; ranks or part out of range; `out` is of
+            another ensemble. OSError: a file could not be written. Errors of runs.
+    """
+    with on_all(None):
+        comm = world()
+        known = _checked(cases)
+        ranks = comm.size if ranks is None else ranks
+        _check_groups(ranks, comm.size, part, out, resume)
+    require_same(None, cases=known, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
+    group, groups = comm.rank // ranks, comm.size // ranks
+    share = _Share(part[0] * groups + group, part[1] * groups)
+    files = None if out is None else _Files(Path(out), make, known)
+    name = f".{Path(out).name}.{part[0]}-of-{part[1]}{LOCK}" if out is not None else ""
+    own: Any = comm.Split(group)
+    try:
+        with nullcontext() if files is None else owned(files.path.parent, name=name):
+            there = {} if files is None else on_root(None, lambda: files.begin(resume))
+            rows = _Rows(known, share, files if own.rank == 0 else None, there)
+            error: Exception | None = None
+            try:
+                rows.compute(make, own, keep_failures=keep_failures)
+            except Exception as problem:  # the other groups go on
+                error = problem
+            _raise_together(comm, group, error)
+            found = [row for some in comm.allgather(rows.own if own.rank == 0 else {}) for row in some.values()]
+            done = there | _by_run(found)
+            if files is not None:
+                done |= on_root(None, lambda: files.merge(WAIT))
+            return _table(known, done)
+    finally:
+        own.Free()
+
+
+@dataclass(frozen=True)
+class _Share:
+    """The runs number, number + of, number + 2 of, ..."""
+
+    number: int
+    of: int
+
+    @property
+    def name(self) -> str:
+        """Name of the file of these runs."""
+        return f"{self.number}-of-{self.of}.csv"
+
+
+class _Rows:
+    """The rows of a group."""
+
+    def __init__(self, cases: list[Row], share: _Share, files: _Files | None, there: Mapping[int, Row]) -> None:
+        self._cases, self._share, self._there = cases, share, there
+        self._inputs: list[dict[str, float | str]] = [
+            {n: v for n, v in case.items() if v is not None} for case in cases
+        ]
+        self._files, self.own = files, dict[int, Row]()
+
+    def compute(self, make: Callable[[], Run], comm: MPI.Intracomm, *, keep_failures: bool) -> None:
+        """Compute the rows that are not there yet. Collective over the group."""
+        left = [k for k in range(self._share.number, len(self._cases), self._share.of) if k not in self._there]
+        if not left:
+            return
+        file = self._files.of(self._share) if self._files else None
+        kept = _by_run(file.begin(resume=True)) if file else {}
+        with within(comm):
+            with on_all(comm):
+                run = make()
+                if not callable(run):
+                    raise ModelError(f"make returns {run!r}; it must return a function of a case")
+            for k in track(left, "ensemble", "run {}"):
+                self.own[k] = self._row(run, k, comm, keep_failures)
+                if file and self._files:
+                    file.write(_table(self._cases, kept | self.own))
+                    self._files.merge(0.0)
+
+    def _row(self, run: Run, k: int, comm: MPI.Intracomm, keep_failures: bool) -> Row:
+        case = self._cases[k]
+        failure: str | None = None
+        found: Any = {}
+        try:
+            with on_all(comm):
+                found = run(self._inputs[k])
+                _check_row(found, case, k)
+        except SolveError as error:
+            if not keep_failures:
+                raise
+            failure = str(error)
+        values = {name: read_back(value if isinstance(value, str) else float(value)) for name, value in found.items()}
+        row: Row = {RUN: float(k), **case, **values}
+        return row | ({FAILURE: failure} if keep_failures else {})
+
+
+class _Files:
+    """The files of an ensemble, on one rank: one of each group's rows, and all rows in one."""
+
+    def __init__(self, path: Path, make: Callable[[], Run], cases: list[Row]) -> None:
+        self.path, self._make, self._cases = path, make, cases
+        self._folder = path.with_name(f"{path.name}.parts")
+
+    def _files(self) -> list[RowFile]:
+        return [RowFile(one, self._make, "ensemble", (RUN,)) for one in sorted(self._folder.glob("*-of-*.csv"))]
+
+    def of(self, share: _Share) -> RowFile:
+        """The file of a group."""
+        return RowFile(self._folder / share.name, self._make, "ensemble", (RUN,))
+
+    def begin(self, resume: bool) -> dict[int, Row]:
+        """The rows of all files; those of an earlier ensemble are moved away first unless `resume`."""
+        if not resume:
+            moved_away(self.path.parent, [self.path.name, self._folder.name])
+        rows = _by_run([row for file in self._files() for row in file.begin(resume=True)])
+        for k, row in rows.items():
+            case = self._cases[k] if k < len(self._cases) else {}
+            changed = [name for name, value in case.items() if row.get(name) != value]
+            if not case or changed:
+                what = f"{changed[0]} = {row.get(changed[0])!r} there" if changed else "no such run here"
+                raise ModelError(
+                    f"{str(self.path)!r} is the table of other cases (run {k}: {what}); give another name, or remove it "
+                    f"and {str(self._folder)!r}"
+                )
+        return rows
+
+    def merge(self, wait: float) -> dict[int, Row]:
+        """Write all rows of all files into one table; returns them.
+
+        Args:
+            wait: s to wait for another job that writes it; 0: leave it to that job.
+        """
+        lock, end = Lock(self._folder, f".merge{LOCK}"), time.monotonic() + wait
+        while True:
+            try:
+                lock.take()
+                break
+            except ModelError:
+                if time.monotonic() >= end:
+                    if wait:
+                        raise
+                    return {}
+                time.sleep(0.05)
+        try:
+            rows = _by_run([row for file in self._files() for row in Table.load_here(file.path).rows])
+            _table(self._cases, rows).put(self.path)
+        finally:
+            lock.free()
+        return rows
+
+
+def _by_run(rows: Sequence[Row]) -> dict[int, Row]:
+    return {int(row[RUN]): row for row in rows}  # type: ignore[arg-type]
+
+
+def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
+    """The table of rows in the order of their runs, all with the same columns."""
+    ordered = [rows[k] for k in sorted(rows)]
+    results = dict.fromkeys(name for row in ordered for name in row if name not in (RUN, FAILURE, *cases[0]))
+    failed = [FAILURE] if any(FAILURE in row for row in ordered) else []
+    names = [RUN, *cases[0], *results, *failed]
+    return Table({name: row.get(name) for name in names} for row in ordered)
+
+
+def _checked(cases: Any) -> list[Row]:
+    """The cases as rows; raises ModelError."""
+    try:
+        known = [dict(case) for case in cases]
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"cases is {str(cases)[:200]}; it needs mappings of names to numbers or texts") from error
+    if not known:
+        raise ModelError("an ensemble needs one case or more")
+    for k, case in enumerate(known):
+        if list(case) != list(known[0]):
+            raise ModelError(f"case {k} has {', '.join(map(str, case))}, the first one {', '.join(map(str, known[0]))}")
+        _check_names(case, f"case {k}")
+        known[k] = {name: value if isinstance(value, str) else float(value) for name, value in case.items()}
+    return known
+
+
+def _check_names(row: Mapping[Any, Any], what: str) -> None:
+    for name, value in row.items():
+        if not isinstance(name, str) or name in (RUN, FAILURE):
+            raise ModelError(f"{what} has {name!r}; names are texts other than {RUN!r} and {FAILURE!r}")
+        if isinstance(value, bool) or not isinstance(value, (Real, str)):
+            raise ModelError(f"{what}: {name} is {value!r}, which is neither a number nor a text")
+
+
+def _check_row(row: Any, case: Row, k: int) -> None:
+    """Raise ModelError unless a run has returned a row."""
+    if not isinstance(row, Mapping):
+        raise ModelError(f"run {k} returns {row!r}; it must return names with numbers or texts")
+    _check_names(row, f"the row of run {k}")
+    if taken := [name for name in row if name in case]:
+        raise ModelError(f"the row of run {k} has {taken[0]!r}, which is a column of the case")
+
+
+def _check_groups(ranks: Any, size: int, part: Any, out: Any, resume: bool) -> None:
+    """Raise ModelError unless the ranks and the part of the cases are in range."""
+    if not (is_number(ranks) and ranks >= 1 and ranks == int(ranks) and size % int(ranks) == 0):
+        raise ModelError(f"ranks is {ranks!r}; allowed: a number that divides the number of ranks, {size}")
+    try:
+        k, n = part
+        right = 0 <= k < n and k == int(k) and n == int(n)
+    except (TypeError, ValueError):
+        right = False
+    if not right:
+        raise ModelError(f"part is {part!r}; allowed: (k, n), the k-th of n parts, 0 <= k < n")
+    if n > 1 and (out is None or not resume):
+        raise ModelError("parts of an ensemble share a table: give out=... and resume=True")
+    if out is not None and Path(out).is_dir():
+        raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
+
+
+def _raise_together(comm: MPI.Intracomm, group: int, error: Exception | None) -> None:
+    """Raise an error that one group has on all ranks. Collective."""
+    errors = comm.allgather(None if error is None else (group, f"{type(error).__name__}: {error}"))
+    if error is not None:
+        raise error
+    if first := next(filter(None, errors), None):
+        raise ModelError(f"group {first[0]} of ranks has failed: {first[1]}")

@@ -1,0 +1,143 @@
+"""Displacements on VTK cells, gathered on rank 0, in an order that does not depend on the ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from geometry.joint import Joint
+from geometry.seam import BASE
+from geometry.topology import FACET_TYPES
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.output.vtk_cells import STRAIGHT, vtk_order, vtk_type
+from thinlayer.parallel.exchange import carry
+
+MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A displacement field on VTK cells; the nodes on S are double.
+
+    Attributes:
+        dim: space dimension, 2 or 3; in 2D all third components are zero.
+        points: (n, 3) places of the nodes.
+        u: (n, 3) displacements.
+        cells, types: VTK cells.
+        region: (n_cells,) region number from 0; sublayers of the meshed layer are -1, -2, ...
+        base: (n, k, 3) nodes of the facets of the rigid base, which do not move, in VTK's order; none between two bodies.
+        base_type: VTK type of these facets.
+    """
+
+    dim: int
+    points: npt.NDArray[np.float64]
+    u: npt.NDArray[np.float64]
+    cells: npt.NDArray[np.int64]
+    types: npt.NDArray[np.uint8]
+    region: npt.NDArray[np.int64]
+    base: npt.NDArray[np.float64]
+    base_type: int
+
+    @classmethod
+    def empty(cls, dim: int, kind: int, base: npt.NDArray[np.float64], base_type: int) -> Grid:
+        """A grid without cells, of other ranks than the first."""
+        none, numbers = np.empty((0, 3)), np.empty(0, np.int64)
+        return cls(dim, none, none, numbers, np.full(0, kind, np.uint8), numbers, base, base_type)
+
+    def component(self, name: str) -> npt.NDArray[np.float64]:
+        """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises ModelError for another name."""
+        if name == "size":
+            return np.linalg.norm(self.u, axis=1)
+        if name not in tuple("xyz"[: self.dim]):
+            raise ModelError(f"unknown component {name!r}; allowed: size, {', '.join('xyz'[: self.dim])}")
+        return self.u[:, "xyz".index(name)]
+
+
+def nodal_displacement(state: State) -> fem.Function:
+    """The displacement by nodal values, a copy, or its interpolant where the element's unknowns are no nodal values."""
+    nodal = not state.model.element.startswith("S")
+    u = fem.Function(state.u.function_space if nodal else state.model.space(2), name="u")
+    if nodal:
+        u.x.array[:] = state.u.x.array
+        return u
+    u.interpolate(state.u)
+    u.x.scatter_forward()
+    return u
+
+
+def at_corners(state: State) -> npt.NDArray[np.float64]:
+    """Displacements (cells, corners, d) of the bodies' cells of the joint, on rank 0 (other ranks: none). Collective."""
+    model, joint = state.model, state.model.joint
+    u, n = nodal_displacement(state), len(joint.cells)
+    original = model.domain.original_cells[: model.domain.mesh.topology.index_map(joint.dim).size_local]
+    own = np.flatnonzero(original < n)
+    nodes = np.asarray(u.function_space.dofmap.list)[own][:, : joint.corners.shape[1]]
+    values = u.x.array.reshape(-1, joint.dim)[nodes].reshape(len(own), nodes.shape[1] * joint.dim)
+    wanted = np.arange(n if model.comm.rank == 0 else 0)
+    return carry(model.comm, original[own], values, wanted).reshape(len(wanted), nodes.shape[1], joint.dim)
+
+
+def gather(state: State) -> Grid:
+    """The field of a state, on rank 0 (other ranks: no cells). Collective.
+
+    Cells are in the order of the joint that the mesh was made from, nodes in the order in which cells come to them: any
+    number of ranks gives the same. The two nodes at one place of S are two, and so are those of periodic sides.
+    """
+    model, joint = state.model, state.model.domain.joint
+    u = nodal_displacement(state)
+    V, d = u.function_space, joint.dim
+    W = fem.functionspace(model.domain.mesh, ("Lagrange", V.ufl_element().degree)) if joint.periods else V
+    n = model.domain.mesh.topology.index_map(d).size_local
+    order = vtk_order(joint.cell_type, V.dofmap.list.shape[1])
+    here, there = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
+    numbers = [_numbers(space, nodes) for space, nodes in ((V, here), (W, there))]
+    x, values = W.tabulate_dof_coordinates()[there], u.x.array.reshape(-1, d)[here]
+    pieces = model.comm.gather((model.domain.original_cells[:n], *numbers, x, values), root=0)
+    kind = vtk_type(joint.cell_type, here.shape[1])
+    if pieces is None:
+        return Grid.empty(d, kind, *_base(joint))
+    original, *numbers, x, values = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
+    *numbers, x, values = (array[np.argsort(original)] for array in (*numbers, x, values))
+    _, first, node = np.unique(
+        np.stack(numbers, axis=-1).reshape(-1, 2), axis=0, return_index=True, return_inverse=True
+    )
+    by_cells = np.argsort(first)
+    rows = np.argsort(by_cells)[node.ravel()].reshape(numbers[0].shape)
+    at = first[by_cells]
+    points, moved = x.reshape(-1, 3)[at], np.zeros((len(at), 3))
+    moved[:, :d] = values.reshape(-1, d)[at]
+    if joint.cell_type == "tetrahedron":
+        _orient(points, rows)
+    cells = np.column_stack([np.full(len(rows), rows.shape[1]), rows]).ravel()
+    first_layer = len(joint.regions) - len(model.domain.layer_regions)
+    region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
+    return Grid(d, points, moved, cells, np.full(len(rows), kind, np.uint8), region, *_base(joint))
+
+
+def _numbers(space: fem.FunctionSpace, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
+    """Global numbers of local nodes."""
+    found: npt.NDArray[np.int64] = space.dofmap.index_map.local_to_global(np.ravel(nodes)).reshape(nodes.shape)
+    return found
+
+
+def _orient(points: npt.NDArray[np.float64], cells: npt.NDArray[np.int64]) -> None:
+    """Turn tetrahedra (n, 4 or 10) right-handed, in place: VTK takes inner faces of others for outer ones."""
+    corners = points[cells[:, :4]]
+    left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+    cells[left] = cells[left][:, MIRRORED[: cells.shape[1]]]
+
+
+def _base(joint: Joint) -> tuple[npt.NDArray[np.float64], int]:
+    """Facets of the rigid base, (n, k, 3) in VTK's order of nodes, and their VTK type."""
+    kind = FACET_TYPES[joint.cell_type]
+    names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
+    if not names:
+        return np.empty((0, joint.dim, 3)), STRAIGHT[kind]
+    rows = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in names])))
+    nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
+    facets = joint.points[nodes[:, vtk_order(kind, nodes.shape[1])]]
+    return np.pad(facets, ((0, 0), (0, 0), (0, 3 - joint.dim))), vtk_type(kind, nodes.shape[1])

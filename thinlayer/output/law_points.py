@@ -1,0 +1,147 @@
+"""Stresses and internal variables of all laws of a state, at the quadrature points where the laws act."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from forms.declarations import SIZES
+from forms.kinematics import MANDEL, ROOT2, mandel
+from forms.law import BulkLaw
+from forms.work import Term, stress
+from geometry.topology import IntArray
+from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.places import compiled_terms, quadratures
+from thinlayer.discretisation.state import PRESSURE, State
+from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.quadrature import Quadrature, Region
+
+Array = npt.NDArray[np.float64]
+MEMORY = "memory"  # name of the internal values of a law that does not name them
+_FOUND: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
+class LawPoints:
+    """The quadrature points of one term in a state, those of this rank.
+
+    Attributes:
+        state: the state.
+        term: the term, with the strains that are given or found beside those of u.
+        quadrature: its points.
+        key: of what its law remembers, in `State.memory`; "" for a law that has neither memory nor rate.
+    """
+
+    state: State
+    term: Term
+    quadrature: Quadrature
+    key: str
+
+    @cached_property
+    def entities(self) -> IntArray:
+        """Numbers in the joint of this rank's cells, or rows of its table of facets, of the points."""
+        return self.quadrature.original[: len(self.quadrature.cells)]
+
+    def stress(self) -> Array:
+        """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective.
+
+        Components out of the plane of a compiled law that depends on strain rates are not known: they are NaN.
+        """
+        term, points = self.term, self.quadrature
+        known = (
+            self._of_compiled_law() if term.law.traits.compiled else points.values(mandel(stress(term, self.state.u)))
+        )
+        none = [k for k in range(len(MANDEL)) if k not in term.kinematics.stressed(points.dim)]
+        known[:, none] = 0.0
+        return tensors(known) + self._pressure()[:, None, None] * np.eye(3)
+
+    def _of_compiled_law(self) -> Array:
+        """Mandel's components (points, 6) of the stress that the state keeps, the others those of the law at its strain.
+
+        Nothing changes at the strain of the state, except stresses that depend on its rate.
+        """
+        law, points = self.term.law, self.quadrature
+        known = self.state.stresses.get(self.key, np.zeros((points.count, len(points.slots))))
+        whole = np.full((points.count, len(MANDEL)), np.nan)
+        if len(points.slots) < len(MANDEL) and not law.traits.rate and law.in_space is law:
+            e = points.values(mandel(self.term.step(self.state.u).e))
+            material = Material(points.comm, law)
+            if material.varies:
+                material.take_at(points.joint_x, self.state.t)
+            memory = self.state.memory.get(self.key, np.zeros((points.count, material.memory)))
+            whole = material.update(range(len(MANDEL)), e, e, memory, points.n, 0.0, 1.0)[0]
+        whole[:, points.slots] = known
+        return whole
+
+    def _pressure(self) -> Array:
+        """Pressure (points,) of an incompressible law, a part of its stress; else zero."""
+        if not self.term.law.traits.constrained:
+            return np.zeros(self.quadrature.count)
+        model, region = self.state.model, self.quadrature.region
+        same = [p for p in model.layer_terms if p.law.traits.constrained and p.strain == self.term.strain]
+        tags = tuple(tag for p in same for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
+        whole = Region(model.domain.mesh, same[0].measure.reconstruct(subdomain_id=tags))
+        own = PRESSURE + same[0].key.removeprefix(LAYER)
+        p = self.state.fields[own if own in self.state.fields else PRESSURE]
+        of_cells = p.x.array[p.function_space.dofmap.list][np.searchsorted(whole.parent, region.parent)]
+        here = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
+        here.x.array[here.function_space.dofmap.list] = of_cells
+        return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
+
+    def internal(self) -> list[dict[str, Array]]:
+        """Internal variables by name, (points, *shape), of each sublayer from the lower to the upper face of the layer."""
+        memory = self.state.memory.get(self.key)
+        if memory is None:
+            return [{}]
+        sublayers = [law for _, law in self.term.law.sublayers]
+        start, found = self.term.law.memory - sum(law.memory for law in sublayers), []
+        for law in sublayers:
+            found.append(unpacked(law, memory[:, start : start + law.memory]))
+            start += law.memory
+        return found
+
+
+def law_points(state: State) -> Iterator[LawPoints]:
+    """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
+    model = state.model
+    terms = state.bodies + state.layers
+    keys = {id(term): key for key, term in compiled_terms(model.terms).items()}
+    for own, term, quadrature in zip(model.terms, terms, _quadratures(model), strict=True):
+        yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
+
+
+def _quadratures(model: Model) -> list[Quadrature]:
+    """The quadrature points of all terms of a model, made once. Collective."""
+    if model not in _FOUND:
+        compiled = {id(one.term): one for one in quadratures(model).values()}
+        _FOUND[model] = [compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
+    return _FOUND[model]
+
+
+def unpacked(law: BulkLaw, memory: Array) -> dict[str, Array]:
+    """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
+    if sum(SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
+        return {MEMORY: memory}
+    found, start = {}, 0
+    for name, shape in law.internal.items():
+        part = memory[:, start : start + SIZES[shape]]
+        found[name] = tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
+        start += SIZES[shape]
+    return found
+
+
+def tensors(values: Array, slots: Sequence[int] = range(6)) -> Array:
+    """Symmetric tensors (n, 3, 3) from Mandel's components (n, m) in these slots; the others are zero."""
+    out = np.zeros((len(values), 3, 3))
+    for column, slot in enumerate(slots):
+        i, j = MANDEL[slot]
+        out[:, i, j] = out[:, j, i] = values[:, column] / (1.0 if i == j else ROOT2)
+    return out

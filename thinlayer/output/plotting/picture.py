@@ -1,0 +1,100 @@
+"""Pictures: matplotlib figures that notebooks display, that can be saved, and shown in a window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any, TypeVar
+
+from matplotlib.figure import Figure
+from mpi4py import MPI
+
+from geometry.parallel import on_root
+from thinlayer.errors import ModelError
+from thinlayer.files.table import replaced
+
+SAVED: dict[str, Any] = {"dpi": 150, "bbox_inches": "tight"}  # options of all pictures that are saved
+IN_NOTEBOOK: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
+
+
+class Picture(Figure):
+    """A matplotlib figure, made without pyplot, so that scripts and notebooks keep their backend.
+
+    A notebook displays it where it is the last value of a cell, or by IPython's `display`; `savefig` and all else is
+    matplotlib's.
+    """
+
+    def _repr_png_(self) -> bytes:
+        buffer = BytesIO()
+        self.savefig(buffer, format="png", **IN_NOTEBOOK)
+        return buffer.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Open the picture in a window and wait until it is closed; for scripts where there is a screen.
+
+        Raises:
+            ModelError: matplotlib's backend has no windows, as where there is no screen.
+        """
+        from matplotlib import pyplot
+
+        manager = pyplot.figure().canvas.manager
+        assert manager is not None, "made by pyplot"
+        canvas = manager.canvas
+        if type(canvas).required_interactive_framework is None:
+            pyplot.close(canvas.figure)
+            raise ModelError(
+                f"matplotlib's backend {pyplot.get_backend()!r} opens no windows; save the picture, or in a notebook let "
+                "it be the last value of a cell"
+            )
+        canvas.figure = self
+        self.set_canvas(canvas)
+        pyplot.show()
+
+
+F = TypeVar("F", bound=Figure)
+
+
+def finish(figure: F, save: str | Path | None) -> F:
+    """Save a picture, if asked to. Collective: rank 0 writes."""
+    if save is not None:
+        require_name(save)
+        on_root(None, lambda: put(figure, Path(save)))
+    return figure
+
+
+def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:
+    """The picture that rank 0 draws, and saves if asked to; None on other ranks. Collective."""
+    pictures: list[Picture] = []
+
+    def on_rank_0() -> None:
+        pictures.append(draw())
+        if save is not None:
+            put(pictures[0], Path(save))
+
+    on_root(comm, on_rank_0)
+    return pictures[0] if pictures else None
+
+
+def require_name(save: Any) -> None:
+    """Raise ModelError unless `save` is None or the name of a file."""
+    if not (save is None or isinstance(save, Path) or (isinstance(save, str) and save)):
+        raise ModelError(f"save is {save!r}; it must be the name of a picture, or None")
+
+
+def put(figure: Figure, path: Path) -> None:
+    """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
+
+    Raises:
+        ModelError: the name is that of a folder, or has an ending that matplotlib does not know.
+        OSError: the file could not be written.
+    """
+    if path.is_dir():
+        raise ModelError(f"{str(path)!r} is a folder; give the name of a picture")
+    kind = path.suffix.removeprefix(".") or "png"
+    if kind not in (known := figure.canvas.get_supported_filetypes()):
+        raise ModelError(
+            f"{str(path)!r} ends with {path.suffix}; allowed: {', '.join(f'.{one}' for one in sorted(known))}"
+        )
+    with replaced(path if path.suffix else path.with_suffix(".png")) as file:
+        figure.savefig(file, format=kind, **SAVED)

@@ -1,0 +1,202 @@
+"""The bodies and the layer's laws without memory or rate, as UFL forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import dolfinx.fem.petsc
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.algorithms.check_arities import ArityMismatch
+
+from forms.elastic import LinearElastic
+from forms.kinematics import Expr
+from forms.law import LawError, Step
+from forms.symmetry import require_declared_stress, require_symmetric_tangent
+from forms.trace import named, stress_key
+from forms.work import Term, energy, stress, work
+from thinlayer.discretisation.given import OverStep
+from thinlayer.discretisation.measures import compiled
+from thinlayer.parts.forms import FormPart, matrix
+from thinlayer.parts.part import Interval, PartTraits, may_weaken
+from thinlayer.parts.softening import Softening
+
+
+class LawForms(FormPart):
+    """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
+
+    If no law of bodies is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those
+    of the displacements cause constant forces by linear laws, and do work as they grow.
+
+    Args:
+        key: key of the part.
+        V: space of the displacements.
+        terms: the terms; those whose laws are compiled are left out.
+    """
+
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term]) -> None:
+        terms = list(terms)
+        everywhere = [p for p in terms if p.n is None]
+        self._terms = terms = [p for p in terms if not p.law.traits.compiled]
+        for p in terms:
+            computed = stress_key(p.law, None if p.n is None else p.n.ufl_shape[0])
+            require_declared_stress(p.law, computed)
+            require_symmetric_tangent(p.law, computed)
+        proportional = [p.proportional for p in terms]
+        linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
+        self._others = others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
+        strained, bodies = [p for p in linear if p.given is not None], [p for p in terms if p.n is None]
+        self._over = over = OverStep(V.mesh, terms)
+        self._strained = any(p.given is not None for p in terms)
+        u, v = fem.Function(V), ufl.TestFunction(V)
+        stored = None
+        if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
+            stored = energy(_given(others, over.now), u) + sum(_beyond(p, u) for p in _given(strained, over.now))
+        super().__init__(
+            key,
+            u,
+            _stiffness(V, linear, everywhere) if linear or everywhere else None,
+            work(_given(others, over.balanced), u, v) if others else None,
+            stored,
+            g=sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None,
+        )
+        self._opposing = _Opposing.of([p for p in _given(others, over.balanced) if p.n is None], u)
+        self._in_layer = len(bodies) < len(terms)
+        self._layer_forms: dict[tuple[str, ...], fem.Form | None] = {}
+        self.traits = PartTraits(weakens=any(may_weaken(p.law) for p in terms if p.n is not None))
+
+    # ---------------------------------------------------------------- given strains
+    @cached_property
+    def _power(self) -> fem.Form:
+        """Work of the stresses at the last evaluation in the growth of given strains over the step."""
+        over, grown = self._over, [p for p in self._terms if p.given is not None]
+        stresses = [stress(p, self._u) for p in _given(grown, over.balanced)]
+        return compiled(
+            sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in zip(stresses, grown, strict=True))
+        )
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        self._over.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
+
+    def _supplied(self) -> float:
+        grows = self._strained and self._over.grows
+        return float(self.comm.allreduce(fem.assemble_scalar(self._power))) if grows else 0.0
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        size = super().add_forces(out)
+        return size if self._opposing is None else max(size, self._opposing.force(self.comm))
+
+    def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
+        if (form := self._of_layer(tuple(sorted(keys)))) is not None:
+            self._take(self._mid.x.petsc_vec)
+            b = dolfinx.fem.petsc.assemble_vector(form)
+            b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            out.axpy(1.0, b)
+            b.destroy()
+
+    def _of_layer(self, keys: tuple[str, ...]) -> fem.Form | None:
+        """Virtual work of the layers' terms with these keys; None: there are none."""
+        if keys not in self._layer_forms:
+            terms = _given([p for p in self._terms if p.n is not None and p.key in keys], self._over.balanced)
+            v = ufl.TestFunction(self._u.function_space)
+            self._layer_forms[keys] = compiled(work(terms, self._u, v)) if terms else None
+        return self._layer_forms[keys]
+
+    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+        old = interval.old
+        self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
+        return super()._stored(u, interval, before=before)
+
+    @property
+    def resists_rigid(self) -> bool:
+        return self._in_layer
+
+    @property
+    def unchecked(self) -> Sequence[str]:
+        return [type(p.law).__name__ for p in self._others]
+
+    @cached_property
+    def _softening(self) -> Softening:
+        return Softening(self._u.function_space, _given(self._terms, self._over.balanced))
+
+    def undeclared_softening(self) -> tuple[str, str] | None:
+        return self._softening.found(self._end, self.interval.old.u)
+
+
+def _given(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
+    """The terms, their given strains changed."""
+    return [p if p.given is None else replace(p, given=change(p.given)) for p in terms]
+
+
+def _of_given(p: Term, v: Expr) -> Expr:
+    """Virtual work of the stress of a given strain alone in the strains of v."""
+    return ufl.inner(p.law.stress(Step(p.given, p.n)), p.strain(v)) * p.weight * p.measure
+
+
+def _beyond(p: Term, u: Expr) -> Expr:
+    """What a given strain adds to the energy of the displacements, of a linear law."""
+    return _of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure
+
+
+@dataclass(frozen=True)
+class _Opposing:
+    """Stresses of bodies that are not linear against given strains.
+
+    Nodal forces of equal stresses cancel, and bodies that are not linear have no stiffness in K to judge them by.
+
+    Attributes:
+        work: of the stresses in the given strains.
+        square: integral of the squares of the given strains.
+        volume: of the bodies.
+        dim: of the mesh.
+    """
+
+    work: fem.Form
+    square: fem.Form
+    volume: fem.Form
+    dim: int
+
+    @classmethod
+    def of(cls, terms: Iterable[Term], u: fem.Function) -> _Opposing | None:
+        """Of the terms that have given strains; None: none has."""
+        strained, mesh = [p for p in terms if p.given is not None], u.function_space.mesh
+        if not strained:
+            return None
+        work = sum(ufl.inner(stress(p, u), p.given) * p.weight * p.measure for p in strained)
+        square = sum(ufl.inner(p.given, p.given) * p.weight * p.measure for p in strained)
+        volume = sum(fem.Constant(mesh, 1.0) * p.weight * p.measure for p in strained)
+        return cls(compiled(work), compiled(square), compiled(volume), mesh.geometry.dim)
+
+    def force(self, comm: MPI.Intracomm) -> float:
+        """A mean stress times the area of a side of the bodies, at the last displacements; 0 for given strains of 0."""
+        values = [fem.assemble_scalar(form) for form in (self.work, self.square, self.volume)]
+        work, square, volume = comm.allreduce(np.array(values))
+        size = np.sqrt(square * volume) * volume ** (1 / self.dim) / volume
+        return float(abs(work) / size) if size > 0 and np.isfinite(work) else 0.0
+
+
+def _stiffness(V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term]) -> PETSc.Mat:
+    """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
+
+    Raises:
+        LawError: a law declares that it is linear and is not.
+    """
+    trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
+    pattern = linear or [replace(p, law=LinearElastic(0.0, 1.0)) for p in bodies]
+    try:
+        K = matrix(work((replace(p, given=None) for p in pattern), trial, test))
+    except ArityMismatch as error:
+        names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
+        raise LawError(
+            f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
+            "write linear = False in the class"
+        ) from error
+    if not linear:
+        K.zeroEntries()
+    return K

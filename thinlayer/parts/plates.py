@@ -1,0 +1,347 @@
+"""Rigid plates on the boundary: their motions are unknowns, the resultants of the forces on them are given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.corealg.traversal import unique_pre_traversal
+
+from forms.base import is_number
+from forms.kinematics import Expr
+from geometry.errors import place as at_place
+from geometry.errors import unknown
+from thinlayer.discretisation.addition import Addition, Host
+from thinlayer.discretisation.broken import Keys, broken_space
+from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam
+from thinlayer.discretisation.prescribed import ROUNDING
+from thinlayer.discretisation.reactions import (
+    Array,
+    balanced_motions,
+    centroid,
+    count,
+    on_centre,
+    require_point,
+    rigid,
+)
+from thinlayer.discretisation.state import Configuration, State
+from thinlayer.errors import ModelError
+from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part
+
+Number = float | Callable[[Expr, Any], Any]
+Vector = Sequence[float] | Callable[[Expr, Any], Sequence[Any]]
+ROTATIONS = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z")}
+
+
+def _names(d: int) -> list[str]:
+    """Names of the motions of a plate."""
+    return [*AXES[:d], *ROTATIONS[d]]
+
+
+@dataclass(frozen=True, eq=False)
+class PlateMotion:
+    """The motion of a rigid plate.
+
+    Attributes:
+        translation: (d,) displacement of the point.
+        rotation: small rotation: (3,), in 2D a number, > 0 from x to y.
+        about: (d,) the point.
+    """
+
+    translation: Array
+    rotation: Array
+    about: Array
+
+
+@dataclass(frozen=True)
+class RigidPlate(Addition):
+    """A rigid plate, bonded to a facet set of the outer boundary and to the side of the layer that continues it.
+
+    Its nodes move as a rigid body, with small rotations. For each of its 3 motions (in 3D 6) either the force or moment is
+    given, by default zero, or the motion is prescribed. All values may be functions (x, t) of the time alone, or
+    `piecewise`. The plate holds its nodes whole: supports at the same nodes are refused; prescribe the plate's motion.
+
+    Attributes:
+        place: name of a facet set on the outer boundary.
+        force: (d,) resultant force on the plate; in 2D per unit thickness.
+        moment: its moment about the point: a number in 2D (> 0 from x to y), (3,) in 3D.
+        motion: prescribed motions of the point: "x", "y", "z" a length, "rotation" (in 3D "rotation x", ...) an angle.
+        about: the point (d,), in the coordinates of the model's mesh; by default the centroid of the place.
+        key: name of its unknowns, "plate NAME".
+
+    Raises:
+        ModelError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force along
+            a prescribed motion, nodes that supports or another plate hold too.
+    """
+
+    place: str
+    force: Vector | None = None
+    moment: Number | Vector | None = None
+    motion: Mapping[str, Number] = field(default_factory=dict)
+    about: Sequence[float] | None = None
+    key: str = field(init=False)
+    ties_nodes: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "key", f"plate {self.place}")
+
+    @property
+    def _what(self) -> str:
+        return f"plate on {self.place!r}"
+
+    # ---------------------------------------------------------------- data
+    def check(self, model: Host) -> None:
+        """As in `Addition`."""
+        if not isinstance(self.place, str):
+            raise ModelError(f"{self._what}: a place is the name of a facet set")
+        inside = f"{self._what}: its facets lie inside, or below a layer; plates lie on the outer boundary"
+        refuse_seam(model.joint, self.place, inside)
+        refuse_periodic(model.joint, self.place, "rigid plate")
+        if not model.domain.values(self.place):
+            raise ModelError(f"{self._what}: this facet set is empty")
+        if not model.domain.is_outer(self.place):
+            raise ModelError(inside)
+        d = model.joint.dim
+        names = _names(d)
+        if not isinstance(self.motion, Mapping):
+            raise ModelError(f"{self._what}: motion is {self.motion!r}; it must be {{{names[0]!r}: value, ...}}")
+        for name in self.motion:
+            if name not in names:
+                raise ModelError(f"{self._what}: {unknown('motion', name, names)}")
+            if names.index(name) in self._prevented(model):
+                raise ModelError(
+                    f"{self._what}: a rigid plate of revolution has no motion {name!r}; it moves along the axis"
+                )
+        if self.about is not None:
+            require_point(self.about, d)
+        for given, _ in self._given(d):
+            if callable(given):
+                self._once(given, model.coordinates)
+        if not any(callable(given) for given, _ in self._given(d)):
+            self.resultants(model, 0.0)
+            self.motions(model, 0.0)
+
+    def _given(self, d: int) -> list[tuple[Any, tuple[int, ...]]]:
+        """All data with the shapes of their values."""
+        found: list[tuple[Any, tuple[int, ...]]] = [(self.force, (d,)), (self.moment, () if d == 2 else (3,))]
+        return [one for one in found if one[0] is not None] + [(value, ()) for value in self.motion.values()]
+
+    def _once(self, given: Callable[..., Any], at: Coordinates) -> None:
+        """Call a function with the symbol of the time, whose breaks it tells; it may not depend on the place."""
+        found = called(given, at, self._what)
+        for one in found if isinstance(found, Sequence | np.ndarray) else [found]:
+            for node in unique_pre_traversal(ufl.as_ufl(one)):
+                if isinstance(node, ufl.SpatialCoordinate):
+                    raise ModelError(f"{self._what}: a value depends on the place x; it is one for the whole plate")
+
+    def _value(self, given: Any, shape: tuple[int, ...], at: Coordinates, t: float) -> Array:
+        """A value (shape) at a time."""
+        if not callable(given) and shape == () and not is_number(given):
+            raise ModelError(f"{self._what}: a value is {given!r}; it must be a number or a function (x, t)")
+        found = called(given, at, self._what, t) if callable(given) else given
+        try:
+            value = np.array(found, float)
+        except (TypeError, ValueError):
+            value = np.array([np.nan])
+        if value.shape != shape or not np.isfinite(value).all():
+            need = f"{shape[0]} finite components" if shape else "a finite number"
+            raise ModelError(f"{self._what}: a value at t = {t:g} is {found!r}; it must be {need}")
+        return value
+
+    def motions(self, model: Host, t: float) -> dict[int, float]:
+        """Number of a prescribed motion -> its value at a time; a plate of revolution moves along its axis alone."""
+        names, found = _names(model.joint.dim), dict.fromkeys(self._prevented(model), 0.0)
+        return found | {
+            names.index(name): float(self._value(value, (), model.coordinates, t))
+            for name, value in self.motion.items()
+        }
+
+    @staticmethod
+    def _prevented(model: Host) -> list[int]:
+        """Numbers of the motions that kinematics do not have."""
+        return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
+
+    def resultants(self, model: Host, t: float) -> Array:
+        """Force and moment (k,) at a time; raises ModelError if one of them is along a prescribed motion."""
+        d, at = model.joint.dim, model.coordinates
+        out = np.zeros(count(d))
+        if self.force is not None:
+            out[:d] = self._value(self.force, (d,), at, t)
+        if self.moment is not None:
+            out[d:] = self._value(self.moment, () if d == 2 else (3,), at, t)
+        for k in self.motions_held(model):
+            if out[k]:
+                raise ModelError(
+                    f"{self._what}: the motion {_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force or "
+                    "moment; one of them follows from the other"
+                )
+        return out
+
+    def point(self, model: Host) -> Array:
+        """The point (d,) to which motions and moments refer. Collective."""
+        if self.about is not None:
+            return require_point(self.about, model.joint.dim)
+        return on_centre(model.kinematics, centroid(model.domain, self.place))
+
+    # ---------------------------------------------------------------- in a model
+    def work(self, model: Host, u: Expr, v: Expr) -> Any:
+        """Zero: a plate has no forces of its own."""
+        return ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
+
+    def tie(self, model: Host, about: Array, size: float) -> Any:
+        """(n, k) sparse: displacements of this rank by the plate's motions, rotations times a length. Collective."""
+        V, d = model.V, model.joint.dim
+        facets = model.domain.facets(self.place, layer_sides=True)
+        owned = V.dofmap.index_map.size_local
+        found = fem.locate_dofs_topological(V, d - 1, facets)
+        blocks = np.unique(found[found < owned])
+        try:
+            x = V.tabulate_dof_coordinates()[blocks, :d]
+        except RuntimeError as error:
+            raise ModelError(f"{self._what} needs nodal displacements, not elements S2") from error
+        values = rigid(x, about)
+        values[:, :, d:] /= size
+        k = values.shape[2]
+        rows = np.repeat(blocks[:, None] * d + np.arange(d), k)
+        columns = np.tile(np.arange(k), len(blocks) * d)
+        return scipy.sparse.csr_matrix((values.ravel(), (rows, columns)), (owned * d, k))
+
+    def size(self, model: Host) -> float:
+        """Largest extent of the structure, by which rotations are multiplied to be lengths."""
+        return float(np.ptp(model.domain.joint.points, axis=0).max())
+
+    def resistance(self, model: Host, motions: Sequence[fem.Function]) -> npt.NDArray[np.float64]:
+        """As in `Addition`: prescribed motions of the plate resist those of the structure."""
+        R = self.tie(model, self.point(model), self.size(model))
+        matrix = model.comm.allreduce(np.asarray((R.T @ R).todense()), MPI.SUM)
+        held = self.motions_held(model)
+        rows = [R.T @ f.x.array[: R.shape[0]] for f in motions]
+        own = np.linalg.lstsq(matrix, np.array([model.comm.allreduce(row) for row in rows]).T, rcond=None)[0][held]
+        return np.asarray(own.T @ own)
+
+    def motions_held(self, model: Host) -> list[int]:
+        """Numbers of the prescribed motions."""
+        return sorted({*self._prevented(model), *(_names(model.joint.dim).index(name) for name in self.motion)})
+
+    def load_work(self, model: Host, state: Configuration) -> float:
+        """Work of the given force and moment in the plate's motion at a state. Collective."""
+        return float(self.resultants(model, state.t) @ _everywhere(state.fields[self.key], model.comm))
+
+    def motion_in(self, state: State) -> PlateMotion:
+        """The plate's motion in a state. Collective."""
+        values, d = _everywhere(state.fields[self.key], state.model.comm), state.model.joint.dim
+        rotation = values[d] if d == 2 else values[d:]
+        return PlateMotion(values[:d], np.asarray(rotation), self.point(state.model))
+
+    def part(self, model: Host) -> PlatePart:
+        """The plate as a part of a model's balance. Collective."""
+        return PlatePart(self, model)
+
+
+def _everywhere(f: fem.Function, comm: MPI.Intracomm) -> Array:
+    """All values of a function with unknowns of the whole structure, on every rank."""
+    dofmap = f.function_space.dofmap
+    return np.concatenate(comm.allgather(f.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]))
+
+
+class PlatePart(Part):
+    """The motions q of a plate, rotations times a length, and its given forces and moments, these over the length."""
+
+    def __init__(self, given: RigidPlate, model: Host) -> None:
+        self.key, self._given, self._model = given.key, given, model
+        self._dim, mesh = model.joint.dim, model.V.mesh
+        element = basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(count(self._dim),))
+        whole = fem.functionspace(mesh, element)
+        one = np.zeros(np.shape(whole.dofmap.list), np.int64)
+        self.field = fem.Function(broken_space(model.comm, Keys(whole, one, one)))
+        self._scale = np.ones(count(self._dim))
+        self._scale[self._dim :] = given.size(model)
+        self.tie = given.tie(model, given.point(model), given.size(model))
+        self._require_free_nodes(model, given.size(model))
+        self._load: Array = np.zeros(0)
+
+    def _require_free_nodes(self, model: Host, size: float) -> None:
+        """Raise ModelError if supports act on nodes of the plate."""
+        tied = np.flatnonzero(np.diff(self.tie.indptr)) // self._dim
+        prescribed = model.prescribed
+        rows = np.flatnonzero(np.isin(prescribed.blocks, tied) & (prescribed.entry >= 0))
+        message = ""
+        if len(rows):
+            place, _ = model.supports.entries[prescribed.entry[rows[0]]]
+            x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows[0]], : self._dim]
+            x = np.where(np.abs(x) > ROUNDING * size, x, 0.0)
+            message = (
+                f"the support on {place!r} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; "
+                f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
+            )
+        if messages := [one for one in model.comm.allgather(message) if one]:
+            raise ModelError(messages[0])
+
+    # ---------------------------------------------------------------- a step
+    def at_time(self, t: float) -> None:
+        self._t = t
+
+    def parameters(self) -> list[Array]:
+        motions = self._given.motions(self._model, self._t)
+        return [self._given.resultants(self._model, self._t), np.array([*motions.values()])]
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        new = old = self._given.resultants(self._model, interval.t)
+        if interval.theta < 1:
+            old = self._given.resultants(self._model, interval.old.t)
+        load = (interval.theta * new + (1 - interval.theta) * old) / self._scale
+        self._load = load[: self.own_size]
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        pass
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        return 0.0
+
+    def own_residual(self) -> Array:
+        return np.asarray(-self._load)
+
+    def tangents(self, relative_residual: float) -> list[Block]:
+        return []
+
+    def commit(self) -> Outcome:
+        assert self.field is not None
+        change = self.field.x.array[: self.own_size] - self.own_start(self.interval.old)
+        comm = self.field.function_space.mesh.comm
+        return Outcome(kept=False, supplied=float(comm.allreduce(float(self._load @ change), MPI.SUM)))
+
+    @property
+    def resists_rigid(self) -> bool:
+        """False: a plate follows the body that it is bonded to."""
+        return False
+
+    # ---------------------------------------------------------------- own unknowns
+    def own_held(self, t: float) -> tuple[npt.NDArray[np.int64], Array]:
+        held = sorted(self._given.motions(self._model, t).items()) if self.own_size else []
+        numbers = np.array([k for k, _ in held], np.int64)
+        return numbers, np.array([value for _, value in held]) * self._scale[numbers]
+
+    def own_start(self, old: Configuration) -> Array:
+        q = old.fields.get(self.key)
+        return super().own_start(old) if q is None else q.x.array[: self.own_size] * self._scale[: self.own_size]
+
+    def own_result(self) -> fem.Function:
+        assert self.field is not None
+        q = self.field.copy()
+        q.x.array[:] /= self._scale
+        return q
+
+    @property
+    def own_file_order(self) -> FileOrder:
+        """One row for the whole plate."""
+        return FileOrder(np.zeros(1, np.int64), np.arange(count(self._dim))[None, :])
