@@ -13,11 +13,11 @@ import ufl
 from dolfinx import fem
 
 from forms import LinearElastic, VonMises, limits
-from geometry import Joint, block, ring
+from geometry import Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY
 from studies.sweep_mohr_coulomb import LAYERS, sheared_blocks
 from studies.sweeping import Solution, Sweep, draw_rates
-from thinlayer import History, Model, State, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.running.record import Record
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
@@ -35,12 +35,13 @@ MORTAR = LAYERS[""]
 
 
 def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:
-    """Three problems in plane strain.
+    """Three problems.
 
     punch.csv: a rough, rigid punch, half of it, is pushed into a block of ideally plastic metal: its mean pressure against
     (2 + pi) k, by mesh refinement. Triangles of degree 2, whose volumes plastic flow can keep; squares of degree 2 lock.
-    cylinder.csv: an incompressible (nu = 0.499) cylinder under pressure from inside, partly plastic, against the closed
-    form: displacements inside and outside, and the radial stress on S, a bond that is next to rigid.
+    cylinder.csv: an incompressible (nu = 0.499) cylinder under pressure from inside, partly plastic, in plane strain and
+    axisymmetric, against the closed form: displacements inside and outside, and the radial stress on S, a bond that is
+    next to rigid.
     table.csv: the blocks and the joint of `sweep_mohr_coulomb`, the blocks of hardening metal, sheared forth: interface law
     against meshed layer, error O(eps), where bodies and joint yield; and the energy that they dissipate.
 
@@ -60,7 +61,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     sweep = Sweep(record, joint, setup, partial(ThinLayer, MORTAR), times=(0.25, 0.5, 0.75, 1.0), more=dissipated)
     found = sweep.run(eps, (0.9, 1.3), title="Mohr-Coulomb joint between bodies that yield")
     for name in ("bodies", "joint"):
-        record.check(f"energy that the {name} dissipate, over the stored energy", found[name][-1], low=0.01)
+        record.check(f"energy dissipated in the {name}, over the stored energy", found[name][-1], low=0.01)
 
 
 # ---------------------------------------------------------------- punch
@@ -76,16 +77,9 @@ def half_space(n: int) -> Joint:
     return replace(grid, points=points, facets={**outer, "PUNCH": top[under], "FREE": top[~under]})
 
 
-class PunchPressure:
-    """Mean pressure of the punch in a state: the force conjugate to its displacement, over its half-width."""
-
-    def __init__(self, model: Model) -> None:
-        self._down = fem.Function(model.V)
-        self._down.x.array[model.supports.dofs(model.V, "PUNCH", "y")] = -1.0
-
-    def __call__(self, state: State) -> float:
-        """The pressure. Collective."""
-        return state.integral(state.work(state.bodies, self._down))
+def pressure(state: State) -> float:
+    """Mean pressure of the punch, whose half-width is 1."""
+    return -float(state.reaction("PUNCH").force[1])
 
 
 def punched(record: Record, cells: Sequence[int]) -> None:
@@ -96,10 +90,10 @@ def punched(record: Record, cells: Sequence[int]) -> None:
     errors = []
     for n in cells:
         model = Structure(half_space(n), body=metal, supports=supports).bonded()
-        history = march(model, SUNK, keep="last", observe={"pressure": PunchPressure(model)})
+        history = march(model, SUNK, keep="last", observe={"pressure": pressure})
         record.solved(history.last)
-        for t, pressure in zip(history.t, history.table["pressure"], strict=True):
-            table.append({"n": n, "sunk": float(t), "pressure": float(pressure), "over": float(pressure) / limit})
+        for t, p in zip(history.t, history.table["pressure"], strict=True):
+            table.append({"n": n, "sunk": float(t), "pressure": float(p), "over": float(p) / limit})
         errors.append(float(history.table["pressure"][-1]) / limit - 1)
     record.say(table)
     record.check("pressure under the punch on the finest mesh, over (2 + pi) k", 1 + errors[-1], low=0.99, high=1.01)
@@ -107,44 +101,59 @@ def punched(record: Record, cells: Sequence[int]) -> None:
 
 
 # ---------------------------------------------------------------- cylinder
-def inflated(record: Record, h: float) -> None:
-    """Raise the pressure in a quarter of the cylinder."""
-    c, table = CYLINDER, record.table("cylinder.csv")
+def cylinders(h: float) -> dict[str, tuple[dict[str, Any], str, str]]:
+    """Two models of the cylinder: data of the structure, names of the boundaries inside and outside.
+
+    A quarter of its cross section in plane strain, and its section by a plane through the axis, between ends that do not
+    move along the axis. S is the cylinder of radius CUT in both.
+    """
+    c = CYLINDER
     quarter = ring(c.a, CUT, c.b, h, angle=math.pi / 2, cell="triangle", degree=2)
-    nu = 0.499
-    metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
-    bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3)
-    supports = {"START": {"y": 0.0}, "END": {"x": 0.0}}
+    wall = sandwich(0.5, CUT - c.a, c.b - CUT, h, structured=True).rotated(-math.pi / 2).moved((CUT, 0.0))
 
     def inside(x: Any, t: Any) -> tuple[Any, Any]:
         r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
         return t * x[0] / r, t * x[1] / r
 
-    model = Structure(quarter, body=metal, supports=supports, tractions={"INSIDE": inside}).interface(bond)
-    surface = Surface(model)
-    length = surface.integral(fem.Constant(model.domain.mesh, 1.0))
-    history = march(model, PRESSURES)
-    for state in list(history)[1:]:
-        radial = surface.integral(surface.frame(surface.traction(state))[-1]) / length
-        row = {"pressure": state.t, "zone": c.zone(state.t), "stress": radial}
-        row["stress_exact"] = float(c.radial_stress(state.t, np.array(CUT)))
-        for name, r in (("INSIDE", c.a), ("OUTSIDE", c.b)):
-            exact = float(c.displacement(state.t, np.array(r)))
-            row |= {f"u_{name}": moved(state, name), f"u_{name}_exact": exact}
-        table.append(row)
-        record.solved(state)
+    plane = {"joint": quarter, "supports": {"START": {"y": 0.0}, "END": {"x": 0.0}}, "tractions": {"INSIDE": inside}}
+    axial = {
+        "joint": wall, "supports": {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}, "plane": "axisymmetric",
+        "tractions": {"BOTTOM": lambda x, t: (t, 0.0)},
+    }  # fmt: skip
+    return {"plane strain": (plane, "INSIDE", "OUTSIDE"), "axisymmetric": (axial, "BOTTOM", "TOP")}
+
+
+def inflated(record: Record, h: float) -> None:
+    """Raise the pressure in both models of the cylinder."""
+    c, table = CYLINDER, record.table("cylinder.csv")
+    nu = 0.499
+    metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
+    bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3)
+    for kind, (data, inside, outside) in cylinders(h).items():
+        model = Structure(body=metal, **data).interface(bond)
+        surface = Surface(model)
+        area = surface.integral(fem.Constant(model.domain.mesh, 1.0))
+        for state in list(march(model, PRESSURES))[1:]:
+            radial = surface.integral(surface.frame(surface.traction(state))[-1]) / area
+            row = {"model": kind, "pressure": state.t, "zone": c.zone(state.t), "stress": radial}
+            row["stress_exact"] = float(c.radial_stress(state.t, np.array(CUT)))
+            for name, place, r in (("inside", inside, c.a), ("outside", outside, c.b)):
+                row[f"u_{name}"] = moved(state, place, r)
+                row[f"u_{name}_exact"] = float(c.displacement(state.t, np.array(r)))
+            table.append(row)
+            record.solved(state)
     record.say(table)
-    for name in ("stress", "u_INSIDE", "u_OUTSIDE"):
+    for name in ("stress", "u_inside", "u_outside"):
         apart = float(np.abs(table[name] / table[f"{name}_exact"] - 1).max())
         record.check(f"cylinder: largest relative error of {name}", apart, high=0.01)
 
 
-def moved(state: State, name: str) -> float:
-    """Mean outward displacement of a boundary."""
+def moved(state: State, name: str, r: float) -> float:
+    """Mean outward displacement of a boundary of this radius."""
     model = state.model
     x = ufl.SpatialCoordinate(model.domain.mesh)
     there = model.ds(model.domain.values(name))
-    outward = ufl.dot(state.u, x) / ufl.sqrt(ufl.dot(x, x))
+    outward = state.u[0] if model.plane == "axisymmetric" else ufl.dot(state.u, x) / r
     return state.integral(outward * there) / state.integral(fem.Constant(model.domain.mesh, 1.0) * there)
 
 
@@ -179,8 +188,14 @@ def _draw_cylinder(record: Record, table: Table) -> None:
         f"closed form, r = {r:g}": (np.array([float(CYLINDER.displacement(one, np.array(r))) for one in p]), p)
         for r in (CYLINDER.a, CYLINDER.b)
     }
-    found = {f"r = {r:g}": (table[f"u_{name}"], table["pressure"]) for r, name in ((1, "INSIDE"), (2, "OUTSIDE"))}
+    kinds = [str(row["model"]) for row in table.rows]
+    found = {
+        f"{kind}, r = {r:g}": tuple(table[one][[k == kind for k in kinds]] for one in (f"u_{name}", "pressure"))
+        for kind in dict.fromkeys(kinds)
+        for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside"))
+    }
+    styles = {label: "o" if "strain" in label else "x" for label in found}
     plotting.curves(
         found | exact, xlabel="radial displacement", ylabel="pressure / k", save=record.path("cylinder.png"),
-        title="thick-walled cylinder, b = 2 a", styles=dict.fromkeys(found, "o"),
+        title="thick-walled cylinder, b = 2 a", styles=styles,
     )  # fmt: skip
