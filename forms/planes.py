@@ -50,6 +50,10 @@ class Kinematics:
         """(n,) distances of places (n, d) from the axis of revolution; infinite, as there is none."""
         return np.full(len(x), np.inf)
 
+    def stressed(self, d: int) -> tuple[int, ...]:
+        """Mandel components that stresses may have; the others are zero, whatever the law of `law` gives for them."""
+        return tuple(range(len(MANDEL)))
+
     @property
     def factor(self) -> Any:
         """Factor of all measures dx, ds and dS of the mesh: 1, for integrals per unit thickness in 2D."""
@@ -81,6 +85,9 @@ class PlaneStress(Kinematics):
     """Plane stress: no stress out of the plane; laws find the strain there themselves (`BulkLaw.plane_stress`)."""
 
     name = "stress"
+
+    def stressed(self, d: int) -> tuple[int, ...]:
+        return self.slots(d)
 
     def seen(self, e: Expr) -> Expr:
         """The strain in the plane: nothing holds a strain out of it."""

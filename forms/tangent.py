@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -149,7 +150,7 @@ def uncoupled_axes(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
     None if the law has a traction without a jump, has parameters that vary, or cannot be evaluated. A law with memory is
     evaluated from rest, a law with a rate at zero rate. The pressure of an incompressible layer is a traction along n.
     """
-    if law.traits.varies or not law.traits.in_ufl:
+    if law.traits.varies or law.fields or not law.traits.in_ufl:
         return None
     director = np.pad(n, (0, 3 - len(n))) if law.traits.compiled else n
     N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
@@ -189,9 +190,8 @@ def require_stable_layer(law: BulkLaw, C: Array | None, n: Array) -> None:
         _require_positive(law, "across the layer (of n.C.n)", across(C, n), C)
 
 
-def require_stable_body(law: BulkLaw, C: Array | None, d: int) -> None:
-    """Raise LawError if a body's tangent at rest has a negative eigenvalue for strains in d dimensions; likewise."""
-    slots = [k for k, (_, j) in enumerate(MANDEL) if j < d]
+def require_stable_body(law: BulkLaw, C: Array | None, slots: Sequence[int]) -> None:
+    """Raise LawError if a body's tangent at rest has a negative eigenvalue for strains of these components; likewise."""
     if C is not None and np.isfinite(C).all():
         _require_positive(law, "(of C)", C[np.ix_(slots, slots)], C)
 

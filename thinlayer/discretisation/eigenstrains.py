@@ -174,7 +174,8 @@ class Prestress(Eigenstrain):
     Attributes:
         sigma: stress, tension > 0: a number (that times the identity), a symmetric table (3, 3), or a function (x, t).
             In two dimensions also (2, 2): sigma_33 is then the one of plane strain, lmbda/(2 (lmbda + mu)) (s_11 + s_22)
-            for isotropic laws, or zero in plane stress, where nothing else is allowed.
+            for isotropic laws, or zero in plane stress, where nothing else is allowed; bodies of revolution need (3, 3),
+            with the stress of hoops.
     """
 
     sigma: Tensor
@@ -190,6 +191,8 @@ class Prestress(Eigenstrain):
                     "(2, 2)"
                 )
             sigma = [row[:2] for row in sigma[:2]]
+        if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
+            raise ModelError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
         k = len(sigma)
         slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < k]
         inverse = self._compliance(matter, slots)

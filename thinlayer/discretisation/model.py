@@ -34,6 +34,7 @@ from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.placed import placed
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.reactions import on_centre
@@ -109,13 +110,14 @@ class Model(ABC):
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         self.bodies = [term for names in self._alike() for term in self._body_terms(names)]
-        self.layer_terms = self._layer_terms()
+        self.layer_terms = self._terms_of_layers()
         with on_all(self.comm):
             self.forces = self._forces(structure)
         with on_all(self.comm):
             self.strain, self.stress = self._mean_loads()
         if self.strain:
             self.bodies = added(self.bodies, self.strain.expression)
+            self.layer_terms = self._strained(self.layer_terms)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
@@ -166,7 +168,11 @@ class Model(ABC):
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
-        return [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
+        each = [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
+        return [placed(term, self.V, self.origin) for term in each]
+
+    def _terms_of_layers(self) -> list[forms.Term]:
+        return [placed(term, self.V, self.origin) for term in self._layer_terms()]
 
     def _supports(self, given: Given) -> Supports:
         return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
@@ -214,11 +220,9 @@ class Model(ABC):
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require_order_zero()
-            if found := [p.key for p in self.bodies if p.law.traits.compiled]:
-                raise ModelError(f"a mean strain or stress does not reach {found[0]!r}, whose law has memory or rate")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
-            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
+            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids),
         )
 
     def require_order_zero(self) -> None:
@@ -327,6 +331,15 @@ class Model(ABC):
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
+
+    def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
+        """The terms of layers, of meshed ones with the mean strain of a periodic cell."""
+        return added(terms, self.strain.expression) if self.strain and not self.broken else terms
+
+    @property
+    def solids(self) -> list[forms.Term]:
+        """The terms of bodies and of meshed layers."""
+        return self.bodies if self.broken else self.terms
 
     @property
     def terms(self) -> list[forms.Term]:

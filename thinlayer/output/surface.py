@@ -199,6 +199,8 @@ class Surface:
             by_law = transfer(contact_forces(state), state.model, self.trace_space, self.model)
             r.x.array[unknown] = by_law.x.array[unknown]
         zero = self._zero_tractions(unknown & ~self._jumps(u))
+        axis = self.model.supports.axis(self.trace_space)
+        zero[axis] = unknown[axis]
         if not state.model.contact and self.model.comm.allreduce(int((unknown & ~zero).any())):
             self._mass.extrapolate(r, unknown, unknown & ~zero)
         t = self._mass.divide_by_areas(r) if self.model.contact else self._mass.divide(r, zero)

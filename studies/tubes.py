@@ -1,0 +1,185 @@
+"""Axisymmetry: two bonded tubes, S along the axis, under inner pressure (Lame), and pushed through one another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from forms import LinearElastic
+from geometry import Joint, sandwich
+from studies.sweeping import Solution, Sweep, draw_rates, last
+from thinlayer import Surface, ThinLayer, plotting
+from thinlayer.running.record import Record
+
+EPS = (0.8, 0.4, 0.2, 0.1)  # mm
+SHAFT, HUB = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=70e3, nu=0.34)  # MPa: steel and aluminium
+GLUE = LinearElastic.young(E=2e3, nu=0.3).per_thickness(0.2)  # 2 GPa where the layer is 0.2 mm thick
+RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
+HEIGHT = 8.0  # mm
+PRESSURE, PUSH = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
+LAME = 5e-5  # relative error of displacements and tractions by Q2 cells of 1 mm; of 2 mm: 16 times as large
+
+
+@dataclass(frozen=True)
+class Lame:
+    """Tubes in one another under inner pressure, without strain along the axis: u = A r + B/r in each.
+
+    Attributes:
+        radii: bore, interfaces and rim, growing lengths.
+        laws: of the tubes, from the innermost one.
+        coefficients: (tubes, 2) A and B.
+    """
+
+    radii: tuple[float, ...]
+    laws: tuple[LinearElastic, ...]
+    coefficients: npt.NDArray[np.float64]
+
+    def displacement(self, k: int, r: float) -> float:
+        """Radial displacement of tube k at a radius."""
+        return float(self.coefficients[k] @ (r, 1 / r))
+
+    def stress(self, k: int, r: float) -> float:
+        """Radial stress in tube k at a radius."""
+        return float(self.coefficients[k] @ _radial(self.laws[k], r))
+
+
+def _radial(law: LinearElastic, r: float) -> npt.NDArray[np.float64]:
+    return np.array([2 * (law.lmbda + law.mu), -2 * law.mu / r**2])
+
+
+def lame(
+    radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequence[float | None], pressure: float
+) -> Lame:
+    """Solve.
+
+    Args:
+        radii, laws: see `Lame`.
+        springs: normal stiffness between neighbours, stress per length; None: bonded.
+        pressure: in the bore; the rim is free.
+    """
+    n = len(laws)
+    A, b = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
+    A[0, :2], b[0] = _radial(laws[0], radii[0]), -pressure
+    for k, spring in enumerate(springs):
+        r, row, inside, outside = radii[k + 1], 1 + 2 * k, slice(2 * k, 2 * k + 2), slice(2 * k + 2, 2 * k + 4)
+        stress = _radial(laws[k], r)
+        A[row, inside], A[row, outside] = stress, -_radial(laws[k + 1], r)
+        A[row + 1, inside], A[row + 1, outside] = (-r, -1 / r), (r, 1 / r)
+        if spring is not None:
+            A[row + 1, inside] -= stress / spring
+    A[-1, -2:] = _radial(laws[-1], radii[-1])
+    return Lame(tuple(radii), tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(n, 2), float))
+
+
+def walls(h: float) -> Joint:
+    """The section of both tubes: x is the radius; "BOTTOM" is the bore, "TOP" the rim, "LEFT" the upper end."""
+    bore, on_S, rim = RADII
+    flat = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
+    return flat.rotated(-np.pi / 2).moved((on_S, 0.0))
+
+
+def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
+    """Sweep the thickness in both cases; the bodies are extended, because a tube cannot be moved away from its axis.
+
+    Args:
+        record: where to write.
+        eps: thicknesses (mm).
+        quick: coarser mesh.
+    """
+    joint = walls(2.0 if quick else 1.0)
+    record.parameters = {
+        "radii_mm": RADII,
+        "height_mm": HEIGHT,
+        "shaft": str(SHAFT),
+        "hub": str(HUB),
+        "glue": str(GLUE),
+    }
+    bodies = {"LOWER": SHAFT, "UPPER": HUB}
+    plane_strain = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+    pressed = {
+        "body": bodies,
+        "supports": plane_strain,
+        "tractions": {"BOTTOM": (PRESSURE, 0.0)},
+        "plane": "axisymmetric",
+    }
+    table = _sweep(record, joint, pressed, "pressure", against_lame).run(
+        eps, (0.93, 1.1), unit="mm", title="inner pressure"
+    )
+    for name in ("meshed", "law"):
+        worst = max(max(table[f"{name}_bore"]), max(table[f"{name}_traction"]))
+        record.check(f"relative difference from Lame, {name}", worst, high=16 * LAME if quick else LAME)
+    pushed = {
+        "body": bodies,
+        "supports": {"RIGHT/UPPER": 0.0},
+        "tractions": {"LEFT/LOWER": (0.0, -PUSH)},
+        "plane": "axisymmetric",
+    }
+    _sweep(record, joint, pushed, "push", None).run(eps, (0.9, 1.25), unit="mm", title="shaft pushed through its hub")
+
+
+def _sweep(
+    record: Record,
+    joint: Joint,
+    setup: dict[str, object],
+    case: str,
+    more: Callable[[Solution, Solution], dict[str, float]] | None,
+) -> Sweep:
+    def inside(x: npt.NDArray[np.float64]) -> object:
+        return abs(x[1] + HEIGHT / 2) < 0.3 * HEIGHT
+
+    where = inside if case == "push" else None
+    return Sweep(
+        record, joint, setup, lambda e: ThinLayer(GLUE, e), bodies="extended", where=where, more=more, case=case
+    )
+
+
+def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
+    """Relative differences from the closed form: of the bore's displacement, and of the mean traction on S."""
+    meshed, by_law = last(full), last(limit)
+    layer = by_law.model.layers["S"].thin
+    assert layer is not None
+    eps = float(layer.eps)
+    bore, on_S, rim = RADII
+    stiffness = GLUE.lmbda + 2 * GLUE.mu
+    closed = {
+        "law": lame(RADII, (SHAFT, HUB), (stiffness,), PRESSURE),
+        "meshed": lame(
+            (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.in_layer(eps), HUB), (None, None), PRESSURE
+        ),
+    }
+    surface, found = Surface(by_law.model), {}
+    work = 2 * np.pi * bore * HEIGHT * PRESSURE
+    for name, state in (("law", by_law), ("meshed", meshed)):
+        exact = closed[name]
+        found[f"{name}_bore"] = abs(state.energies()["loads"] / (work * exact.displacement(0, bore)) - 1)
+        force = surface.integral(surface.frame(surface.traction(state))[1]) / (2 * np.pi * HEIGHT)
+        sides = [exact.radii[1], exact.radii[-2]]  # forces on both faces of a meshed layer, over the area of S
+        forces = [exact.stress(k, r) * r for k, r in zip((0, len(exact.laws) - 1), sides, strict=True)]
+        found[f"{name}_traction"] = abs(force / float(np.mean(forces)) - 1)
+    return found
+
+
+def draw(record: Record) -> None:
+    """Draw the rates of both cases, and the displacement along the radius, meshed and by the law, in closed form."""
+    draw_rates(record, title="bonded tubes", cases={"pressure": "table_pressure.csv", "push": "table_push.csv"})
+    eps, (bore, on_S, rim) = max(EPS), RADII
+    by_law = lame(RADII, (SHAFT, HUB), (GLUE.lmbda + 2 * GLUE.mu,), PRESSURE)
+    meshed = lame((bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.in_layer(eps), HUB), (None, None), PRESSURE)
+    curves = {}
+    for name, exact in (("interface law", by_law), (f"layer of {eps:g} mm", meshed)):
+        r, u = [], []
+        for k in range(len(exact.laws)):
+            part = np.linspace(exact.radii[k], exact.radii[k + 1], 30)
+            r += [*part]
+            u += [1e3 * exact.displacement(k, one) for one in part]
+        curves[name] = (np.array(r), np.array(u))
+    plotting.curves(
+        curves,
+        xlabel="radius (mm)",
+        ylabel="displacement (micrometres)",
+        save=record.path("lame.png"),
+        title="inner pressure",
+    )
