@@ -12,6 +12,7 @@ from forms.law import BulkLaw
 from geometry import block, periodic, sandwich
 from tests.dry_walls import dry_wall
 from tests.ranks import mpirun
+from tests.test_readme import README
 from thinlayer import (
     ModelError,
     Prestress,
@@ -19,6 +20,7 @@ from thinlayer import (
     Surface,
     ThermalExpansion,
     ThinLayer,
+    homogenised_stiffness,
     march,
     piecewise,
     solve,
@@ -244,6 +246,29 @@ def test_the_expansion_of_a_laminate(theta):
     assert history.last.mean_strain() == pytest.approx(closed, rel=1e-10, abs=1e-14)
     assert np.abs(history.last.mean_stress()).max() < 1e-13
     assert max(abs(state.audit.imbalance) for state in history) < 1e-11
+
+
+def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
+    """What the models of a family share has their strains, and not those by which the stiffness is found."""
+    joint = periodic(sandwich(1.0, 0.4, 0.6, 0.2, cell="quadrilateral", structured=True), *SIDES)
+    data = {"body": LAW, "supports": {}, "strain": np.diag([1e-3, 2e-3])}
+    heated = Structure(joint, eigenstrain=2e-3, **data).interface(ThinLayer(GLUE, 0.02))
+    other = heated.with_layer(ThinLayer(GLUE, 0.03))
+    before = solve(other).mean_stress()
+    plain = Structure(joint, **data).interface(ThinLayer(GLUE, 0.03))
+    assert homogenised_stiffness(other) == pytest.approx(homogenised_stiffness(plain), rel=1e-11, abs=1e-11)
+    assert np.array_equal(solve(other).mean_stress(), before)
+    assert np.abs(before - solve(plain).mean_stress()).max() > 1e-3
+
+
+def test_what_the_readme_writes():
+    section = README.partition("## Heat, shrinkage, in-situ stress\n")[2].partition("\n## ")[0]
+    code = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
+    given = {"joint": FLAT, "steel": LAW, "glue": GLUE, "supports": AT_REST}
+    names = {one: globals()[one] for one in ("Structure", "ThinLayer", "ThermalExpansion", "Prestress", "ufl")} | given
+    exec(code, names)
+    for structure in (names["strips"], names["stones"]):
+        march(structure.interface(names["setting"]), [1.0])
 
 
 # ---------------------------------------------------------------- ranks, refusals

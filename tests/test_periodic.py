@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import HolonomicCoulomb, Incompressible, LinearElastic
+from forms import HolonomicCoulomb, Incompressible, LinearElastic, VonMises
 from forms.law import BulkLaw
 from geometry import GeometryError, Seam, bond_cell, inflate, periodic, sandwich, wall
 from studies import homogenised_bond
@@ -439,3 +439,24 @@ def test_refused_structures():
     curved = Structure(laminate(), body=Stiffening(3.0, 1e3), supports={})
     with pytest.raises(ModelError, match="is not linear, or has stresses without strains"):
         homogenised_stiffness(curved.interface(layer))
+
+
+@pytest.mark.parametrize("kind", ["bonded", "interface"])
+def test_a_cell_of_bodies_that_yield_under_a_mean_strain(kind):
+    """A uniform cell has the stress of one whose boundary is moved as the mean strain says, with the same dissipation."""
+    plates = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
+    cell = periodic(plates, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
+    law, rows = VonMises(60.0, 40.0, 0.5, hardening=7.0), ((0.01, 0.004), (0.004, -0.003))
+    moved = {axis: lambda x, t, k=k: t * (rows[k][0] * x[0] + rows[k][1] * x[1]) for k, axis in enumerate("xy")}
+    strain = lambda x, t: tuple(tuple(t * c for c in row) for row in rows)
+    free = Structure(cell, body=law, supports={}, strain=strain)
+    held = Structure(plates, body=law, supports=dict.fromkeys(("LEFT", "RIGHT", "TOP", "BOTTOM"), moved)).bonded()
+    stiff = ThinLayer(LinearElastic(6e7, 4e7), 1e-6)
+    history = march(free.bonded() if kind == "bonded" else free.interface(stiff), [0.5, 1.0, 2.0])
+    other = march(held, [0.5, 1.0, 2.0])
+    tolerance = 1e-12 if kind == "bonded" else 1e-5  # what the stiff layer gives
+    np.testing.assert_allclose(history.last.mean_stress(), other.last.mean_stress(), rtol=tolerance)
+    for name in ("supplied", "stored", "dissipated"):
+        assert history.table[name] == pytest.approx(other.table[name], rel=tolerance, abs=1e-12)
+    assert history.table["dissipated"].sum() > 0
+    assert abs(history.last.audit.imbalance) < 1e-12

@@ -106,8 +106,8 @@ class MeanStress(MeanStrain):
         for p in bodies:
             if not p.proportional:
                 raise ModelError(
-                    f"a mean stress needs bodies with linear laws without eigenstrains, not {p.law!r}; prescribe the mean "
-                    "strain"
+                    f"a mean stress needs bodies with linear laws without stress at zero strain, not {p.law!r}; prescribe "
+                    "the mean strain"
                 )
 
     @property

@@ -214,8 +214,6 @@ class Model(ABC):
             raise ModelError("give a mean strain or a mean stress, not both")
         if not (strain is None and stress is None):
             self.require_order_zero()
-            if found := [p.key for p in self.bodies if p.law.traits.compiled]:
-                raise ModelError(f"a mean strain or stress does not reach {found[0]!r}, whose law has memory or rate")
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
             None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),

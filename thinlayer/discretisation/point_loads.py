@@ -61,7 +61,8 @@ class PointLoad:
 
     Attributes:
         place: (d,) coordinates of the vertex, before inflating.
-        force: (d,) force, in 2D per unit thickness, constant or a function (x, t).
+        force: (d,) force, in 2D per unit thickness, of bodies of revolution that on the whole ring, constant or a function
+            (x, t).
         body: region whose node it is; needed where S parts bodies, because each has a node there.
     """
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.given import added
 from thinlayer.discretisation.loads import Coordinates, piecewise
@@ -36,13 +37,14 @@ def homogenised_stiffness(model: Model) -> Array:
         sides are free, rows and columns of directions without a period vanish.
 
     Raises:
-        ModelError: the joint is not periodic; a law is not linear or has an eigenstrain; a layer is of order 1; supports
-            that move.
+        ModelError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order 1;
+            supports that move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
     """
     with on_all(model.comm):
         _check(model)
     strained = copy(model)
+    strained.family = Family()  # what the model's family keeps has its strains
     strained.coordinates = at = Coordinates.of(model.domain)
     strained.strain, strained.stress = MeanStrain(_unit_strains(model.joint.dim), at, model.joint), None
     bodies, strained.layer_terms = (

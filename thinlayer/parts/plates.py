@@ -104,6 +104,10 @@ class RigidPlate(Addition):
         for name in self.motion:
             if name not in names:
                 raise ModelError(f"{self._what}: {unknown('motion', name, names)}")
+        if not model.kinematics.turns and any(self.motion.get(name) != 0 for name in ("x", "rotation")):
+            raise ModelError(
+                f"{self._what}: a plate on a body of revolution moves along the axis alone; give motion={{'x': 0, 'rotation': 0}}"
+            )
         if self.about is not None:
             require_point(self.about, d)
         for given, _ in self._given(d):
@@ -251,13 +255,14 @@ class PlatePart(Part):
         rows = np.flatnonzero(np.isin(prescribed.blocks, tied))
         message = ""
         if len(rows):
-            place, _ = model.supports.entries[prescribed.entry[rows[0]]]
+            entry = prescribed.entry[rows[0]]
             x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows[0]], : self._dim]
             x = np.where(np.abs(x) > ROUNDING * size, x, 0.0)
-            message = (
-                f"the support on {place!r} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; "
-                f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
-            )
+            held = "the axis of revolution" if entry < 0 else f"the support on {model.supports.entries[entry][0]!r}"
+            hint = f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
+            if entry < 0:
+                hint = f"prescribe {{'x': 0, 'y': value}} on {self._given.place!r} instead, or leave a bore around the axis"
+            message = f"{held} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; {hint}"
         if messages := [one for one in model.comm.allgather(message) if one]:
             raise ModelError(messages[0])
 

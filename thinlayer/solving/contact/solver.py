@@ -165,7 +165,7 @@ def check_method(model: Model, method: Any) -> None:
         )
     if method in METHODS and not _is_linear(model):
         raise ModelError(
-            f"method={method!r} needs linear bodies without eigenstrains, linear, symmetric parts and layers, and no "
+            f"method={method!r} needs linear bodies without stresses at rest, linear, symmetric parts and layers, and no "
             "inclined supports or rigid plates; "
             "use method='newton'"
         )

@@ -1,0 +1,314 @@
+"""Heat and cure: strips of unequal expansion, shear lag and bending; a layer that shrinks while it hardens.
+
+Strips are in plane strain: their axial modulus is E/(1 - nu^2), their free expansion (1 + nu) alpha dT.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from forms import BulkLaw, LinearElastic
+from forms.elastic import lame
+from forms.kinematics import Expr
+from forms.law import Step
+from geometry import sandwich
+from thinlayer import State, Structure, Surface, Table, ThermalExpansion, ThinLayer, plotting, solve
+from thinlayer.discretisation.model import Model
+from thinlayer.running.record import Record
+
+Array = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.floating[Any]]
+NU = 0.3
+ALUMINIUM, STEEL = LinearElastic.young(E=70e3, nu=NU), LinearElastic.young(E=210e3, nu=NU)  # MPa
+ALPHA = {"LOWER": 23e-6, "UPPER": 12e-6}  # 1/K, of aluminium below and steel above
+MODULI = {"LOWER": 70e3, "UPPER": 210e3}
+HEIGHTS = {"LOWER": 3.0, "UPPER": 2.0}  # mm
+COOLING = -80.0  # K
+LENGTH = 200.0  # mm, half of the strips: the left end is the middle
+EPS = 0.05  # mm
+SHEAR = (0.5, 2.0)  # MPa, shear moduli of the soft layers of the shear lag
+STIFFENING = (0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # MPa, of the layers of the bending strip
+NEAR_ENDS = 0.95  # share of the half length in which shear stresses are compared
+
+
+@dataclass(frozen=True)
+class Curing(BulkLaw):
+    """A resin that hardens: each increment of strain is resisted by the moduli of its time, c(t) times the final ones.
+
+    Attributes:
+        lmbda, mu: final moduli, stress per thickness.
+        tau: time in which the conversion c = 1 - exp(-t/tau) comes to 63 %.
+    """
+
+    lmbda: float
+    mu: float
+    tau: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    internal: ClassVar = {"s": (3, 3)}
+    varies = True
+
+    def at(self, x: Array, t: float) -> dict[str, Array]:
+        """Moduli at places and a time."""
+        share = np.full(x.shape[1], LIQUID + conversion(t / self.tau))
+        return {"lmbda": self.lmbda * share, "mu": self.mu * share}
+
+    def stress(self, step: Step) -> Expr:
+        """The stress before, and that of the increment of strain."""
+        return step.q["s"] + lame(self.lmbda, self.mu, step.e - step.e_old)
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        """The stress is what the resin remembers."""
+        return {"s": self.stress(step)}
+
+
+LIQUID = 1e-6  # share of the final moduli that the liquid has
+SHRINKAGE, TAU = 0.01, 2.0  # linear shrinkage of full conversion; hours
+RESIN = LinearElastic.young(E=3e3, nu=0.35).per_thickness(EPS)
+
+
+def conversion(x: Any) -> Any:
+    """Conversion at a time over tau."""
+    return 1 - np.exp(-x)
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Four tasks, each with the layer meshed and as an interface law.
+
+    Args:
+        record: where to write.
+        quick: coarser meshes, fewer steps.
+    """
+    record.parameters = {
+        "strips": {"LOWER": str(ALUMINIUM), "UPPER": str(STEEL)}, "heights": HEIGHTS, "half_length": LENGTH,
+        "alpha": ALPHA, "cooling": COOLING, "eps": EPS, "resin": str(RESIN),
+    }  # fmt: skip
+    shear_lag(record, 5.0 if quick else 2.5)
+    bending(record, 5.0 if quick else 2.5)
+    curing(record, (10, 20) if quick else (20, 40, 80))
+    shrinking_freely(record)
+
+
+# ---------------------------------------------------------------- strips
+def strips(h: float, mu: float, supports: dict[Any, Any]) -> dict[str, Model]:
+    """The right halves of two cooled strips with a layer of a shear modulus, by the name of the model."""
+    joint = sandwich(LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
+    cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
+    bodies = {"LOWER": ALUMINIUM, "UPPER": STEEL}
+    structure = Structure(joint, body=bodies, supports={"LEFT": {"x": 0.0}} | supports, eigenstrain=cooled)
+    layer = ThinLayer(LinearElastic.shear(mu, 0.4).per_thickness(EPS), EPS)
+    return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
+
+
+def difference() -> float:
+    """Free expansion of the upper strip less that of the lower one, in plane strain."""
+    return (1 + NU) * (ALPHA["UPPER"] - ALPHA["LOWER"]) * COOLING
+
+
+def compliances(eps: float = 0.0) -> tuple[float, float]:
+    """1/(E h) of both strips in plane strain, summed; and what their bending adds for forces at their inner sides.
+
+    Args:
+        eps: distance of the strips, which adds to the lever arm of these forces.
+    """
+    plane = {name: E / (1 - NU**2) for name, E in MODULI.items()}
+    stretch = sum(1 / (plane[name] * h) for name, h in HEIGHTS.items())
+    stiffness = sum(plane[name] * h**3 / 12 for name, h in HEIGHTS.items())
+    return stretch, arm(eps) ** 2 / stiffness
+
+
+def arm(eps: float = 0.0) -> float:
+    """Distance of the middles of the strips."""
+    return sum(HEIGHTS.values()) / 2 + eps
+
+
+def lag(mu: float, x: Numbers) -> Array:
+    """Shear stress on S of strips that do not bend, at places from the middle: Volkersen's shear lag."""
+    B = np.sqrt(mu / EPS * compliances()[0])
+    return np.asarray(mu * difference() * np.sinh(B * x) / (EPS * B * np.cosh(B * LENGTH)))
+
+
+def shear_lag(record: Record, h: float) -> None:
+    """Strips between smooth plates."""
+    table, worst = record.table("shear_lag.csv"), {}
+    for mu in SHEAR:
+        models = strips(h, mu, {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}})
+        surface = Surface(models["interface law"])
+        for name, model in models.items():
+            state = record.solved(solve(model))
+            x, t = surface.profile(surface.traction(state))
+            inside = (x[:, 0] > 0.1 * LENGTH) & (x[:, 0] < NEAR_ENDS * LENGTH)
+            exact = lag(mu, x[:, 0])
+            worst[name, mu] = float(np.abs(t[inside, 0] / exact[inside] - 1).max())
+            for place, found, closed in zip(x[:, 0], t[:, 0], exact, strict=True):
+                row = {"model": name, "mu": mu, "x": float(place), "tau": float(found), "closed_form": float(closed)}
+                table.append(row)
+    for (name, mu), error in worst.items():
+        record.check(f"shear lag, mu = {mu:g} MPa, {name}: largest relative error inside", error, high=0.02)
+
+
+def timoshenko(eps: float = 0.0) -> float:
+    """Curvature of two bonded strips (Timoshenko 1925), at some distance from one another."""
+    stretch, bend = compliances(eps)
+    return float(-difference() * bend / arm(eps) / (stretch + bend))
+
+
+def bent(mu: float, eps: float = 0.0) -> float:
+    """Curvature in the middle with a layer in between (Suhir 1986): axial forces grow over the shear lag."""
+    k = np.sqrt(mu / EPS * sum(compliances(eps)))
+    return float(timoshenko(eps) * (1 - 1 / np.cosh(min(k * LENGTH, 700.0))))
+
+
+def curvature(surface: Surface, state: State) -> float:
+    """Curvature near the middle of the strips: that of the parabola through the mean displacements of both sides of S."""
+    sides = surface.sides
+    u = surface.displacement(state)
+    x, v = surface.profile((sides.upper(u) + sides.lower(u)) / 2)
+    near = x[:, 0] < 0.1 * LENGTH
+    return float(2 * np.polyfit(x[near, 0] ** 2, v[near, 1], 1)[0])
+
+
+def bending(record: Record, h: float) -> None:
+    """Strips that are free to bend, with layers that are stiffer and stiffer."""
+    table, supports = record.table("bending.csv"), {(0.0, -HEIGHTS["LOWER"]): {"y": 0.0}}
+    apart = {"meshed layer": EPS, "interface law": 0.0}  # the interface law leaves the layer's part of the arm out
+    for mu in STIFFENING:
+        models = strips(h, mu, supports)
+        surface = Surface(models["interface law"])
+        found = {name: curvature(surface, record.solved(solve(model))) for name, model in models.items()}
+        closed = {f"{name}, closed form": bent(mu, eps) for name, eps in apart.items()}
+        table.append({"mu": mu, **found, **closed})
+    record.say(table)
+    for name in apart:
+        ratio = table[name] / table[f"{name}, closed form"]
+        record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratio - 1).max(), high=0.02)
+        ratio = table[name][-1] / timoshenko()
+        record.check_near(f"curvature of the stiffest layer over Timoshenko's, {name}", ratio, 1.0, 0.02)
+
+
+# ---------------------------------------------------------------- cure
+def plates(eigenstrain: Any, law: BulkLaw, top: dict[Any, Any]) -> dict[str, Model]:
+    """Stiff plates between smooth walls, and a layer with an eigenstrain, by the name of the model."""
+    joint = sandwich(4.0, 2.0, 2.0, 1.0, cell="quadrilateral", structured=True)
+    walls = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} | top
+    structure = Structure(joint, body=LinearElastic.young(E=1e9, nu=NU), supports=walls)
+    layer = ThinLayer(law, EPS, eigenstrain=eigenstrain)
+    return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
+
+
+def normal_traction(state: State, surface: Surface) -> float:
+    """Mean of t_N on S."""
+    return surface.integral(surface.frame(surface.traction(state))[1]) / 4.0
+
+
+def cured(t: Numbers) -> Array:
+    """Stress of a held layer: the integral of (3 lmbda + 2 mu) c de with e = SHRINKAGE c, half of that of a hard resin."""
+    final = EPS * (3 * RESIN.lmbda + 2 * RESIN.mu) * SHRINKAGE
+    c = conversion(t / TAU)
+    return np.asarray(final * c**2 / 2)
+
+
+def curing(record: Record, steps: tuple[int, ...]) -> None:
+    """A layer that shrinks while it hardens between plates that do not move; backward Euler has order 1."""
+    table, errors = record.table("curing.csv"), {}
+    law = Curing(RESIN.lmbda, RESIN.mu, TAU)
+    shrinkage = ThermalExpansion(-SHRINKAGE, lambda x, t: 1 - ufl.exp(-t / TAU))
+    models = plates(shrinkage, law, {"TOP": {"y": 0.0}})
+    surface = Surface(models["interface law"])
+    for n in steps:
+        for name, model in models.items():
+            history = record.march(model, [*map(float, np.linspace(0, 4 * TAU, n + 1)[1:])], f"{name} {n}")
+            found = np.array([normal_traction(state, surface) for state in history])
+            exact = cured(history.t)
+            errors[name, n] = found[-1] / exact[-1] - 1
+            for t, t_N, closed in zip(history.t, found, exact, strict=True):
+                row = {"model": name, "steps": n, "t": float(t), "t_N": float(t_N), "closed_form": float(closed)}
+                table.append(row)
+    for name in models:
+        first, last = errors[name, steps[-2]], errors[name, steps[-1]]
+        record.check(f"stress of cure, {name}: observed order in time", np.log2(first / last), low=0.9, high=1.1)
+        record.check(f"stress of cure, {name}: error extrapolated to short steps", abs(2 * last - first), high=2e-3)
+
+
+def shrinking_freely(record: Record) -> None:
+    """A layer that shrinks across itself, under a plate that follows: what stress is left is rounding."""
+    models = plates(((0.0, 0.0), (0.0, -SHRINKAGE)), RESIN, {})
+    surface = Surface(models["interface law"])
+    scale = EPS * (RESIN.lmbda + 2 * RESIN.mu) * SHRINKAGE
+    for name, model in models.items():
+        state = record.solved(solve(model))
+        t = surface.traction(state)
+        record.check(f"free shrinkage, {name}: traction over that of a held layer", surface.norm(t) / scale, high=1e-8)
+        closing = surface.integral(surface.jump(state)[1]) / 4.0
+        record.check_near(f"free shrinkage, {name}: closing over eps e", closing / (-EPS * SHRINKAGE), 1.0, 1e-8)
+
+
+# ---------------------------------------------------------------- pictures
+def draw(record: Record) -> None:
+    """Draw shear lag, bending and cure from the tables."""
+    draw_lag(record.load("shear_lag.csv"), record)
+    table = record.load("bending.csv")
+    lines: dict[str, tuple[Any, Any]]
+    names = ("meshed layer", "interface law")
+    lines = {name: (table["mu"], 1e3 * table[name]) for name in names}
+    grid: Any = np.geomspace(min(STIFFENING), max(STIFFENING), 200)
+    lines["closed form"] = (grid, np.array([1e3 * bent(mu) for mu in grid]))
+    lines["Timoshenko"] = (grid, np.full(len(grid), 1e3 * timoshenko()))
+    styles = dict(zip(lines, ("s", "o", "-", ":"), strict=True))
+    plotting.curves(
+        lines,
+        xlabel="shear modulus of the layer (MPa)",
+        ylabel="curvature (1/m)",
+        title="two strips of unequal expansion, cooled by 80 K, free to bend",
+        styles=styles,
+        xscale="log",
+        save=record.path("bending.png"),
+    )
+    draw_cure(record.load("curing.csv"), record)
+
+
+def draw_lag(table: Table, record: Record) -> None:
+    """Shear stress along S of both models, at every few nodes, and the closed form."""
+    lines, styles = {}, {}
+    for mu in SHEAR:
+        for name, style in (("meshed layer", "s"), ("interface law", ".")):
+            chosen = [row for row in table.rows if row["model"] == name and row["mu"] == mu][::4]
+            label = f"{name}, G = {mu:g} MPa"
+            lines[label] = tuple(np.array([row[column] for row in chosen]) for column in ("x", "tau"))
+            styles[label] = style
+        grid = np.linspace(0, LENGTH, 200)
+        lines[f"closed form, G = {mu:g} MPa"] = (grid, lag(mu, grid))
+        styles[f"closed form, G = {mu:g} MPa"] = "-"
+    plotting.curves(
+        lines,
+        xlabel="x from the middle (mm)",
+        ylabel="shear stress on S (MPa)",
+        title="two strips of unequal expansion, cooled by 80 K, held flat",
+        styles=styles,
+        save=record.path("shear_lag.png"),
+    )
+
+
+def draw_cure(table: Table, record: Record) -> None:
+    """Stress over time of the held layer, with the closed form and with what a hard resin would have."""
+    steps = max(table["steps"])
+    lines = {}
+    for name in ("meshed layer", "interface law"):
+        chosen = [row for row in table.rows if row["model"] == name and row["steps"] == steps][::4]
+        lines[name] = tuple(np.array([row[column] for row in chosen]) for column in ("t", "t_N"))
+    grid = np.linspace(0, 4 * TAU, 200)
+    lines["closed form"] = (grid, cured(grid))
+    lines["a resin that is hard from the start"] = (grid, 2 * cured(grid) / np.maximum(conversion(grid / TAU), 1e-9))
+    styles = dict(zip(lines, ("s", ".", "-", "--"), strict=True))
+    plotting.curves(
+        lines,
+        xlabel="hours",
+        ylabel="normal traction on S (MPa)",
+        title="a layer that shrinks by 1 % while it hardens between stiff plates",
+        styles=styles,
+        save=record.path("curing.png"),
+    )

@@ -1,0 +1,237 @@
+"""Loads at points and along edges, pressures, and the weight of layers: closed forms, both models, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+
+from forms.contact import HolonomicCoulomb
+from forms.laws import LinearElastic
+from geometry import GeometryError, block, ring, sandwich
+from tests.supports_run import BODY, EPS, GLUE, KINDS, model, out_of_balance
+from thinlayer import (
+    Gap,
+    LineLoad,
+    ModelError,
+    PointLoad,
+    Pressure,
+    RangeWarning,
+    Structure,
+    Surface,
+    ThinLayer,
+    compare,
+    piecewise,
+    solve,
+)
+from thinlayer.output.surface_mass import nodal_forces
+
+ELEMENTS = {"tetrahedron": ("P1", "P2"), "hexahedron": ("Q1", "Q2", "S2")}
+
+
+def nodal(made, t=0.0):
+    """Nodal forces of a model's loads, (n, d), and the places of the nodes."""
+    f = nodal_forces(made.V, made.external_work(ufl.TestFunction(made.V), t))
+    return f.x.array.reshape(-1, made.joint.dim), made.V.tabulate_dof_coordinates()[:, : made.joint.dim]
+
+
+# ---------------------------------------------------------------- points
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_a_force_at_one_node(kind, element):
+    """Nothing else is loaded, whatever the element; functions have the place before inflating."""
+    loads = [PointLoad((2.0, 0.6), lambda x, t: (t * x[0], x[1] + piecewise({0: 0.0, 4: 8.0})(x, t)))]
+    structure = Structure(
+        sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0.0}, loads=loads, element=element
+    )
+    made = model(structure, kind)
+    f, x = nodal(made, 2.0)
+    here = np.linalg.norm(x - x.max(axis=0), axis=1) < 1e-9
+    assert here.sum() == 1
+    assert f[here][0] == pytest.approx([4.0, 4.6], rel=1e-12)
+    assert np.abs(f[~here]).max() < 1e-12
+    assert 4.0 in made.break_times
+
+
+@pytest.mark.parametrize("kind", ["full", "interface"])
+def test_a_node_of_one_body(kind):
+    """S has a node of each body: the load says whose, and that body's moves."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    for body, sense in (("UPPER", 1), ("LOWER", -1)):
+        structure = Structure(
+            joint, body=BODY, supports={"BOTTOM": 0.0}, loads=[PointLoad((2.0, 0.0), (0.3, 0.1), body=body)]
+        )
+        state = solve(model(structure, kind))
+        assert out_of_balance(state) < 1e-10
+        found = state.applied(about=(0.0, 0.0))
+        height = sense * EPS / 2 if kind == "full" else 0.0
+        assert found.force == pytest.approx([0.3, 0.1], rel=1e-12)
+        assert found.moment == pytest.approx(2 * 0.1 - height * 0.3, rel=1e-12)
+        assert sense * (state.energies()["layer"] - 0.002) > 0  # the layer carries what loads the upper body
+    for bad, message in (
+        (PointLoad((2.0, 0.0), (0.3, 0.1)), "each of them has a node there; give body=..., one of 'LOWER', 'UPPER'"),
+        (PointLoad((2.0, 0.0), (0.3, 0.1), body="UPER"), "did you mean 'UPPER'"),
+        (PointLoad((2.0, 0.6), (0.3, 0.1), body="LOWER"), "body 'LOWER' does not reach this place; around it: UPPER"),
+        (PointLoad((2.1, 0.6), (0.3, 0.1)), "the nearest is"),
+        (PointLoad((2.0, 0.6), (0.3, 0.1, 0.0)), "needs 2 finite components"),
+        (LineLoad("TOP", "LEFT", (0.3, 0.1)), "lines are edges of solids"),
+        ((2.0, 0.6), "allowed: PointLoad, LineLoad"),
+    ):
+        with pytest.raises((ModelError, GeometryError), match=message):
+            model(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, loads=[bad]), kind)
+
+
+# ---------------------------------------------------------------- lines
+@pytest.mark.parametrize(("cell", "element"), [(cell, element) for cell, of in ELEMENTS.items() for element in of])
+def test_a_line_load_is_integrated_exactly(cell, element):
+    """Force and moments of a cubic load along an edge; its nodes alone are loaded, as its trace says."""
+    joint = sandwich(1.0, 0.5, 0.6, 0.5, depth=0.8, cell=cell)
+    far = joint.points[:, 2].max()
+    near = joint.points[:, 2].min()
+    loads = [
+        LineLoad("TOP", "RIGHT", lambda x, t: (t * x[2] ** 3, -2.0, x[2])),
+        LineLoad("TOP", "LEFT", (0.0, 0.5, 0.0)),
+    ]
+    structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, loads=loads, element=element)
+    made = model(structure, "interface")
+    state = solve(made, t=3.0)
+    total = state.applied(about=(0.0, 0.0, 0.0))
+    z = {k: (far**k - near**k) / k for k in (1, 2, 3, 4, 5)}
+    assert total.force == pytest.approx([3 * z[4], -1.5 * z[1], z[2]], rel=1e-10, abs=1e-12)
+    expected = [0.6 * z[2] + 2 * z[2] - 0.5 * z[2], 3 * z[5] - z[2], -2 * z[1] - 0.6 * 3 * z[4]]
+    assert total.moment == pytest.approx(expected, rel=1e-10, abs=1e-12)
+    assert out_of_balance(state) < 1e-10
+    if element != "S2":
+        f, x = nodal(made, 3.0)
+        off = (np.abs(x[:, 1] - 0.6) > 1e-9) | ((np.abs(x[:, 0] - 1.0) > 1e-9) & (np.abs(x[:, 0]) > 1e-9))
+        assert np.abs(f[off]).max() < 1e-12
+    if element == "Q2":  # Simpson's rule, of a constant load
+        constant = np.sort(f[np.abs(x[:, 0]) < 1e-9, 1][np.abs(f[np.abs(x[:, 0]) < 1e-9, 1]) > 1e-12])
+        assert constant[0] * 4 == pytest.approx(constant[-1], rel=1e-9) or constant[0] * 4 == pytest.approx(
+            2 * constant[1], rel=1e-9
+        )
+
+
+def test_lines_on_curved_edges():
+    """The length of an arc, by curved cells: order 4 and more of the cell's angle."""
+    joint = ring(1.0, 1.5, 2.0, h=0.5, degree=2, depth=1.0)
+    ends = [name for name in joint.facets if name not in ("INSIDE", "OUTSIDE", "S")]
+    structure = Structure(
+        joint, body=BODY, supports={ends[1]: 0.0}, loads=[LineLoad("OUTSIDE", ends[0], (0.0, 0.0, 1.0))]
+    )
+    found = solve(structure.bonded()).applied().force
+    assert found[2] == pytest.approx(4 * np.pi, rel=1e-4)
+    assert np.abs(found[:2]).max() < 1e-10
+
+
+def test_lines_that_are_none():
+    joint = sandwich(1.0, 0.5, 0.6, 0.5, depth=0.8)
+    for load, message in (
+        (LineLoad("TOP", "BOTTOM", (0.0, 0.0, 1.0)), "they have no edge in common"),
+        (LineLoad("TOP", "RIHGT", (0.0, 0.0, 1.0)), "did you mean 'RIGHT'"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, loads=[load], element="P1").bonded()
+
+
+# ---------------------------------------------------------------- pressures
+@pytest.mark.parametrize(
+    ("kind", "bodies"), [("full", "kept"), ("full", "extended"), ("interface", ""), ("bonded", "")]
+)
+def test_a_pressure_all_around_is_hydrostatic(kind, bodies):
+    """On all sides, that of the layer too: no resultant, and the stress is -p everywhere in bodies without supports."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    around = {name: Pressure(0.7) for name in ("LEFT", "RIGHT", "BOTTOM", "TOP")}
+    if bodies == "kept":
+        around |= {"LEFT/LAYER": Pressure(0.7), "RIGHT/LAYER": Pressure(0.7)}
+    held = {(0.0, -0.5): 0.0, (2.0, -0.5): {"y": 0.0}}
+    structure = Structure(joint, body=BODY, supports=held, tractions=around)
+    law = LinearElastic(3.0, 2.0)
+    made = structure.full(ThinLayer(law, EPS), bodies=bodies) if kind == "full" else model(structure, kind, law)
+    state = solve(made)
+    assert np.abs(state.applied().force).max() < 1e-12
+    assert state.applied().moment == pytest.approx(0.0, abs=1e-12)
+    assert max(np.abs(one.force).max() for one in state.reactions_by_place().values()) < 1e-10
+
+
+def test_pressures_in_time_and_refused():
+    joint = ring(1.0, 1.5, 2.0, h=0.5, degree=2)
+    grown = Structure(
+        joint, body=BODY, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": Pressure(lambda x, t: t * (1 + x[0]))}
+    ).bonded()
+    assert grown.forces.not_finite(1.0) == []
+    state = solve(grown, t=2.0)
+    assert state.applied().force == pytest.approx([2 * np.pi, 0.0], rel=1e-3, abs=1e-9)  # from x to the outside
+    assert out_of_balance(state) < 1e-9
+    for p, message in (
+        (float("nan"), "finite number"),
+        ("high", "finite number"),
+        (lambda x, t: x, "must be a number"),
+    ):
+        with pytest.raises(ModelError, match=f"traction on 'INSIDE'.*{message}"):
+            Structure(joint, body=BODY, supports={"OUTSIDE": 0.0}, tractions={"INSIDE": Pressure(p)}).bonded()
+    with pytest.raises(ModelError, match="no normal inside a body"):
+        Structure(joint, body=BODY, supports={"OUTSIDE": 0.0}, body_force={"INNER": Pressure(1.0)}).bonded()
+
+
+# ---------------------------------------------------------------- the weight of layers
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("profile", [None, lambda x: 1 + x[0] / 4])
+def test_the_weight_of_a_layer(dim, profile):
+    """The same total in both models; on S each body has half of it."""
+    weight = {"S": (0.0, -3.0, 0.5)[:dim]}
+    joint = sandwich(2.0, 0.5, 0.6, 0.5, **{2: {}, 3: {"depth": 1.0}}[dim])
+    bodies = "kept" if profile is None else "extended"
+    structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, body_force=weight, element="P1")
+    layer = ThinLayer(GLUE, EPS, profile=profile)
+    expected = -3.0 * EPS * 2.0 * (1 if profile is None else 1.25)
+    for made in (structure.full(layer, bodies=bodies), structure.interface(layer)):
+        state = solve(made)
+        assert state.applied().force[1] == pytest.approx(expected, rel=1e-10)
+        assert state.reaction("BOTTOM").force[1] == pytest.approx(-expected, rel=1e-9)
+    f, x = nodal(made)
+    below = np.isclose(x[:, 1], 0.0) & (np.abs(f[:, 1]) > 0)
+    assert below.any()
+    assert solve(structure.bonded()).applied().force[1] == 0.0
+
+
+@pytest.mark.parametrize("eps", [0.2, 0.05])
+def test_columns_with_heavy_layers(eps):
+    """Half on each side is exact in columns, for every thickness; left out it changes the jump by order eps."""
+    joint, sides = sandwich(2.0, 0.5, 0.6, 0.5), {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
+    given = {"body": BODY, "supports": sides, "tractions": {"TOP": (0.0, -0.3)}}
+    heavy, layer = Structure(joint, body_force={"S": (0.0, -3.0)}, **given), ThinLayer(GLUE, eps)
+    full, limit, light = (
+        solve(made) for made in (heavy.full(layer), heavy.interface(layer), Structure(joint, **given).interface(layer))
+    )
+    found = compare(full, limit)
+    assert max(found["error_jump"], found["error_traction"]) < 1e-9
+    surface = Surface(limit.model)
+    jump, weightless = (surface.integral(surface.jump(state)[1]) for state in (limit, light))
+    assert jump / weightless == pytest.approx(1 + 3.0 * eps / 2 / 0.3, rel=1e-9)
+
+
+def test_the_weight_on_a_rigid_base():
+    """Half of it goes to the base directly."""
+    structure = Structure(
+        block(2.0, 0.6, 0.5),
+        body=BODY,
+        supports={"LEFT": {"x": 0.0}},
+        body_force={"S": (0.0, -3.0), "BODY": (0.0, -1.0)},
+    )
+    limit, full = (solve(made(ThinLayer(GLUE, EPS))) for made in (structure.interface, structure.full))
+    assert limit.applied().force[1] == pytest.approx(-1.2 - 0.3, rel=1e-10)
+    assert full.applied().force[1] == pytest.approx(-1.2 - 0.6, rel=1e-10)
+    assert limit.reaction("S").force[1] == pytest.approx(1.5, rel=1e-9)
+    assert full.reaction("S").force[1] == pytest.approx(1.8, rel=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore", category=RangeWarning)
+def test_layers_without_a_weight():
+    given = {"body": BODY, "supports": {"BOTTOM": 0.0}, "body_force": {"S": (0.0, -3.0)}, "element": "P1"}
+    structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), **given)
+    for layer in (HolonomicCoulomb(5.0, 2.0, 0.3), {"S": Gap(0.1)}):
+        with pytest.raises(ModelError, match="body force in the layer 'S': it is no layer with a thickness"):
+            structure.interface(layer)
+    with pytest.raises(ModelError, match="did you mean 'UPPER'"):
+        Structure(sandwich(2.0, 0.5, 0.6, 0.5), **given | {"body_force": {"UPER": (0.0, 0.0)}}).bonded()

@@ -1,0 +1,255 @@
+"""Probe: displacements, stresses and internal variables of a state at given places, and at all points where laws act."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from geometry.errors import place
+from geometry.order import by_place
+from geometry.topology import IntArray, is_tensor
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.places import BODY, LAYER
+from thinlayer.discretisation.state import State, cell_values
+from thinlayer.errors import ModelError
+from thinlayer.output.law_points import LawPoints, law_points
+from thinlayer.output.locating import Located
+from thinlayer.parallel.agreement import on_all, require_same
+
+Array = npt.NDArray[np.float64]
+SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none
+
+
+@dataclass(frozen=True)
+class PointValues:
+    """Values of one internal variable at the quadrature points of one law, the same on all ranks.
+
+    Attributes:
+        key: of the law, see `Probe.names`.
+        x: (n, d) places, ordered by cell or facet, then by place.
+        values: (n, *shape).
+        weights: (n,) volumes or, on S, areas times the thickness that belong to the points: sums of weights times values are
+            integrals.
+        entity: (n,) number in the joint of the cell, or row of its facet, of each point.
+    """
+
+    key: str
+    x: Array
+    values: Array
+    weights: Array
+    entity: IntArray
+
+
+class Probe:
+    """Displacements, stresses and internal variables of a state. Its methods are collective, with the same data on all ranks.
+
+    Places are those of the model's mesh before it deforms: in a full model that with room for the layer.
+
+    Args:
+        state: as `solve` returns it, or `history.at(t)`.
+
+    Raises:
+        ModelError: no state.
+    """
+
+    def __init__(self, state: State) -> None:
+        if not isinstance(state, State):
+            raise ModelError(f"a probe takes a state, as solve returns it or history.at(t) is, not {state!r:.80}")
+        self.state, self._joint, self._comm = state, state.model.domain.joint, state.model.comm
+
+    # ---------------------------------------------------------------- at places in bodies and meshed layers
+    def displacement(self, x: Any, *, side: str | None = None) -> Array:
+        """Displacements (n, d) at places (n, d), or (d,) at one.
+
+        Args:
+            x: places.
+            side: of S, "lower" or "upper", for places on S, where displacements jump.
+
+        Raises:
+            ModelError: places outside the bodies and meshed layers; a place where displacements jump, without a side.
+        """
+        located = self._located(x, side)
+        model, V = self.state.model, self.state.u.function_space
+        d = self._joint.dim
+        mine, local = self._local(located.cell)
+        basis = V.ufl_element().basix_element.tabulate(0, located.X[mine])[0, :, :, 0]
+        nodal = cell_values(self.state.u, local).reshape(len(local), -1, d)
+        u = self._summed(np.einsum("kn,knd->kd", basis, nodal), mine, len(located.cell))
+        largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
+        first = np.searchsorted(located.point, np.arange(len(located.x)))
+        apart = np.abs(u - u[first[located.point]]).max(axis=1) > SAME * largest
+        if apart.any():
+            there = located.x[located.point[apart.argmax()]]
+            hint = "several bodies meet there" if side or not isinstance(model, InterfaceModel) else "give side="
+            raise ModelError(f"displacements jump at {place(there)}: {hint}")
+        return u[first] if np.ndim(x) > 1 else u[first][0]
+
+    def stress(self, x: Any, *, side: str | None = None) -> Array:
+        """Stresses (n, 3, 3) at places (n, d), or (3, 3) at one; arguments and errors as in `displacement`.
+
+        In each cell they are the polynomial nearest to the stresses at the points of quadrature, of a degree below that of
+        the displacements (on quadrilaterals and hexahedra of the same total degree). At a place in several cells they
+        are the mean of the stresses there.
+        """
+        located = self._located(x, side)
+        total = np.zeros((len(located.cell), 9))
+        for points in law_points(self.state):
+            if points.quadrature.region.dim == self._joint.dim:
+                values = points.stress()
+                total += self._fitted(points, values.reshape(-1, 9), located)
+        total = self._comm.allreduce(total)
+        counts = np.bincount(located.point, minlength=len(located.x))
+        sums = np.zeros((len(located.x), 9))
+        np.add.at(sums, located.point, total)
+        out = (sums / counts[:, None]).reshape(-1, 3, 3)
+        return out if np.ndim(x) > 1 else out[0]
+
+    def _located(self, x: Any, side: str | None) -> Located:
+        require_same(self._comm, places=np.asarray(x, object) if _is_ragged(x) else np.asarray(x), side=side)
+        with on_all(self._comm):
+            located = Located.of(self._joint, x)
+            if side is None:
+                return located
+            if not isinstance(self.state.model, InterfaceModel):
+                raise ModelError("a side is for places on S of an interface model")
+            return located.on_side(side)
+
+    def _local(self, cells: IntArray) -> tuple[IntArray, IntArray]:
+        """Positions among cells of the joint of those that this rank owns, and their local numbers."""
+        domain = self.state.model.domain
+        original = domain.original_cells[: domain.mesh.topology.index_map(self._joint.dim).size_local]
+        return _found(cells, original)
+
+    def _summed(self, values: Array, mine: IntArray, count: int) -> Array:
+        out = np.zeros((count, *values.shape[1:]))
+        out[mine] = values
+        return np.asarray(self._comm.allreduce(out))
+
+    def _fitted(self, points: LawPoints, values: Array, located: Located) -> Array:
+        """Values (m, k) at located places of the polynomials nearest to values (points, k) in their cells; else zero."""
+        out = np.zeros((len(located.cell), values.shape[1]))
+        mine, row = _found(located.cell, points.entities)
+        degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
+        for at, cell in zip(mine, row, strict=True):
+            here = points.quadrature.cells[cell]
+            x = points.quadrature.x[here]
+            centre, size = x.mean(axis=0), np.ptp(self._joint.points[self._joint.cells[located.cell[at]]], axis=0).max()
+            terms = _monomials((x - centre) / size, degree)
+            there = _monomials((located.x[located.point[at]] - centre)[None] / size, degree)
+            out[at] = there @ np.linalg.lstsq(terms, values[here], rcond=None)[0]
+        return out
+
+    # ---------------------------------------------------------------- internal variables
+    @cached_property
+    def _variables(self) -> dict[str, dict[str, tuple[LawPoints, Array]]]:
+        found: dict[str, dict[str, tuple[LawPoints, Array]]] = {}
+        for points in law_points(self.state):
+            sublayers = points.internal()
+            for k, variables in enumerate(sublayers, 1):
+                start = f"{points.key} " if points.key in (BODY, LAYER) else f"{points.key}/"
+                key = f"{start}{k}" if len(sublayers) > 1 else points.key
+                if variables:
+                    found[key] = {name: (points, values) for name, values in variables.items()}
+        return found
+
+    @property
+    def names(self) -> dict[str, list[str]]:
+        """Key of each law with internal variables -> their names.
+
+        Keys are those of `State.memory`: "layer", "layer BED", "body STONE"; sublayers are numbered from the lower to the
+        upper face: "layer 1", "layer BED/1". So are, on S, the two points through the thickness of a law of order 1.
+        """
+        return {key: list(variables) for key, variables in self._variables.items()}
+
+    def points(self, name: str, key: str | None = None) -> PointValues:
+        """An internal variable at all points of quadrature of one law, in a body, a meshed layer or on S.
+
+        Args:
+            name: of the variable, as in the law's `internal`; tensors come as (n, 3, 3).
+            key: of the law, see `names`; None: the only one with such a variable.
+
+        Raises:
+            ModelError: no such variable; several laws have it, and no key is given.
+        """
+        key = self._key(name, key)
+        points, values = self._variables[key][name]
+        quadrature = points.quadrature
+        entity = np.empty(quadrature.count, np.int64)
+        entity[quadrature.cells] = points.entities[:, None]
+        mine = (entity, quadrature.x, quadrature.weights, values)
+        entity, x, weights, values = (np.concatenate(one) for one in zip(*self._comm.allgather(mine), strict=True))
+        rank = np.argsort(by_place(x, float(np.ptp(self._joint.points, axis=0).max())))
+        order = np.lexsort([rank, entity])
+        return PointValues(key, x[order], values[order], weights[order], entity[order])
+
+    def internal(self, name: str, x: Any, key: str | None = None) -> Array:
+        """An internal variable at places: its values (n, *shape), or (*shape) at one place.
+
+        They are known at points of quadrature alone. Of those in the cells (on S: in the facets) that contain the place the
+        nearest one's is taken; nothing is interpolated.
+
+        Args:
+            name, key: as in `points`.
+            x: places (n, d), or (d,); for the law of a layer on S places on its seam.
+
+        Raises:
+            ModelError: as in `points`; places where this law does not act.
+        """
+        found = self.points(name, key)
+        located = self._located(x, None)
+        if self._variables[found.key][name][0].quadrature.region.dim == self._joint.dim:
+            at, entity = located.point, located.cell
+        else:
+            on, entity, _ = located.facets()
+            at = located.point[on]
+        out = np.empty((len(located.x), *found.values.shape[1:]))
+        for k, one in enumerate(located.x):
+            here = np.flatnonzero(np.isin(found.entity, entity[at == k]))
+            if not len(here):
+                raise ModelError(f"the law {found.key!r} does not act at {place(one)}")
+            out[k] = found.values[here[cKDTree(found.x[here]).query(one)[1]]]
+        return out if np.ndim(x) > 1 else out[0]
+
+    def _key(self, name: str, key: str | None) -> str:
+        """The key of the law with an internal variable."""
+        having = [one for one, variables in self._variables.items() if name in variables]
+        known = (
+            "; ".join(f"{one}: {', '.join(names)}" for one, names in self.names.items()) or "no law remembers anything"
+        )
+        if not having or key not in (None, *having):
+            where = "" if key is None else f" of the law {key!r}"
+            raise ModelError(f"there is no internal variable {name!r}{where}; known: {known}")
+        if key is None and len(having) > 1:
+            raise ModelError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(having)}")
+        return key or having[0]
+
+
+def _found(numbers: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
+    """Positions of numbers that are known, and the positions of these among the known ones."""
+    order = np.argsort(known)
+    at = np.minimum(np.searchsorted(known[order], numbers), max(len(known) - 1, 0))
+    there = known[order][at] == numbers if len(known) else np.zeros(len(numbers), bool)
+    return np.flatnonzero(there), order[at[there]] if len(known) else np.empty(0, np.int64)
+
+
+def _monomials(x: Array, degree: int) -> Array:
+    """All monomials (n, k) of places (n, d) up to a total degree."""
+    columns = [np.ones(len(x))]
+    last = [(columns[0], 0)]
+    for _ in range(degree):
+        last = [(column * x[:, k], k) for column, first in last for k in range(first, x.shape[1])]
+        columns += [column for column, _ in last]
+    return np.column_stack(columns)
+
+
+def _is_ragged(x: Any) -> bool:
+    try:
+        np.asarray(x, float)
+    except (TypeError, ValueError):
+        return True
+    return False
