@@ -165,7 +165,7 @@ class Model(ABC):
             law, some = constants(law, self.domain.mesh), {"": names}
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
-        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
+        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         return [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
 
     def _supports(self, given: Given) -> Supports:
@@ -319,12 +319,11 @@ class Model(ABC):
         return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act
-    @property
-    def _rule(self) -> dict[str, Any]:
+    def _rule(self, measure: ufl.Measure) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     @property
     def terms(self) -> list[forms.Term]:

@@ -106,7 +106,8 @@ class RigidPlate(Addition):
                 raise ModelError(f"{self._what}: {unknown('motion', name, names)}")
         if not model.kinematics.turns and any(self.motion.get(name) != 0 for name in ("x", "rotation")):
             raise ModelError(
-                f"{self._what}: a plate on a body of revolution moves along the axis alone; give motion={{'x': 0, 'rotation': 0}}"
+                f"{self._what}: a plate on a body of revolution moves along the axis alone; give "
+                "motion={'x': 0, 'rotation': 0}"
             )
         if self.about is not None:
             require_point(self.about, d)
@@ -260,7 +261,9 @@ class PlatePart(Part):
             x = np.where(np.abs(x) > ROUNDING * size, x, 0.0)
             held = "the axis of revolution" if entry < 0 else f"the support on {model.supports.entries[entry][0]!r}"
             hint = f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
-            if entry < 0:
+            if entry < 0 and model.kinematics.turns:
+                held = "the anchor of the periodic cell"
+            elif entry < 0:
                 hint = f"prescribe {{'x': 0, 'y': value}} on {self._given.place!r} instead, or leave a bore around the axis"
             message = f"{held} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; {hint}"
         if messages := [one for one in model.comm.allgather(message) if one]:
