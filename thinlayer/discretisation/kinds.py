@@ -175,7 +175,7 @@ class FullModel(LayeredModel):
         """Raise ModelError if a law cannot be that of cells where layers meet."""
         assert inflated.band is not None
         for region, name in inflated.band.junctions.items():
-            law = real_law(self.layers[name].layer, self.kinematics)
+            law = real_law(self.layers[name].layer, self.structure.kinematics)
             self._check_junction(name, law, region in inflated.band.aligned)
 
     def _check_junction(self, name: str, law: BulkLaw, aligned: bool) -> None:
