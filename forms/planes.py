@@ -50,6 +50,10 @@ class Kinematics:
         """(n,) distances of places (n, d) from the axis of revolution; infinite, as there is none."""
         return np.full(len(x), np.inf)
 
+    def stressed(self, d: int) -> tuple[int, ...]:
+        """Mandel components that stresses may have; the others are zero, whatever the law of `law` gives for them."""
+        return tuple(range(len(MANDEL)))
+
     @property
     def factor(self) -> Any:
         """Factor of all measures dx, ds and dS of the mesh: 1, for integrals per unit thickness in 2D."""
@@ -82,9 +86,18 @@ class PlaneStress(Kinematics):
 
     name = "stress"
 
+<<<<<<< HEAD
     def acting(self, a: Expr) -> Expr:
         """The part in the plane: there is no stress out of it, and nothing holds a strain."""
         return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
+=======
+    def stressed(self, d: int) -> tuple[int, ...]:
+        return self.slots(d)
+
+    def seen(self, e: Expr) -> Expr:
+        """The strain in the plane: nothing holds a strain out of it."""
+        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
+>>>>>>> step10
 
     def law(self, law: BulkLaw) -> BulkLaw:
         return law.plane_stress()

@@ -27,7 +27,7 @@ SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[0], re.DOTALL
 @pytest.mark.parametrize("number", [0, 1], ids=["lap", "creep"])
 def test_script(tmp_path, number):
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
-    assert len(SCRIPTS) == len(tables) + 4 == 6
+    assert len(SCRIPTS) == len(tables) + 5 == 7
     (tmp_path / "script.py").write_text(SCRIPTS[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -52,8 +52,13 @@ def printed_by(tmp_path, monkeypatch, capsys):
     return run
 
 
-def test_network_script(printed_by):
+def test_loads_script(printed_by):
     out = printed_by(5)
+    assert "".join(f"    {line}\n" for line in out.splitlines()) in README
+
+
+def test_network_script(printed_by):
+    out = printed_by(6)
     assert f"    {out.strip()}\n" in README
 
 

@@ -13,13 +13,14 @@ from forms.laws import Anisotropic, Incompressible, LinearElastic
 from geometry import GeometryError, block, sandwich
 from tests.arc_length_run import Trilinear
 from tests.ranks import mpirun
-from tests.springs_run import BED, BODY, CREEP, EPS, GLUE, HEIGHT, PULL, E, P, mean, numbers, relaxing, turned
+from tests.springs_run import BED, BODY, CREEP, EPS, GLUE, HEIGHT, PULL, E, P, axes, mean, numbers, relaxing, turned
 from tests.taylor import observed_orders
 from thinlayer import (
     Adaptive,
     ArcLength,
     ContactReport,
     ModelError,
+    PointLoad,
     SolveError,
     Structure,
     ThinLayer,
@@ -103,6 +104,90 @@ def test_contact_above_springs(method):
     assert report.p == pytest.approx(np.full(len(report.p), P), rel=1e-7)
     assert report.equilibrium < 1e-7
     assert state.energies()["springs BOTTOM"] == pytest.approx(P**2 / BED.normal / 2, rel=1e-7)
+
+
+def test_reactions_of_springs():
+    """What they give is -k u, force and moment; with what presses from above it adds up to zero."""
+    state = solve(turned())
+    found, n = state.reaction("BOTTOM"), axes(2)
+    along, across = n @ found.force
+    assert along == pytest.approx(-PULL[0], rel=1e-9)
+    assert across == pytest.approx(P, rel=1e-9)
+    assert found.force + state.applied().force == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+FUNCTIONS = {
+    "number": (20.0, 7.0),
+    "ufl": (lambda x: 20.0 + 0 * x[0], lambda x: ufl.as_ufl(7.0)),
+    "numpy": (lambda x: np.full(x.shape[1], 20.0), lambda x: 7.0 * np.ones_like(x[0])),
+}
+
+
+@pytest.mark.parametrize("kind", FUNCTIONS)
+def test_functions_of_the_place(kind):
+    """Constant ones are the numbers."""
+    normal, tangential = FUNCTIONS[kind]
+    bed = Springs("BOTTOM", normal=normal, tangential=tangential)
+    one, other = solve(turned(parts=[bed])), solve(turned())
+    assert one.u.x.array == pytest.approx(other.u.x.array, abs=1e-11 * np.abs(other.u.x.array).max())
+
+
+@pytest.mark.parametrize("given", [lambda x: 3.0 + x[0] ** 2, lambda x: 3.0 + np.square(x[0])], ids=["ufl", "numpy"])
+def test_a_rigid_block_on_uneven_springs(given):
+    """Closed form: a bed k = 3 + x^2 under a stiff beam of length 2 that may sink and turn, pressed at one end."""
+    joint, moment = (
+        sandwich(2.0, 0.3, 0.3, 0.15, structured=True),
+        np.array([[3 * 2 + 8 / 3, 6 + 4], [6 + 4, 8 + 32 / 5]]),
+    )
+    supports = {(0.0, 0.3): {"x": 0.0}}
+    structure = Structure(
+        joint, body=LinearElastic.young(1e8, 0.0), supports=supports, tractions={"TOP": (0.0, -0.4)},
+        parts=[Springs("BOTTOM", normal=given, tangential=0.0)],
+    )  # fmt: skip
+    state = solve(structure.bonded())
+    sinks, turns = np.linalg.solve(moment, [0.4 * 2, 0.4 * 2])
+    x, y = state.model.V.tabulate_dof_coordinates()[:, 0], state.u.x.array[1::2]
+    assert y == pytest.approx(-(sinks + turns * x), rel=1e-5)
+    bed = state.reaction("BOTTOM", about=(0.0, 0.0))
+    assert bed.force == pytest.approx([0.0, 0.8], abs=1e-7)
+    assert bed.moment == pytest.approx(0.8, rel=1e-6)
+
+
+def test_a_beam_on_springs():
+    """A long slender beam, pressed at its middle by a force at a point, on Winkler's foundation (Hetenyi 1946).
+
+    w = P b/(2 k) e^(-b|x|) (cos b|x| + sin b|x|), b^4 = k/(4 E I); depth over wave length small, so that shear is.
+    """
+    E_, depth, k, length, force = 1e4, 0.5, 0.25, 80.0, 3.0
+    b = (k / (4 * E_ * depth**3 / 12)) ** 0.25
+    joint = sandwich(length, depth / 2, depth / 2, 0.5, structured=True)
+    structure = Structure(
+        joint, body=LinearElastic.young(E_, 0.0), supports={(0.0, -depth / 2): {"x": 0.0}}, element="P2",
+        loads=[PointLoad((length / 2, depth / 2), (0.0, -force))], parts=[Springs("BOTTOM", normal=k)],
+    )  # fmt: skip
+    state = solve(structure.bonded())
+    places = state.model.V.tabulate_dof_coordinates()
+    bottom = np.isclose(places[:, 1], -depth / 2)
+    s = np.abs(places[bottom, 0] - length / 2)
+    w = force * b / (2 * k) * np.exp(-b * s) * (np.cos(b * s) + np.sin(b * s))
+    assert -state.u.x.array[1::2][bottom] == pytest.approx(w, abs=0.01 * w.max())
+    assert state.reaction("BOTTOM").force[1] == pytest.approx(force, rel=1e-8)
+
+
+def test_stiffnesses_that_are_refused():
+    joint = sandwich(1.0, HEIGHT, HEIGHT, 0.25, structured=True)
+    with pytest.raises(ModelError, match="normal is -1.0; allowed: a finite number >= 0, or a function of x"):
+        Springs("BOTTOM", normal=-1.0)
+    for given, message in (
+        (lambda x: x[0] - 0.3, r"normal is -0.3 at \(.*, -0.5\); allowed: finite, >= 0"),
+        (lambda x: np.sin(9 * x[0]), "normal is -0.9"),
+        (lambda x: x[:, :3], r"gives an array of shape \(2, 3\)"),
+        (lambda x: "soft", "is no function of x, in UFL or numpy"),
+        (lambda x: x, "it must be a finite number for each place"),
+    ):
+        structure = Structure(joint, body=BODY, supports={}, parts=[Springs("BOTTOM", normal=given, tangential=1.0)])
+        with pytest.raises(ModelError, match=message):
+            structure.bonded()
 
 
 # ---------------------------------------------------------------- marches

@@ -76,6 +76,7 @@ class Forces:
         self.given: dict[str, Any] = {}
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         self._in_layers: list[tuple[str, Expr, Weighted]] = []
+        self._concentrated: list[tuple[str, Expr, ufl.Measure]] = []  # whole forces: their measures have no factor
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         if tractions is not None and not isinstance(tractions, Mapping):
@@ -95,7 +96,7 @@ class Forces:
         for one in loads:
             self.given[f"{one.what}, {len(self.given)}"] = one
             assert forms is not None
-            self._loads += [(one.what, density, measure) for density, measure in forms().terms(one)]
+            self._concentrated += [(one.what, density, measure) for density, measure in forms().terms(one)]
         self._everywhere = dx
 
     def add_layer(self, name: str, load: Load, places: Sequence[Weighted]) -> None:
@@ -206,6 +207,8 @@ class Forces:
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         for _, load, measure in self._loads:
             form += ufl.inner(load, v) * self._kinematics.factor * measure
+        for _, load, measure in self._concentrated:
+            form += ufl.inner(load, v) * measure
         for _, load, one in self._in_layers:
             form += ufl.inner(load, one.mean(v)) * self._kinematics.factor * one.measure
         return moment.of(form)
@@ -213,7 +216,11 @@ class Forces:
     def not_finite(self, t: float) -> list[str]:
         """The loads that are not finite at a time. Collective."""
         found, moment = [], self.at.moment(t)
-        for what, load, measure in [*self._loads, *((what, load, one.measure) for what, load, one in self._in_layers)]:
+        for what, load, measure in [
+            *self._loads,
+            *self._concentrated,
+            *((what, load, one.measure) for what, load, one in self._in_layers),
+        ]:
             total = fem.assemble_scalar(fem.form(moment.of(ufl.inner(load, load) * measure)))
             if self.domain.comm.allreduce(int(not np.isfinite(total))):
                 found.append(what)

@@ -24,6 +24,7 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
+ROUNDING = 1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
 AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
 
 
@@ -99,8 +100,10 @@ class Resultant:
         return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
 
     def __repr__(self) -> str:
+        size = np.abs(self.force).max()
+        force = at_place(np.where(np.abs(self.force) > ROUNDING * size, self.force, 0.0))
         moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
-        return f"force {at_place(self.force)}, moment {moment} about {at_place(self.about)}"
+        return f"force {force}, moment {moment} about {at_place(self.about)}"
 
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
@@ -190,7 +193,8 @@ def centroid(domain: Domain, name: str) -> Array:
     for k in range(len(sums)):
         chosen.value[:] = np.eye(len(sums))[k]
         sums[k] = domain.comm.allreduce(fem.assemble_scalar(form))
-    return sums[:-1] / sums[-1]
+    found = sums[:-1] / sums[-1]
+    return np.asarray(np.where(np.abs(found) > ROUNDING * np.ptp(domain.joint.points), found, 0.0))
 
 
 def work_in_motions(comm: MPI.Intracomm, work: Expr, motion: fem.Constant) -> Array:

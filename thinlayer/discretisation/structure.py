@@ -13,11 +13,16 @@ class Structure(Setup):
     Args:
         joint: the joint; S is where the layer is.
         body: law of the bodies (moduli: stress), or region name -> law.
-        supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer.
+        supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer. Where places
+            overlap their values must agree.
         tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that returns d
             components. On the bodies, and with bodies="extended" on the part of the layer's side that was theirs, so that
-            the loads of all models are the same; name "NAME/LAYER" to load that side by itself.
-        body_force: (d,) force per volume in the bodies, likewise, or region name -> force.
+            the loads of all models are the same; name "NAME/LAYER" to load that side by itself. `Pressure(p)` acts along
+            the inner normal.
+        body_force: (d,) force per volume in the bodies, likewise, or name -> force, of regions and of seams (a single one
+            is called "S"): the weight of a layer, which acts on its cells or, in the interface model, times the thickness
+            and in halves on both sides of S; half of it goes to a rigid base directly. It is of order eps.
+        loads: `PointLoad`, `LineLoad`.
         plane: "strain", "stress" or "axisymmetric", of a joint in 2D. In plane stress bodies take laws with a closed form
             (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of revolution, y the place
             along it, there is no twist; u_x = 0 holds on the axis by itself, and all integrals (energies, loads, forces,

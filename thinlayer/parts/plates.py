@@ -24,7 +24,15 @@ from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam
 from thinlayer.discretisation.prescribed import ROUNDING
-from thinlayer.discretisation.reactions import Array, centroid, count, require_point, rigid
+from thinlayer.discretisation.reactions import (
+    Array,
+    balanced_motions,
+    centroid,
+    count,
+    on_centre,
+    require_point,
+    rigid,
+)
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.errors import ModelError
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part
@@ -32,6 +40,11 @@ from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part
 Number = float | Callable[[Expr, Any], Any]
 Vector = Sequence[float] | Callable[[Expr, Any], Sequence[Any]]
 ROTATIONS = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z")}
+
+
+def _names(d: int) -> list[str]:
+    """Names of the motions of a plate."""
+    return [*AXES[:d], *ROTATIONS[d]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,25 +111,24 @@ class RigidPlate(Addition):
         if not model.domain.is_outer(self.place):
             raise ModelError(inside)
         d = model.joint.dim
-        names = [*AXES[:d], *ROTATIONS[d]]
+        names = _names(d)
         if not isinstance(self.motion, Mapping):
             raise ModelError(f"{self._what}: motion is {self.motion!r}; it must be {{{names[0]!r}: value, ...}}")
         for name in self.motion:
             if name not in names:
                 raise ModelError(f"{self._what}: {unknown('motion', name, names)}")
-        if not model.kinematics.turns and any(self.motion.get(name) != 0 for name in ("x", "rotation")):
-            raise ModelError(
-                f"{self._what}: a plate on a body of revolution moves along the axis alone; give "
-                "motion={'x': 0, 'rotation': 0}"
-            )
+            if names.index(name) in self._prevented(model):
+                raise ModelError(
+                    f"{self._what}: a rigid plate of revolution has no motion {name!r}; it moves along the axis"
+                )
         if self.about is not None:
             require_point(self.about, d)
         for given, _ in self._given(d):
             if callable(given):
                 self._once(given, model.coordinates)
         if not any(callable(given) for given, _ in self._given(d)):
-            self.resultants(model.coordinates, 0.0)
-            self.motions(model.coordinates, 0.0)
+            self.resultants(model, 0.0)
+            self.motions(model, 0.0)
 
     def _given(self, d: int) -> list[tuple[Any, tuple[int, ...]]]:
         """All data with the shapes of their values."""
@@ -145,32 +157,40 @@ class RigidPlate(Addition):
             raise ModelError(f"{self._what}: a value at t = {t:g} is {found!r}; it must be {need}")
         return value
 
-    def motions(self, at: Coordinates, t: float) -> dict[int, float]:
-        """Number of a prescribed motion -> its value at a time."""
-        d = len(at.x)
-        names = [*AXES[:d], *ROTATIONS[d]]
-        return {names.index(name): float(self._value(value, (), at, t)) for name, value in self.motion.items()}
+    def motions(self, model: Host, t: float) -> dict[int, float]:
+        """Number of a prescribed motion -> its value at a time; a plate of revolution moves along its axis alone."""
+        names, found = _names(model.joint.dim), dict.fromkeys(self._prevented(model), 0.0)
+        return found | {
+            names.index(name): float(self._value(value, (), model.coordinates, t))
+            for name, value in self.motion.items()
+        }
 
-    def resultants(self, at: Coordinates, t: float) -> Array:
+    @staticmethod
+    def _prevented(model: Host) -> list[int]:
+        """Numbers of the motions that kinematics do not have."""
+        return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
+
+    def resultants(self, model: Host, t: float) -> Array:
         """Force and moment (k,) at a time; raises ModelError if one of them is along a prescribed motion."""
-        d = len(at.x)
+        d, at = model.joint.dim, model.coordinates
         out = np.zeros(count(d))
         if self.force is not None:
             out[:d] = self._value(self.force, (d,), at, t)
         if self.moment is not None:
             out[d:] = self._value(self.moment, () if d == 2 else (3,), at, t)
-        names = [*AXES[:d], *ROTATIONS[d]]
-        for name in self.motion:
-            if out[names.index(name)]:
+        for k in self.motions_held(model):
+            if out[k]:
                 raise ModelError(
-                    f"{self._what}: the motion {name!r} is prescribed, and {out[names.index(name)]:g} is given for its "
-                    "force or moment; one of them follows from the other"
+                    f"{self._what}: the motion {_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force or "
+                    "moment; one of them follows from the other"
                 )
         return out
 
     def point(self, model: Host) -> Array:
         """The point (d,) to which motions and moments refer. Collective."""
-        return centroid(model.domain, self.place) if self.about is None else require_point(self.about, model.joint.dim)
+        if self.about is not None:
+            return require_point(self.about, model.joint.dim)
+        return on_centre(model.kinematics, centroid(model.domain, self.place))
 
     # ---------------------------------------------------------------- in a model
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
@@ -203,18 +223,18 @@ class RigidPlate(Addition):
         """As in `Addition`: prescribed motions of the plate resist those of the structure."""
         R = self.tie(model, self.point(model), self.size(model))
         matrix = model.comm.allreduce(np.asarray((R.T @ R).todense()), MPI.SUM)
-        held = sorted(self.motions_held(model.joint.dim))
+        held = self.motions_held(model)
         rows = [R.T @ f.x.array[: R.shape[0]] for f in motions]
         own = np.linalg.lstsq(matrix, np.array([model.comm.allreduce(row) for row in rows]).T, rcond=None)[0][held]
         return np.asarray(own.T @ own)
 
-    def motions_held(self, d: int) -> list[int]:
+    def motions_held(self, model: Host) -> list[int]:
         """Numbers of the prescribed motions."""
-        return [[*AXES[:d], *ROTATIONS[d]].index(name) for name in self.motion]
+        return sorted({*self._prevented(model), *(_names(model.joint.dim).index(name) for name in self.motion)})
 
     def load_work(self, model: Host, state: Configuration) -> float:
         """Work of the given force and moment in the plate's motion at a state. Collective."""
-        return float(self.resultants(model.coordinates, state.t) @ _everywhere(state.fields[self.key], model.comm))
+        return float(self.resultants(model, state.t) @ _everywhere(state.fields[self.key], model.comm))
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
@@ -237,7 +257,7 @@ class PlatePart(Part):
     """The motions q of a plate, rotations times a length, and its given forces and moments, these over the length."""
 
     def __init__(self, given: RigidPlate, model: Host) -> None:
-        self.key, self._given, self._at = given.key, given, model.coordinates
+        self.key, self._given, self._model = given.key, given, model
         self._dim, mesh = model.joint.dim, model.V.mesh
         element = basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(count(self._dim),))
         whole = fem.functionspace(mesh, element)
@@ -253,19 +273,16 @@ class PlatePart(Part):
         """Raise ModelError if supports act on nodes of the plate."""
         tied = np.flatnonzero(np.diff(self.tie.indptr)) // self._dim
         prescribed = model.prescribed
-        rows = np.flatnonzero(np.isin(prescribed.blocks, tied))
+        rows = np.flatnonzero(np.isin(prescribed.blocks, tied) & (prescribed.entry >= 0))
         message = ""
         if len(rows):
-            entry = prescribed.entry[rows[0]]
+            place, _ = model.supports.entries[prescribed.entry[rows[0]]]
             x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows[0]], : self._dim]
             x = np.where(np.abs(x) > ROUNDING * size, x, 0.0)
-            held = "the axis of revolution" if entry < 0 else f"the support on {model.supports.entries[entry][0]!r}"
-            hint = f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
-            if entry < 0 and model.kinematics.turns:
-                held = "the anchor of the periodic cell"
-            elif entry < 0:
-                hint = f"prescribe {{'x': 0, 'y': value}} on {self._given.place!r} instead, or leave a bore around the axis"
-            message = f"{held} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; {hint}"
+            message = (
+                f"the support on {place!r} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; "
+                f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
+            )
         if messages := [one for one in model.comm.allgather(message) if one]:
             raise ModelError(messages[0])
 
@@ -274,14 +291,14 @@ class PlatePart(Part):
         self._t = t
 
     def parameters(self) -> list[Array]:
-        motions = self._given.motions(self._at, self._t)
-        return [self._given.resultants(self._at, self._t), np.array([*motions.values()])]
+        motions = self._given.motions(self._model, self._t)
+        return [self._given.resultants(self._model, self._t), np.array([*motions.values()])]
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        new = old = self._given.resultants(self._at, interval.t)
+        new = old = self._given.resultants(self._model, interval.t)
         if interval.theta < 1:
-            old = self._given.resultants(self._at, interval.old.t)
+            old = self._given.resultants(self._model, interval.old.t)
         load = (interval.theta * new + (1 - interval.theta) * old) / self._scale
         self._load = load[: self.own_size]
 
@@ -310,7 +327,7 @@ class PlatePart(Part):
 
     # ---------------------------------------------------------------- own unknowns
     def own_held(self, t: float) -> tuple[npt.NDArray[np.int64], Array]:
-        held = sorted(self._given.motions(self._at, t).items()) if self.own_size else []
+        held = sorted(self._given.motions(self._model, t).items()) if self.own_size else []
         numbers = np.array([k for k, _ in held], np.int64)
         return numbers, np.array([value for _, value in held]) * self._scale[numbers]
 

@@ -72,8 +72,9 @@ class Equations(PartSum):
         frames = model.prescribed.frames
         self.substitution = Substitution(self._layout, frames, ties) if ties or frames is not None else None
         held, _ = self._prescribed(None)
-        self._held_order = np.argsort(held)
-        self.held = held[self._held_order].astype(np.int32)
+        self.held, self._held_order = np.unique(
+            held.astype(np.int32), return_index=True
+        )  # an axis may hold a plate, too
         diagonal = diagonal_at_rest(self.parts)
         cancelling = max(part.cancelling for part in self.parts)
         self.scale = ForceScale(float(diagonal.norm()), cancelling)
