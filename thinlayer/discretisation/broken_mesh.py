@@ -158,15 +158,10 @@ class BrokenMesh:
         sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
         if thin and thin.profile is not None:
             eps = eps * sides.upper(self._relative_thickness(thin.profile))
-<<<<<<< HEAD
-        law = law if law.traits.compiled else constants(law, self.mesh)
-        return surface(law, sides, eps, thin.order if thin else 0, self.kinematics)
-=======
         if law.fields and thin and thin.order and law.traits.relaxes:
             raise LawError(f"order=1 of {type(law).__name__} with parameters that are functions: use it in a Model")
         known = law.for_points() if law.fields else law if law.traits.compiled else constants(law, self.mesh)
-        return surface(known, sides, eps, thin.order if thin else 0)
->>>>>>> step10
+        return surface(known, sides, eps, thin.order if thin else 0, self.kinematics)
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
         """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.

@@ -166,17 +166,12 @@ class Model(ABC):
             law, some = constants(law, self.domain.mesh), {"": names}
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
-<<<<<<< HEAD
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
-        return [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
-=======
-        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
         each = [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
         return [placed(term, self.V, self.origin) for term in each]
 
     def _terms_of_layers(self) -> list[forms.Term]:
         return [placed(term, self.V, self.origin) for term in self._layer_terms()]
->>>>>>> step10
 
     def _supports(self, given: Given) -> Supports:
         return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)

@@ -61,13 +61,8 @@ class PointLoad:
 
     Attributes:
         place: (d,) coordinates of the vertex, before inflating.
-<<<<<<< HEAD
-        force: (d,) force, in 2D per unit thickness, of bodies of revolution that on the whole ring, constant or a function
-            (x, t).
-=======
         force: (d,) force, in 2D per unit thickness, constant or a function (x, t). On a body of revolution its sum around
             the ring that the vertex makes: along the axis the whole force, x all that pulls outwards.
->>>>>>> step10
         body: region whose node it is; needed where S parts bodies, because each has a node there.
     """
 
