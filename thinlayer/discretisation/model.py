@@ -167,7 +167,7 @@ class Model(ABC):
             law, some = constants(law, self.domain.mesh), {"": names}
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
-        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
+        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         each = [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
         return [placed(term, self.V, self.origin) for term in each]
 
@@ -325,12 +325,11 @@ class Model(ABC):
         return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act
-    @property
-    def _rule(self) -> dict[str, Any]:
+    def _rule(self, measure: ufl.Measure) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
         """The terms of layers, of meshed ones with the mean strain of a periodic cell."""
