@@ -213,7 +213,7 @@ class FullModel(LayeredModel):
             sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
-                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
+                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule(self.dx))
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
@@ -290,7 +290,7 @@ class InterfaceModel(LayeredModel):
         relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
         law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)
-        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
+        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule(sides.measure)))
         if layer is None:
             return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
         eps = self._thickness(one.name, layer, sides)
