@@ -98,6 +98,15 @@ def test_the_stress_of_a_held_layer_follows_the_history_of_its_shrinkage(kind):
     assert max(abs(state.audit.imbalance) for state in relaxing) < 1e-10
 
 
+def test_in_situ_stress_of_a_layer_that_relaxes():
+    """It is there at once, and decays between plates that do not move."""
+    stiff = Structure(JOINT, body=LinearElastic.young(3e9, 0.3), supports=HELD)
+    layer = ThinLayer(Maxwell(70.0, 50.0, t1=0.8), EPS, eigenstrain=Prestress(-1.5))
+    history = march(stiff.interface(layer), [0.5, 1.0])
+    factors = np.array([1.0, 1 / (1 + 0.5 / 0.8), 1 / (1 + 0.5 / 0.8) ** 2])
+    assert [across(state)[0] for state in history] == pytest.approx(-1.5 * factors, rel=1e-5)
+
+
 def test_a_rate_law_answers_to_the_rate_of_shrinkage():
     """Kelvin-Voigt between rigid plates: elastic stress plus theta times the rate."""
     law = KelvinVoigt(70.0, 50.0, theta_lmbda=0.3, theta_mu=0.2)

@@ -65,7 +65,7 @@ class ContactReport:
         x: (n, d) places.
         status: (n,) "separated", "sliding", "stick", or "pinned" where supports prescribe the whole jump.
         u_T: (n, d - 1) tangential jump in the frame of S (`Surface.frame`).
-        u_N: (n,) penetration, the upper side into the lower one; negative where S is open.
+        u_N: (n,) penetration, the upper side into the lower one, less the initial gap; negative where S is open.
         p: (n,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
         t_T: (n, d - 1) tangential traction on the lower side; that on the upper side is opposite.
         threshold: (n,) largest |t_T| at this pressure.
