@@ -72,9 +72,9 @@ class Kinematics:
         tangential = ufl.Identity(len(n)) - ufl.outer(n, n)
         return lift(ufl.sym(ufl.dot(side(ufl.grad(u)), tangential)))
 
-    def seen(self, e: Expr) -> Expr:
-        """The part of a given strain (3, 3), such as a free expansion, that the laws of `law` take."""
-        return e
+    def seen(self, a: Expr) -> Expr:
+        """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
+        return a
 
     def law(self, law: BulkLaw) -> BulkLaw:
         """The law of the strains of `strain`, `along` and of jumps, for a law of strains in three dimensions."""
@@ -89,9 +89,9 @@ class PlaneStress(Kinematics):
     def stressed(self, d: int) -> tuple[int, ...]:
         return self.slots(d)
 
-    def seen(self, e: Expr) -> Expr:
-        """The strain in the plane: nothing holds a strain out of it."""
-        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
+    def seen(self, a: Expr) -> Expr:
+        """The part in the plane: there is no stress out of it, and nothing holds a strain."""
+        return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
 
     def law(self, law: BulkLaw) -> BulkLaw:
         return law.plane_stress()

@@ -161,7 +161,7 @@ def surface(
 def stress(term: Term, u: Expr) -> Expr:
     """The stress (3, 3) of a term's law at displacements u."""
     with explained(term.law, "stress"):
-        return shaped(term.law, "stress", term.law.stress(term.step(u)), (3, 3))
+        return term.kinematics.seen(shaped(term.law, "stress", term.law.stress(term.step(u)), (3, 3)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:

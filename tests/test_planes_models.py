@@ -30,6 +30,8 @@ from tests.ranks import mpirun
 from tests.taylor import observed_orders
 from tests.test_plane_stress import Pressed, Stiffening
 from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer.output.probe import Probe
+from thinlayer.running.cli import main
 from thinlayer.solving.solvers import Solver
 
 L, M, EPS = 6.0, 4.0, 0.05
@@ -98,6 +100,10 @@ def test_a_linear_law_is_condensed_as_in_closed_form(order):
             assert b.u.x.array == pytest.approx(a.u.x.array, rel=EXACT, abs=EXACT * np.abs(a.u.x.array).max())
             assert b.energies() == pytest.approx(a.energies(), rel=EXACT)
             assert b.mean_stress() == pytest.approx(a.mean_stress(), rel=EXACT, abs=1e-12)
+            for one in (a, b):
+                stress = Probe(one).stress([(0.3, 0.2), (0.7, -0.4)])
+                assert np.abs(stress[:, :2, :2]).max() > 0.1
+                assert (stress[:, 2] == 0).all()
     strained = solve(
         Structure(joint(), body=LinearElastic(80.0, 50.0), supports={"BOTTOM": 0.0}, tractions=loads).interface(
             ThinLayer(LinearElastic(L, M), EPS)
@@ -148,6 +154,18 @@ def test_where_no_strain_out_of_the_plane_is_found_the_error_says_so():
         solve(sheet(load=0.7).interface(ThinLayer(Pressed(M), EPS)))
 
 
+@pytest.mark.parametrize("build", ["full", "interface"])
+def test_parameters_that_vary_along_a_sheet(build):
+    """A function that is constant is the number; one that grows to the right makes the right stiffer."""
+    found = []
+    for mu in (M, lambda x: M + 0 * x[0], lambda x: M * (1 + x[0])):
+        law = Stack((0.5, Maxwell(L, mu, 0.7)), (0.5, MohrCoulomb(L, mu, 0.3, 30.0, 0.05)))
+        history = march(getattr(sheet(load=lambda t: 0.1 * t), build)(ThinLayer(law, EPS)), [0.2, 0.4])
+        found.append(history.last.energies()["layer"])
+    assert found[1] == pytest.approx(found[0], rel=EXACT)
+    assert found[2] < 0.95 * found[0]
+
+
 # ---------------------------------------------------------------- bodies
 def test_a_bar_of_metal_in_plane_stress():
     """Pulled along: e = s/E + (s - Y)/H, contracting alike in both directions."""
@@ -188,3 +206,11 @@ def test_the_same_numbers_on_two_ranks():
     done = mpirun(2, "-m", "tests.planes_run")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == pytest.approx(numbers(), rel=1e-9)
+
+
+# ---------------------------------------------------------------- studies
+@pytest.mark.parametrize(("name", "checks"), [("tubes", 6), ("plane_stress", 4)])
+def test_studies_of_planes(tmp_path, capsys, name, checks):
+    assert main(["run", name, "--quick", "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.count("ok   ") == checks
+    assert list((tmp_path / "out").glob("*.png"))

@@ -61,11 +61,15 @@ class LayeredModel(Model):
         new._lay(layer, partial(new._check_beside, self))
         with on_all(self.comm):
             new.given_on = {name: one.given(self.coordinates) for name, one in new.layers.items()}
-        new.layer_terms = new._terms_of_layers()
+        new.layer_terms = new._strained(new._terms_of_layers())
         with on_all(self.comm):
             new.forces = new._forces(new.structure)
             if new.strain or new.stress:
                 new.require_order_zero()
+            if new.stress and not new.broken:
+                raise ModelError(
+                    "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
+                )
         new.made_from = new._data()
         new.laws_were_read()
         return new
@@ -209,7 +213,7 @@ class FullModel(LayeredModel):
             sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
-                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
+                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule(self.dx))
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
@@ -286,7 +290,7 @@ class InterfaceModel(LayeredModel):
         relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
         law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)
-        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
+        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule(sides.measure)))
         if layer is None:
             return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
         eps = self._thickness(one.name, layer, sides)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import basix.ufl
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -117,6 +118,7 @@ class Model(ABC):
             self.strain, self.stress = self._mean_loads()
         if self.strain:
             self.bodies = added(self.bodies, self.strain.expression)
+            self.layer_terms = self._strained(self.layer_terms)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
@@ -166,7 +168,7 @@ class Model(ABC):
             law, some = constants(law, self.domain.mesh), {"": names}
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
-        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
+        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         each = [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
         return [placed(term, self.V, self.origin) for term in each]
 
@@ -221,7 +223,7 @@ class Model(ABC):
             self.require_order_zero()
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
-            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
+            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids),
         )
 
     def require_order_zero(self) -> None:
@@ -324,12 +326,20 @@ class Model(ABC):
         return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act
-    @property
-    def _rule(self) -> dict[str, Any]:
+    def _rule(self, measure: ufl.Measure) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
+
+    def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
+        """The terms of layers, of meshed ones with the mean strain of a periodic cell."""
+        return added(terms, self.strain.expression) if self.strain and not self.broken else terms
+
+    @property
+    def solids(self) -> list[forms.Term]:
+        """The terms of bodies and of meshed layers."""
+        return self.bodies if self.broken else self.terms
 
     @property
     def terms(self) -> list[forms.Term]:
@@ -358,6 +368,14 @@ class Model(ABC):
             name: sum(value for key, value in values.items() if key.split("/")[0] == one.key)
             for name, one in several.items()
         }
+
+    def held_in(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.
+
+        Without those that a rigid base holds.
+        """
+        found = [part.held(self, V) for part in self.parts]
+        return np.unique(np.concatenate([self.supports.held(V, self.supports.given), *found]))
 
     @property
     def holders(self) -> list[Place]:
