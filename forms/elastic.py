@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import ufl
 from scipy.spatial.transform import Rotation
 
 from forms.base import is_number
+from forms.fields import Field, OutOfRange, Parameter, field_of
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame, lift
 from forms.law import BulkLaw, LawError, Step, choice, require
 
@@ -73,8 +74,14 @@ class LinearElastic(LinearLaw):
         require_moduli(self, self.lmbda, self.mu)
 
     @classmethod
-    def young(cls, E: float, nu: float) -> LinearElastic:
-        """The law with Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
+    def young(cls, E: Parameter, nu: Parameter) -> LinearElastic:
+        """The law with Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2.
+
+        Both may be numpy functions of places (d, n) in the joint that give n values.
+        """
+        if callable(E) or callable(nu):
+            given = field_of(E), field_of(nu)
+            return cls(Field(_lmbda_of_young, given), Field(_mu_of_young, given))  # type: ignore[arg-type]
         if not (is_number(E) and math.isfinite(E) and E > 0):
             raise LawError(f"LinearElastic: E is {E!r}; allowed: > 0")
         if not (is_number(nu) and -1 < nu < 0.5):
@@ -82,8 +89,13 @@ class LinearElastic(LinearLaw):
         return cls(E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu)))
 
     @classmethod
-    def shear(cls, mu: float, nu: float) -> LinearElastic:
-        """The law with shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
+    def shear(cls, mu: Parameter, nu: Parameter) -> LinearElastic:
+        """The law with shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2.
+
+        Both may be functions, as in `young`.
+        """
+        if callable(mu) or callable(nu):
+            return cls.young(2 * field_of(mu) * (1 + field_of(nu)), nu)
         if not (is_number(mu) and is_number(nu)):
             raise LawError(f"LinearElastic: mu is {mu!r}, nu is {nu!r}; allowed: numbers")
         return cls.young(2 * mu * (1 + nu), nu)
@@ -104,6 +116,24 @@ class LinearElastic(LinearLaw):
 
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})
+
+
+def _lmbda_of_young(E: Any, nu: Any) -> Any:
+    _require_young(E, nu)
+    return E * nu / ((1 + nu) * (1 - 2 * nu))
+
+
+def _mu_of_young(E: Any, nu: Any) -> Any:
+    _require_young(E, nu)
+    return E / (2 * (1 + nu))
+
+
+def _require_young(E: Any, nu: Any) -> None:
+    """Raise OutOfRange unless E > 0 and -1 < nu < 1/2 at all places."""
+    for name, values, good, allowed in (("E", E, E > 0, "> 0"), ("nu", nu, (nu > -1) & (nu < 0.5), "-1 < nu < 0.5")):
+        if not np.all(good):
+            k = int(np.argmin(good))
+            raise OutOfRange(f"{name} is {np.ravel(values)[k]:g}; allowed: {allowed}", k)
 
 
 @dataclass(frozen=True, eq=False)

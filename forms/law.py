@@ -9,7 +9,7 @@ import sys
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from types import SimpleNamespace, UnionType
 from typing import Any, ClassVar, NamedTuple, Self, get_args, get_origin
@@ -21,6 +21,7 @@ import ufl
 from forms.base import is_number
 from forms.declarations import SIZES, require_dataclass, require_declarations, reset_inherited
 from forms.declarations import LawError as LawError
+from forms.fields import OfPlaces, field_of, is_field, number_of
 from forms.kinematics import Expr
 from forms.traits import Traits
 
@@ -82,7 +83,7 @@ def choice(default: Any) -> Any:
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity, unless a law defines ==
-class Law:
+class Law(OfPlaces):
     """Base of the three contracts of laws: a frozen dataclass whose fields are its parameters.
 
     Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class declares its
@@ -93,8 +94,10 @@ class Law:
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
         functions: names of parameters that may be functions. `parameters` gives NaN for a function, `at` gives its values.
         ignored: methods that are never called, because other methods replace them.
+        takes_fields: whether scalar parameters may be numpy functions of places (d, n) in the joint, -> (n,).
     """
 
+    takes_fields: ClassVar[bool] = False
     powers: ClassVar[Mapping[str, float]] = {}
     internal: ClassVar[Mapping[str, tuple[int, ...]]] = {}
     functions: ClassVar[tuple[str, ...]] = ()
@@ -115,7 +118,8 @@ class Law:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            own = any(f.name in vars(one) for one in type(self).__mro__ if one.__module__ == __name__)
+            bases = [one for one in type(self).__mro__ if one.__module__ in (__name__, OfPlaces.__module__)]
+            own = any(f.name in vars(one) for one in bases)
             require(not own, self, f"the parameter {f.name!r}", "a name that all laws use", "another one")
             allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
             require(
@@ -123,13 +127,19 @@ class Law:
             )
         kind: Any = type(self)
         for f in fields(self):
+            if f.name in scalars(kind) and f.name not in self.functions and self.takes_fields:
+                object.__setattr__(self, f.name, field_of(getattr(self, f.name)))
             self._check_number(f.name, getattr(self, f.name), f.default is None, f.name in scalars(kind))
-        self.check()
+        own_places = kind.at is not Law.at
+        for name in self.fields:
+            require(not own_places, self, name, "a function of the place", "a number, as `at` gives what varies")
+        if not self.fields:  # else where they are known, see `check_at`
+            self.check()
         _ = self.traits  # raises errors in the declarations of the class
         require_declarations(self)
 
     def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
-        if (value is None and may_be_none) or (callable(value) and name in self.functions):
+        if (value is None and may_be_none) or (callable(value) and name in self.functions) or is_field(value):
             return
         if name not in self.parameters():
             return
@@ -151,7 +161,14 @@ class Law:
     @cached_property
     def traits(self) -> Traits:
         """Traits of the law. They are found from its numbers, and stay when other numbers or symbols replace these."""
-        return Traits.of(self, **self._traits_of_methods())
+        found = Traits.of(self, **self._traits_of_methods())
+        return replace(found, varies=True) if self.fields and found.compiled else found
+
+    def for_points(self) -> Self:
+        """The same law as a compiled one, which takes parameters that are functions on S too."""
+        law = self.with_parameters({})
+        object.__setattr__(law, "traits", replace(self.traits, compiled=True, varies=bool(self.fields)))
+        return law
 
     def _traits_of_methods(self) -> dict[str, bool]:
         """The traits that follow from the methods and internal variables of a class."""
@@ -195,8 +212,8 @@ class Law:
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in known)
 
     def parameter_values(self) -> npt.NDArray[np.float64]:
-        """The parameters one after the other, (k,)."""
-        values = [np.ravel(np.asarray(value, float)) for value in self.parameters().values()]
+        """The parameters one after the other, (k,); NaN for functions."""
+        values = [np.ravel(number_of(value)) for value in self.parameters().values()]
         return np.concatenate([np.empty(0), *values])
 
     def with_parameters(self, values: Mapping[str, Any]) -> Self:
@@ -214,7 +231,7 @@ class Law:
 
 
 class BulkLaw(Law):
-    """A law of strains, for the material of a layer, and of bodies if it has no rate and no memory.
+    """A law of strains, for the material of a layer or of a body.
 
     A law is written for real moduli. Users give its parameters in a layer *per thickness*: the real value of a parameter
     in a layer of thickness eps is value * eps**power, with the power declared here (0 by default).
@@ -229,6 +246,7 @@ class BulkLaw(Law):
         methods: names of the methods that give the stress and the new internal values, for messages.
     """
 
+    takes_fields: ClassVar = True
     otherwise: ClassVar[BulkLaw | None] = None
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
 
@@ -352,7 +370,7 @@ class BulkLaw(Law):
 
     def in_layer(self, eps: float) -> Self:
         """The law in a layer of thickness eps (a length > 0), with real parameters, value * eps**power."""
-        return self.mapped(lambda value, power: np.asarray(value, float) * eps**power)
+        return self.mapped(lambda value, power: (value if is_field(value) else np.asarray(value, float)) * eps**power)
 
     def per_thickness(self, eps: float) -> Self:
         """The law whose real parameters, in a layer of thickness eps (a length > 0), are this law's."""

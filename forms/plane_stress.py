@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from forms.fields import Field
 from forms.law import BulkLaw
 from forms.traits import Traits
 
@@ -33,9 +34,13 @@ class PlaneStress(BulkLaw):
     law: BulkLaw
     ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated", "holds")
 
+    def __post_init__(self) -> None:
+        """Nothing: the law has been checked."""
+
     @cached_property
     def traits(self) -> Traits:
-        return replace(self.law.traits, compiled=True, relaxes=False)
+        varies = self.law.traits.varies or bool(self.law.fields)
+        return replace(self.law.traits, compiled=True, relaxes=False, varies=varies)
 
     @property
     def powers(self) -> Mapping[str, float]:  # type: ignore[override]
@@ -56,6 +61,16 @@ class PlaneStress(BulkLaw):
     @property
     def in_space(self) -> BulkLaw:
         return self.law
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        return self.law.fields
+
+    def fields_at(self, x: Array) -> dict[str, Array]:
+        return self.law.fields_at(x)
+
+    def check(self) -> None:
+        self.law.check()
 
     def parameters(self) -> dict[str, Any]:
         return self.law.parameters()

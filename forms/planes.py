@@ -50,6 +50,10 @@ class Kinematics:
         """(n,) distances of places (n, d) from the axis of revolution; infinite, as there is none."""
         return np.full(len(x), np.inf)
 
+    def stressed(self, d: int) -> tuple[int, ...]:
+        """Mandel components that stresses may have; the others are zero, whatever the law of `law` gives for them."""
+        return tuple(range(len(MANDEL)))
+
     @property
     def factor(self) -> Any:
         """Factor of all measures dx, ds and dS of the mesh: 1, for integrals per unit thickness in 2D."""
@@ -68,9 +72,9 @@ class Kinematics:
         tangential = ufl.Identity(len(n)) - ufl.outer(n, n)
         return lift(ufl.sym(ufl.dot(side(ufl.grad(u)), tangential)))
 
-    def seen(self, e: Expr) -> Expr:
-        """The part of a given strain (3, 3), such as a free expansion, that the laws of `law` take."""
-        return e
+    def seen(self, a: Expr) -> Expr:
+        """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
+        return a
 
     def law(self, law: BulkLaw) -> BulkLaw:
         """The law of the strains of `strain`, `along` and of jumps, for a law of strains in three dimensions."""
@@ -82,9 +86,12 @@ class PlaneStress(Kinematics):
 
     name = "stress"
 
-    def seen(self, e: Expr) -> Expr:
-        """The strain in the plane: nothing holds a strain out of it."""
-        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
+    def stressed(self, d: int) -> tuple[int, ...]:
+        return self.slots(d)
+
+    def seen(self, a: Expr) -> Expr:
+        """The part in the plane: there is no stress out of it, and nothing holds a strain."""
+        return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
 
     def law(self, law: BulkLaw) -> BulkLaw:
         return law.plane_stress()

@@ -12,6 +12,7 @@ import ufl
 from forms.base import is_number
 from forms.declarations import warn_of_range
 from forms.elastic import isotropic_stiffness, lame, require_moduli
+from forms.fields import is_field
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, lift
 from forms.law import BulkLaw, LawError, Step, choice, require
@@ -103,13 +104,11 @@ class Plastic(BulkLaw):
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
         if not (is_number(ease) and 0 <= ease <= 1):
             raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
-        return self.with_parameters(
-            {
-                "elastic_fraction": max(self.elastic_fraction, LEAST_FRACTION) ** (1 - ease)
-                if ease
-                else self.elastic_fraction
-            }
-        )
+        h = self.elastic_fraction
+        if is_field(h):
+            share = LEAST_FRACTION ** (1 - ease) if ease else 0.0
+            return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
+        return self.with_parameters({"elastic_fraction": max(h, LEAST_FRACTION) ** (1 - ease) if ease else h})
 
     # ---------------------------------------------------------------- of a step, UFL
     def _elastic_strain(self, e: Expr, q: Any) -> Expr:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from forms.base import is_number
 from forms.declarations import require_declarations
+from forms.fields import Array, Field
 from forms.law import BulkLaw, LawError, require
 from forms.traits import Traits
 
@@ -79,7 +80,23 @@ class Stack(BulkLaw):
 
     @cached_property
     def traits(self) -> Traits:
-        return Traits.of_series(law.traits for law in self.laws)
+        found = Traits.of_series(law.traits for law in self.laws)
+        return replace(found, varies=True) if self.fields else found
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        return {f"{k}.{name}": one for k, law in enumerate(self.laws) for name, one in law.fields.items()}
+
+    def fields_at(self, x: Array) -> dict[str, Array]:
+        return {f"{k}.{name}": one for k, law in enumerate(self.laws) for name, one in law.fields_at(x).items()}
+
+    def at_places(self, x: Array) -> Iterator[Stack]:
+        for laws in zip(*(law.at_places(x) for law in self.laws), strict=True):
+            yield self.with_laws(laws)
+
+    def check_at(self, x: Array) -> None:
+        for law in self.laws:
+            law.check_at(x)
 
     def eased(self, ease: float) -> Stack:
         return self.with_laws([law.eased(ease) for law in self.laws])

@@ -17,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.algorithms import expand_derivatives
+from ufl.indexed import Indexed
 
+from forms.fields import is_field
 from forms.kinematics import Expr
 from forms.law import BulkLaw, LawError, Step
 from forms.numbers import numbers
@@ -243,7 +245,9 @@ def _tensor(a: Array) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """A parameter as numbers, if it is a number or a Constant; else unchanged."""
+    """A parameter as numbers, if it is a number or a Constant, 1 for a function; others unchanged."""
+    if is_field(value) or isinstance(value, Indexed):  # values at places, or at quadrature points
+        return 1.0
     try:
         array = np.asarray(getattr(value, "value", value), float)
     except (TypeError, ValueError):

@@ -150,7 +150,7 @@ def uncoupled_axes(law: BulkLaw, n: Array) -> npt.NDArray[np.bool_] | None:
     None if the law has a traction without a jump, has parameters that vary, or cannot be evaluated. A law with memory is
     evaluated from rest, a law with a rate at zero rate. The pressure of an incompressible layer is a traction along n.
     """
-    if law.traits.varies or not law.traits.in_ufl:
+    if law.traits.varies or law.fields or not law.traits.in_ufl:
         return None
     director = np.pad(n, (0, 3 - len(n))) if law.traits.compiled else n
     N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])

@@ -108,11 +108,14 @@ class Maxwell(BulkLaw):
     quadratic: ClassVar = True
     stiffness = isotropic_stiffness
 
+    def __post_init__(self) -> None:
+        if self.t2 is None:
+            object.__setattr__(self, "t2", self.t1)
+        super().__post_init__()
+
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
         positive(self, "t1")
-        if self.t2 is None:
-            object.__setattr__(self, "t2", self.t1)
         nu = self.lmbda / (2 * (self.lmbda + self.mu))
         bound = 3 * nu * self.t1 / (1 + nu)
         allowed = f"> 0 and >= 3 nu t1/(1 + nu) = {bound:g}"

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from forms.base import is_number
 from forms.elastic import LinearElastic, isotropic_stiffness, require_moduli
+from forms.fields import Parameter
 from forms.kernel import KernelLaw
 from forms.law import LawError, positive
 from forms.plastic import require_hardening
@@ -58,10 +59,10 @@ class VonMises(KernelLaw):
     stiffness = isotropic_stiffness
 
     @classmethod
-    def young(cls, E: float, nu: float, strength: float, **hardening: Any) -> VonMises:
-        """The law with Young's modulus E > 0 (stress; in a layer per thickness) and Poisson's ratio -1 < nu < 1/2."""
+    def young(cls, E: Parameter, nu: Parameter, strength: Parameter, **hardening: Any) -> VonMises:
+        """The law with Young's modulus and Poisson's ratio, see `LinearElastic.young`."""
         elastic = LinearElastic.young(E, nu)
-        return cls(elastic.lmbda, elastic.mu, strength, **hardening)
+        return cls(elastic.lmbda, elastic.mu, strength, **hardening)  # type: ignore[arg-type]
 
     def check(self) -> None:
         require_moduli(self, self.lmbda, self.mu)
@@ -72,6 +73,7 @@ class VonMises(KernelLaw):
         """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
         if not (is_number(ease) and 0 <= ease <= 1):
             raise LawError(f"{type(self).__name__}: ease is {ease!r}; allowed: 0 to 1")
-        own = self.kinematic / (self.kinematic + 3 * self.mu)
-        share = min(max(own, LEAST_FRACTION) ** (1 - ease), MOST_FRACTION)
-        return self.with_parameters({"kinematic": 3 * self.mu * share / (1 - share) if ease else self.kinematic})
+        if not ease:
+            return self
+        share = min(LEAST_FRACTION ** (1 - ease), MOST_FRACTION)
+        return self.with_parameters({"kinematic": self.kinematic + 3 * self.mu * share / (1 - share)})

@@ -53,7 +53,9 @@ class Term:
         traits = self.law.traits
         if not traits.linear or traits.remembers or traits.rate:
             return False
-        return all(isinstance(self._unstrained(law.in_space), Zero) for _, law in self.law.sublayers)
+        laws = [law.in_space for _, law in self.law.sublayers]
+        numbered = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for law in laws]
+        return all(isinstance(self._unstrained(law), Zero) for law in numbered)
 
     def _unstrained(self, law: BulkLaw) -> Expr:
         n = lift(self.n) if self.n is not None and self.law.traits.compiled else self.n
@@ -113,14 +115,31 @@ def of_jumps(law: BulkLaw, sides: Interface, kinematics: Kinematics = LIFTED) ->
     )
 
 
-def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0, kinematics: Kinematics = LIFTED) -> list[Term]:
+def surface(
+    law: BulkLaw,
+    sides: Interface,
+    eps: Expr,
+    order: int = 0,
+    kinematics: Kinematics = LIFTED,
+    relaxed: BulkLaw | None = None,
+) -> list[Term]:
     """A layer's law on S.
 
     Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
     e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
     e1 = `BulkLaw.gradient` of sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the
     thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+
+    Args:
+        law: the law, with real parameters.
+        sides: the sides of S.
+        eps: the thickness.
+        order: of the interface law.
+        kinematics: of the displacements.
+        relaxed: the law whose `gradient` is taken (default: `law`), with expressions on S where the law's parameters are
+            functions.
     """
+    relaxed = relaxed or law
 
     def jump_part(u: Expr) -> Expr:
         return jump_strain(sides.jump(u), sides.n) / eps
@@ -131,7 +150,7 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0, kinematic
     def at(z: float) -> Callable[[Expr], Expr]:
         def point_strain(u: Expr) -> Expr:
             upper, lower = (kinematics.along(u, side, sides.n) for side in (sides.upper, sides.lower))
-            return jump_part(u) + (upper + lower) / 2 + z * law.gradient(upper - lower, sides.n)
+            return jump_part(u) + (upper + lower) / 2 + z * relaxed.gradient(upper - lower, sides.n)
 
         return point_strain
 
@@ -142,7 +161,7 @@ def surface(law: BulkLaw, sides: Interface, eps: Expr, order: int = 0, kinematic
 def stress(term: Term, u: Expr) -> Expr:
     """The stress (3, 3) of a term's law at displacements u."""
     with explained(term.law, "stress"):
-        return shaped(term.law, "stress", term.law.stress(term.step(u)), (3, 3))
+        return term.kinematics.seen(shaped(term.law, "stress", term.law.stress(term.step(u)), (3, 3)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:

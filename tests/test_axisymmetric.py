@@ -107,7 +107,11 @@ def _of_point(law, a, axial, hoops=None):
     from tests.at_points import respond
 
     real, n = law.in_layer(EPS), np.array([[0.0, 1.0, 0.0]])
-    e, q, old = np.array([[a, axial, a if hoops is None else hoops, 0, 0, 0]]), np.zeros((1, 6)), np.zeros((1, 6))
+    e, q, old = (
+        np.array([[a, axial, a if hoops is None else hoops, 0, 0, 0]]),
+        np.zeros((1, law.memory)),
+        np.zeros((1, 6)),
+    )
     for share in (0.5, 1.0):
         answer = respond(real, share * e, old, q, n)
         q, old = answer.q, share * e
@@ -220,7 +224,7 @@ def _rods(**options):
         (lambda: structure(sandwich(1, 1, 1, 0.5, depth=0.5), {}), "plane='axisymmetric' needs a two-dimensional joint"),
         (lambda: _tubes().full(ThinLayer(GLUE, EPS)), r"cannot move away from its axis; use bodies='extended'"),
         (lambda: _tubes().interface(ThinLayer(GLUE, EPS, order=1)), "order=1 needs an S across the axis"),
-        (lambda: solve(structure(rods(), {"LEFT": {"x": 0.1}, "BOTTOM": 0}).bonded()), "prescribes x = 0.1 on the axis"),
+        (lambda: solve(structure(rods(), {"LEFT": {"x": 0.1}, "BOTTOM": 0}).bonded()), "on the axis of revolution x = 0"),
         (lambda: _rods(tractions={"LEFT": (1.0, 0.0)}).bonded(), "are the axis of revolution"),
         (lambda: _rods(parts=[Springs("LEFT", normal=1.0)]).bonded(), "springs on 'LEFT': these facets are the axis"),
         (lambda: _tubes(strain=((0, 0), (0, 1))), "a mean strain or stress is for periodic cells"),

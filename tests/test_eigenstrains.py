@@ -1,13 +1,13 @@
 """Eigenstrains of bodies: free and confined expansion, in-situ stress, energies in time, contact, cells; refusals."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Stack
+from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Stack, VonMises
 from forms.law import BulkLaw
 from geometry import block, periodic, sandwich
 from tests.dry_walls import dry_wall
@@ -88,6 +88,38 @@ def test_a_strip_in_plane_strain_is_stressed_across_the_plane_alone():
     assert state.u.x.array.reshape(-1, 2)[top] == pytest.approx(corner.ravel(), rel=1e-12)
     flat = solve(Structure(FLAT, body=LAW, supports=AT_REST, eigenstrain=SHEARED, plane="stress").bonded())
     assert largest_stress(flat) + flat.energies()["bodies"] < 1e-12
+
+
+def test_a_hollow_cylinder_expands_freely():
+    """Its radii and its height grow by the expansion; unequal expansion of hoops alone is no strain of displacements."""
+    tube = replace(FLAT, points=np.add(FLAT.points, (1.0, 0.0)))
+    data = {"body": LAW, "supports": {(1.0, -0.5): {"y": 0.0}}, "plane": "axisymmetric"}
+    state = solve(Structure(tube, eigenstrain=4e-3, **data).bonded())
+    assert state.energies()["bodies"] < 1e-20
+    x = state.model.V.tabulate_dof_coordinates()
+    assert state.u.x.array[::2] == pytest.approx(4e-3 * x[:, 0], rel=1e-10)
+    hoops = np.diag([0.0, 0.0, 4e-3])
+    assert solve(Structure(tube, eigenstrain=hoops, **data).bonded()).energies()["bodies"] > 1e-5
+
+
+@pytest.mark.parametrize("plane", ["strain", "stress", "axisymmetric"])
+def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
+    """As a linear one below their strength, also what is across the plane; beyond it they carry no more."""
+    tube = replace(FLAT, points=np.add(FLAT.points, (1.0, 0.0)))
+    hot = ThermalExpansion((1e-3, 2e-3, 4e-3), lambda x, t: t * (1 + x[0]))
+    found = {}
+    for law in (
+        LAW,
+        VonMises(LAW.lmbda, LAW.mu, strength=9.0),
+        VonMises(LAW.lmbda, LAW.mu, strength=0.04, hardening=1.0),
+    ):
+        data = {"body": law, "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.01}}, "plane": plane, "eigenstrain": hot}
+        state = march(Structure(tube, **data).bonded(), [0.5, 1.0]).last
+        assert abs(state.audit.imbalance) < 1e-8
+        found[law] = state.energies()["bodies"]
+    linear, strong, weak = found.values()
+    assert strong == pytest.approx(linear, rel=1e-8)
+    assert weak < 0.7 * linear
 
 
 # ---------------------------------------------------------------- confined

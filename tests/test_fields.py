@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import pyvista
 
-from forms import LinearElastic, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
+from forms import LinearElastic, Maxwell, MohrCoulombMonodirectional, NonMonotoneUnrelaxed, Stack
 from geometry import sandwich
 from tests.fields_run import (
     BODY,
+    CASES,
     EPS,
     SIZE,
     STRESS,
@@ -56,9 +57,6 @@ def packed(stress, nu):
     if len(stress) == 2:
         whole[2, 2] = nu * np.trace(stress)
     return np.array([whole[i, j] for i, j in SIX])
-
-
-CASES = [(2, "triangle", "P1"), (2, "quadrilateral", "S2"), (3, "tetrahedron", "P2"), (3, "hexahedron", "Q1")]
 
 
 @pytest.mark.parametrize(("d", "cell_type", "element"), CASES)
@@ -162,6 +160,29 @@ def _means(block, name):
 def centres_of(block):
     """First coordinate of the centres of facets in 2D."""
     return block.points[block.cells_dict[4]][:, [0, -1], 0].mean(axis=1)
+
+
+def test_stresses_of_laws_with_memory(written):
+    """A body and a meshed layer that relax, confined: the load across, the same along both axes, von Mises accordingly."""
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    bodies = {"LOWER": Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55), "UPPER": BODY}
+    structure = Structure(joint, body=bodies, supports=rollers, tractions={"TOP": (0.0, -0.3)})
+    slow = Maxwell(lmbda=3.0, mu=2.0, t1=0.4, t2=0.35)
+    found = written(march(structure.full(ThinLayer(slow, EPS)), [0.2, 0.5]))
+    elastic = -0.3 * BODY.lmbda / (BODY.lmbda + 2 * BODY.mu)
+    upper = found["bodies"]["region"] == list(found["bodies"].field_data["regions"]).index("UPPER")
+    for stress, relaxed in (
+        (found["bodies"]["stress"][upper], False),
+        (found["bodies"]["stress"][~upper], True),
+        (found["layer"]["stress"], True),
+    ):
+        assert stress[:, 1] == pytest.approx(-0.3, rel=1e-8)
+        assert stress[:, 0] == pytest.approx(stress[:, 2], rel=1e-8)
+        assert np.abs(stress[:, 3:]).max() < 1e-9
+        assert (np.abs(stress[:, 0] - elastic).min() > 1e-3) == relaxed
+    for block in found:
+        assert block["von Mises"] == pytest.approx(np.abs(block["stress"][:, 1] - block["stress"][:, 0]), rel=1e-7)
 
 
 def test_phases_are_on_facets(written):

@@ -107,7 +107,7 @@ def tagged(grid, dim, value):
 class Blocks:
     """Two blocks of height 1/2 and a layer between them, 2 long."""
 
-    def __init__(self, kind: str, degree: int, upper=UPPER) -> None:
+    def __init__(self, kind: str, degree: int, upper=UPPER, plane: str = "strain") -> None:
         self.kind, self.d = kind, 3 if kind in ("tetrahedron", "hexahedron") else 2
         ghosts, cell = mesh.GhostMode.shared_facet, KINDS[kind]
         if self.d == 2:
@@ -118,13 +118,17 @@ class Blocks:
             self.grid = mesh.create_box(MPI.COMM_WORLD, box, (4, 2, 2), cell, ghost_mode=ghosts)
         self.cells = tagged(self.grid, self.d, lambda x: np.where(x[:, 1] > 0.5, UPPER, LOWER))
         self.facets = tagged(self.grid, self.d - 1, lambda x: np.where(abs(x[:, 1] - 0.5) < 1e-9, LAYER, -1))
-        self.broken = BrokenMesh(self.grid, self.cells, self.facets, {LAYER: upper})
+        self.broken = BrokenMesh(self.grid, self.cells, self.facets, {LAYER: upper}, plane)
         self.V = self.broken.space(("Lagrange", degree, (self.d,)))
         self.u, self.move = fem.Function(self.V), fem.Constant(self.grid, np.zeros(self.d))
         self.bcs = [
             fem.dirichletbc(value, fem.locate_dofs_geometrical(self.V, lambda x, y=y: np.isclose(x[1], y)), self.V)
             for y, value in ((0, np.zeros(self.d)), (1, self.move))
         ]
+        if plane == "axisymmetric":
+            axis = mesh.locate_entities_boundary(self.grid, 1, lambda x: np.isclose(x[0], 0))
+            sub = self.V.sub(0)
+            self.bcs.append(fem.dirichletbc(0.0, fem.locate_dofs_topological(sub, 1, axis), sub))
         self.v = ufl.TestFunction(self.V)
         self.rest = ufl.inner(fem.Constant(self.grid, np.zeros(self.d)), self.v) * ufl.dx
         self.dx = ufl.Measure("dx", domain=self.grid, subdomain_data=self.cells)
@@ -185,23 +189,29 @@ MOVES = {
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"),
+    ("kind", "name", "plane"),
     [
-        ("triangle", "Mohr-Coulomb"),
-        ("quadrilateral", "Norton"),
-        ("triangle", "two sublayers"),
-        ("quadrilateral", "elastic, order 1"),
-        ("tetrahedron", "Norton"),
-        ("hexahedron", "Mohr-Coulomb"),
+        ("triangle", "Mohr-Coulomb", "strain"),
+        ("quadrilateral", "Norton", "strain"),
+        ("triangle", "two sublayers", "strain"),
+        ("quadrilateral", "elastic, order 1", "strain"),
+        ("tetrahedron", "Norton", "strain"),
+        ("hexahedron", "Mohr-Coulomb", "strain"),
+        ("triangle", "two sublayers", "stress"),
+        ("triangle", "Mohr-Coulomb", "axisymmetric"),
+        ("quadrilateral", "elastic, order 1", "axisymmetric"),
     ],
 )
-def test_same_as_a_model(kind, name):
+def test_same_as_a_model(kind, name, plane):
     """The same mesh, bodies, layer and steps, as a Model and in a script: displacements and energies."""
     law, eps = MOVES[name]
     layer, degree = ThinLayer(law, eps, order=int("order 1" in name)), 2 if kind != "hexahedron" else 1
-    blocks = Blocks(kind, degree)
-    moves = [np.array([0.004 * k, -0.001 * k, 0.002 * k][: blocks.d]) for k in (1, 2, 3)]
-    terms = [body(STONE, blocks.dx), *blocks.broken.layer(LAYER, layer)]
+    blocks = Blocks(kind, degree, plane=plane)
+    kinematics, along = blocks.broken.kinematics, 0.0 if plane == "axisymmetric" else 0.004
+    moves = [np.array([along * k, -0.001 * k, 0.002 * k][: blocks.d]) for k in (1, 2, 3)]
+    rule = {"quadrature_degree": 2 * degree + ("quad" in kind) * 2}
+    dx = blocks.dx if plane == "strain" else blocks.dx(metadata=rule)
+    terms = [body(kinematics.law(STONE), dx, kinematics), *blocks.broken.layer(LAYER, layer)]
     problem = blocks.solve(terms, moves, 0.5)
     top = dict(zip("xyz", [lambda x, t, k=k: 2 * t * moves[0][k] for k in range(blocks.d)], strict=False))
     options = {
@@ -209,7 +219,7 @@ def test_same_as_a_model(kind, name):
         "supports": {"BOTTOM": 0.0, "TOP": top},
         "element": f"{'PQ'['h' in kind[:1] or 'q' in kind[:1]]}{degree}",
     }
-    model = Structure(blocks.joint, **options).interface(layer)
+    model = Structure(blocks.joint, plane=plane, **options).interface(layer)
     history = march(model, [0.5, 1.0, 1.5])
     assert blocks.difference(history.last.u, model.domain.original_cells) < 1e-8
     if problem.compiled:

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import pyvista
 
 from forms import LinearElastic
 from geometry import sandwich
+from studies.tubes import lame
 from thinlayer import ArcLength, Structure, Surface, ThinLayer, march
 from thinlayer.running.catalogue import studies
 
@@ -26,7 +28,7 @@ SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[0], re.DOTALL
 @pytest.mark.parametrize("number", [0, 1], ids=["lap", "creep"])
 def test_script(tmp_path, number):
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
-    assert len(SCRIPTS) == len(tables) + 5 == 7
+    assert len(SCRIPTS) == len(tables) + 6 == 8
     (tmp_path / "script.py").write_text(SCRIPTS[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -94,6 +96,22 @@ def test_limit_script(printed_by):
     assert found[0] == pytest.approx(0.2 * math.cos(angle) - t_N * math.sin(angle), rel=2e-3)
 
 
+def test_results_script(printed_by):
+    """What is printed, and files that can be read."""
+    out = printed_by(7)
+    wanted = README.partition("## Results")[2].partition("![")[0].splitlines()
+    numbers = re.compile(r"-?\d+\.\d+")
+    for line in out.splitlines():
+        (printed,) = (one for one in wanted if numbers.sub("", one).split() == numbers.sub("", line).split())
+        found, there = ([float(x) for x in numbers.findall(one)] for one in (line, printed))
+        assert found == pytest.approx(there, rel=1e-2)  # another gmsh may mesh a little differently
+    for name in ("wall.pvd", "wall.gif", "along.png"):
+        assert Path(name).stat().st_size > 300, name
+    state = pyvista.get_reader("wall.pvd")
+    assert state.time_values == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert state.read()[0].keys() == ["bodies", "S"]
+
+
 def test_scripts_are_short():
     first, second, *_ = SCRIPTS
     assert len([line for line in first.splitlines() if line.strip()]) <= 20
@@ -106,6 +124,10 @@ def test_laws_of_the_documentation_work():
     names: dict = {}
     for block in re.findall(r"```python\n(.*?)```", (CLONE / "forms" / "README.md").read_text(), re.DOTALL):
         exec(block, names)
+    state, steel, glue = (names[name] for name in ("state", "steel", "glue"))
+    closed = lame((6.0, 11.9, 12.1, 18.0), (steel, glue, steel), (None, None), 50.0).displacement(0, 6.0)
+    assert state.energies()["loads"] / (2 * math.pi * 6 * 8 * 50) == pytest.approx(closed, rel=1e-3)
+    assert closed == pytest.approx(2.33e-3, abs=5e-6)
     assert names["history"].tractions[-1] == pytest.approx([0.3 * math.cos(math.pi / 6) + 0.5, -1.0], rel=1e-3)
     body, pull = LinearElastic.young(100.0, 0.3), {"TOP": lambda x, t: (t, 0.0)}
     supports = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}

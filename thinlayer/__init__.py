@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.layer_report import LayerReport
+    from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
     from thinlayer.parts.contact import ContactPart
@@ -61,6 +62,7 @@ _NAMES = {
     "output.contact_report": ["ContactReport"],
     "output.homogenised": ["homogenised_stiffness"],
     "output.layer_report": ["LayerReport"],
+    "output.probe": ["Probe"],
     "output.surface": ["Surface"],
     "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],

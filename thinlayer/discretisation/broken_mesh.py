@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import basix.ufl
@@ -12,12 +13,16 @@ import numpy.typing as npt
 import ufl
 from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
+from mpi4py import MPI
 
 from forms.law import LawError
+from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
-from forms.work import LIFTED, Interface, Term, surface
+from forms.work import Interface, Term, surface
+from geometry.errors import unknown
 from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
+from thinlayer.discretisation.axis import ON_AXIS
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import ThinLayer, constants, real_law
@@ -47,9 +52,13 @@ class BrokenMesh:
 
             The side decides the sign of reported jumps and tractions, and which sublayer of a `Stack` is the lower one. S
             on the boundary of the mesh is a rigid base: the body is above it.
+        plane: "strain", "stress" or "axisymmetric", see `Structure`; a body's term is then `forms.work.body(
+            mesh.kinematics.law(law), measure, mesh.kinematics)`, loads have the factor `mesh.kinematics.factor`, and
+            conditions hold u_x = 0 on the axis.
 
     Attributes:
         mesh, bodies, facet_tags: as given.
+        kinematics: strains of displacements, and the factor of measures.
         dS: measure of the facets between bodies, dS(value); "+" is the upper side. DOLFINx allows one set of tags
             for all integrals dS of a form: use this measure for other terms on facets of S in it, too.
 
@@ -59,8 +68,14 @@ class BrokenMesh:
     """
 
     def __init__(
-        self, mesh: Mesh, bodies: MeshTags, facet_tags: MeshTags, S: int | Iterable[int] | Mapping[int, Upper]
+        self,
+        mesh: Mesh,
+        bodies: MeshTags,
+        facet_tags: MeshTags,
+        S: int | Iterable[int] | Mapping[int, Upper],
+        plane: str = "strain",
     ) -> None:
+        self.kinematics = self._kinematics(mesh, plane)
         self.mesh, self.bodies, self.facet_tags, self.comm = mesh, bodies, facet_tags, communicator(mesh)
         self._dim = mesh.topology.dim
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
@@ -87,6 +102,16 @@ class BrokenMesh:
         data = [(tag, rows.ravel()) for tag, rows in self._sides.items()]
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
         self._tags = tuple(rules)
+
+    @staticmethod
+    def _kinematics(mesh: Mesh, plane: str) -> Kinematics:
+        if plane not in PLANES or (mesh.geometry.dim == 3 and plane != "strain"):
+            raise ModelError(f"{unknown('plane', plane, PLANES)}; in three dimensions there is none")
+        kinematics, x = PLANES[plane], mesh.geometry.x
+        behind = communicator(mesh).allreduce(float(kinematics.radius(x).min(initial=0.0)), MPI.MIN)
+        if behind < -ON_AXIS * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
+            raise ModelError(f"plane={plane!r}: x is the distance from the axis, and the mesh has x = {behind:g} < 0")
+        return kinematics.on(mesh)
 
     # ---------------------------------------------------------------- what users ask for
     def space(self, element: Any) -> fem.FunctionSpace:
@@ -126,14 +151,17 @@ class BrokenMesh:
             raise LawError(
                 f"the layer is {layer!r}; allowed: a ThinLayer or TractionLaw; a ContactLaw is for ContactPart"
             )
-        law, thin = real_law(layer, LIFTED), layer if isinstance(layer, ThinLayer) else None
+        law, thin = real_law(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
         sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
         if thin and thin.profile is not None:
             eps = eps * sides.upper(self._relative_thickness(thin.profile))
-        return surface(law if law.traits.compiled else constants(law, self.mesh), sides, eps, thin.order if thin else 0)
+        if law.fields and thin and thin.order and law.traits.relaxes:
+            raise LawError(f"order=1 of {type(law).__name__} with parameters that are functions: use it in a Model")
+        known = law.for_points() if law.fields else law if law.traits.compiled else constants(law, self.mesh)
+        return surface(known, sides, eps, thin.order if thin else 0, self.kinematics)
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
         """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.
@@ -153,8 +181,9 @@ class BrokenMesh:
             )
         facets = self._owned(tag)
         if tag in self._bases:
-            return ContactSurface.on_rigid_base(V, self.comm, facets)
-        return ContactSurface(V, self.comm, facets, self._sides[tag][:, 0], self._sides[tag][:, 2])
+            return replace(ContactSurface.on_rigid_base(V, self.comm, facets), kinematics=self.kinematics)
+        upper, lower = self._sides[tag][:, 0], self._sides[tag][:, 2]
+        return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
 
     def _require(self, tag: int) -> None:
         if tag not in self._tags:

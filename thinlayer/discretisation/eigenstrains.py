@@ -16,6 +16,7 @@ from ufl.conditional import Condition
 from forms.base import is_finite, is_number
 from forms.kinematics import MANDEL, ROOT2, Expr
 from forms.law import BulkLaw
+from forms.planes import Kinematics
 from forms.tangent import tangent_at_rest
 from thinlayer.discretisation.given import summed
 from thinlayer.discretisation.loads import Coordinates, called, has_finite_numbers
@@ -34,16 +35,16 @@ class Matter:
 
     Attributes:
         name: for messages.
-        law: its law, with real parameters; in plane stress the law of strains in the plane.
+        law: its law, with real parameters, for these kinematics.
         n: the mean normal of S, (d,).
-        plane: "strain" or "stress".
+        kinematics: strains of displacements.
         at: coordinates and time.
     """
 
     name: str
     law: BulkLaw
     n: Array
-    plane: str
+    kinematics: Kinematics
     at: Coordinates
 
     def rows(self, value: Any, what: str) -> Rows:
@@ -173,7 +174,8 @@ class Prestress(Eigenstrain):
     Attributes:
         sigma: stress, tension > 0: a number (that times the identity), a symmetric table (3, 3), or a function (x, t).
             In two dimensions also (2, 2): sigma_33 is then the one of plane strain, lmbda/(2 (lmbda + mu)) (s_11 + s_22)
-            for isotropic laws, or zero in plane stress, where nothing else is allowed.
+            for isotropic laws, or zero in plane stress, where nothing else is allowed; bodies of revolution need (3, 3),
+            with the stress of hoops.
     """
 
     sigma: Tensor
@@ -181,7 +183,7 @@ class Prestress(Eigenstrain):
     def components(self, matter: Matter) -> Rows:
         """As in `Eigenstrain`."""
         sigma = matter.rows(self.sigma, "the prestress")
-        if matter.plane == "stress":
+        if matter.kinematics.name == "stress":
             out = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
             if any(not isinstance(c, float) or c for c in out):
                 raise ModelError(
@@ -189,6 +191,8 @@ class Prestress(Eigenstrain):
                     "(2, 2)"
                 )
             sigma = [row[:2] for row in sigma[:2]]
+        if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
+            raise ModelError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
         k = len(sigma)
         slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < k]
         inverse = self._compliance(matter, slots)
@@ -249,23 +253,18 @@ def given_strain(given: Any, matter: Matter) -> Expr | None:
     """
     if given is None:
         return None
-    found = summed(*(_negative(one.components(matter), matter) for one in eigenstrains(given)))
+    strains = (_negative(one.components(matter), matter) for one in eigenstrains(given))
+    found = matter.kinematics.seen(summed(*strains))
     zero = all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3))
     return None if zero else found
 
 
 def _negative(rows: Rows, matter: Matter) -> Expr:
-    """Minus a table as UFL; in plane stress the strains in the plane alone, as its laws have it.
-
-    Numbers are constants, so that forms are compiled once for all of them; zeros are known as such.
-    """
+    """Minus a table as UFL. Numbers are constants, so that forms are compiled once for all of them; zeros are known."""
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
     constant = fem.Constant(matter.at.mesh, numbers)
-    k = 2 if matter.plane == "stress" else 3
 
     def entry(i: int, j: int) -> Expr:
-        if max(i, j) >= k:
-            return ufl.as_ufl(0.0)
         if isinstance(rows[i][j], float):
             return constant[i, j] if numbers[i, j] else ufl.as_ufl(0.0)
         return -rows[i][j]

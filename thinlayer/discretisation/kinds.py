@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cached_property, partial
 from typing import Self
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
@@ -22,10 +23,11 @@ from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
-from thinlayer.discretisation.joint_fields import director, relative_thickness
+from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, gaps_of, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
+from thinlayer.discretisation.placed import known_at
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
@@ -59,7 +61,7 @@ class LayeredModel(Model):
         new._lay(layer, partial(new._check_beside, self))
         with on_all(self.comm):
             new.given_on = {name: one.given(self.coordinates) for name, one in new.layers.items()}
-        new.layer_terms = new._strained(new._layer_terms())
+        new.layer_terms = new._strained(new._terms_of_layers())
         with on_all(self.comm):
             new.forces = new._forces(new.structure)
             if new.strain or new.stress:
@@ -211,7 +213,7 @@ class FullModel(LayeredModel):
             sublayers = real_law(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 law = law if law.traits.compiled else constants(law, mesh)
-                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule)
+                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule(self.dx))
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
@@ -285,13 +287,14 @@ class InterfaceModel(LayeredModel):
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
         mesh, law, layer = self.domain.mesh, real_law(one.layer, self.kinematics), one.thin
-        law = law if law.traits.compiled else constants(law, mesh)
+        relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
+        law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)
-        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule))
+        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule(sides.measure)))
         if layer is None:
             return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
         eps = self._thickness(one.name, layer, sides)
-        terms = forms.surface(law, sides, eps, layer.order, self.kinematics)
+        terms = forms.surface(law, sides, eps, layer.order, self.kinematics, relaxed)
         return [replace(term, key=one.key, given=self.given_on[one.name]) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
@@ -306,6 +309,16 @@ class InterfaceModel(LayeredModel):
         assert one.thin is not None
         eps = self._thickness(one.name, one.thin, sides)
         return [Weighted(sides.measure, eps, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2)]
+
+    def _relaxed(self, law: BulkLaw, one: SeamLayer) -> BulkLaw:
+        """The law with parameters that are functions as expressions on S, linear between vertices, for `gradient`."""
+        joint, upper, on_s = self.joint, self.sides_of(one.name).upper, {}
+        vertices = np.unique(joint.table.vertices[joint.rows_of(one.name)])
+        for name, found in law.fields_at(joint.points[vertices].T).items():
+            values = np.full(len(joint.points), found[0])  # elsewhere without meaning
+            values[vertices] = found
+            on_s[name] = upper(cellwise(self.domain, ("Lagrange", 1), values[joint.corners][..., None]))
+        return known_at(law, self.domain.mesh, on_s)
 
 
 class BondedModel(Model):

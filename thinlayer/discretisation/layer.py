@@ -155,5 +155,8 @@ def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:
 
 
 def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """A law whose parameters are Constants, so that forms are compiled once for all their values."""
-    return law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
+    """A law whose parameters are Constants, so that forms are compiled once for all their values.
+
+    A law with parameters that are functions is given back as it is: `placed` makes what forms need.
+    """
+    return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))

@@ -35,6 +35,7 @@ from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
+from thinlayer.discretisation.placed import placed
 from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
 from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.reactions import on_centre
@@ -110,7 +111,7 @@ class Model(ABC):
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         self.bodies = [term for names in self._alike() for term in self._body_terms(names)]
-        self.layer_terms = self._layer_terms()
+        self.layer_terms = self._terms_of_layers()
         with on_all(self.comm):
             self.forces = self._forces(structure)
         with on_all(self.comm):
@@ -150,7 +151,7 @@ class Model(ABC):
     def _given(self, name: str) -> Expr | None:
         """The strain that is added to that of the displacements in a body: less its eigenstrain; None: there is none."""
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
-        body = Matter(f"the body {name!r}", law, n, self.kinematics.name, self.coordinates)
+        body = Matter(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return given_strain(self.structure.eigenstrains.get(name), body)
 
     def _alike(self) -> list[list[str]]:
@@ -167,8 +168,12 @@ class Model(ABC):
             law, some = constants(law, self.domain.mesh), {"": names}
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
-        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule) for key, here in some.items()}
-        return [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
+        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
+        each = [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
+        return [placed(term, self.V, self.origin) for term in each]
+
+    def _terms_of_layers(self) -> list[forms.Term]:
+        return [placed(term, self.V, self.origin) for term in self._layer_terms()]
 
     def _supports(self, given: Given) -> Supports:
         return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
@@ -321,12 +326,11 @@ class Model(ABC):
         return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
 
     # ---------------------------------------------------------------- where laws act
-    @property
-    def _rule(self) -> dict[str, Any]:
+    def _rule(self, measure: ufl.Measure) -> dict[str, Any]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
-        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx) + self.kinematics.degree}}
+        return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
         """The terms of layers, of meshed ones with the mean strain of a periodic cell."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -76,8 +77,18 @@ class SeamLayer:
         return Sheet(self.structure.joint, self.name)
 
     @cached_property
+    def samples(self) -> list[SeamLayer]:
+        """The layer itself; where parameters are functions, with numbers where one is smallest or largest along S."""
+        if not (self.thin and self.thin.law.fields):
+            return [self]
+        joint = self.structure.joint
+        facets = joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1)
+        laws = self.thin.law.samples(facets.T)
+        return [SeamLayer(self.name, replace(self.thin, law=law), self.structure) for law in laws]
+
+    @cached_property
     def at_rest(self) -> AtRest:
-        """The law at rest, of a layer without contact."""
+        """The law at rest, of a layer without contact; its parameters are numbers (`samples`)."""
         return AtRest(real_law(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def given(self, at: Coordinates) -> Expr | None:
@@ -85,7 +96,7 @@ class SeamLayer:
         if self.thin is None:
             return None
         kinematics = self.structure.kinematics
-        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics.name, at)
+        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics, at)
         return given_strain(self.thin.eigenstrain, matter)
 
     def check(self) -> None:
@@ -109,9 +120,10 @@ class SeamLayer:
                     f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"
                 )
             joint.relative_thickness(self.thin.profile, self.name)  # a user's function, may fail on one rank alone
-        if self.thin and self.thin.order == 1:
-            self.at_rest.require_no_locking()
-        self.at_rest.require_stable()
+        for one in self.samples:
+            if one.thin and one.thin.order == 1:
+                one.at_rest.require_no_locking()
+            one.at_rest.require_stable()
 
     def _check_order_1(self) -> None:
         if self.structure.degree != 2:
@@ -148,13 +160,14 @@ class SeamLayer:
     def zero_tractions(self, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
         """Which tractions are zero because supports of both bodies hold the jump at zero, see `AtRest.zero_tractions`.
 
-        All are False for contact laws, for layers with an eigenstrain, and for order 1, whose tractions also depend on
-        gradients along S.
+        All are False for contact laws, for layers with an eigenstrain, for order 1, whose tractions also depend on
+        gradients along S, and where parameters are functions.
 
         Args:
             moving: whether supports move in time.
         """
-        if self.contact or (self.thin and (self.thin.order or self.thin.eigenstrain is not None)):
+        thin = self.thin
+        if self.contact or (thin and (thin.order or thin.eigenstrain is not None or thin.law.fields)):
             return np.zeros(self.structure.joint.dim, bool), False
         return self.at_rest.zero_tractions(self.sheet.planar, moving)
 

@@ -73,7 +73,7 @@ class Setup:
             self._check_choices()
             self.body_laws = self._laws_of(body)
             self.eigenstrains = self._by_body(eigenstrain)
-            for law, C in zip(self.body_laws.values(), self.bodies_at_rest, strict=True):
+            for law, C in zip(self._bodies_with_numbers, self.bodies_at_rest, strict=True):
                 require_stable_body(law, C, self.kinematics.slots(joint.dim))
         self.mark = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
@@ -109,8 +109,17 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        laws = [self.kinematics.law(law) for law in self.body_laws.values()]
+        laws = [self.kinematics.law(law) for law in self._bodies_with_numbers]
         return [tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n) for law in laws]
+
+    @cached_property
+    def _bodies_with_numbers(self) -> list[BulkLaw]:
+        """The laws of the bodies; where parameters are functions, those at the cells where one is smallest or largest."""
+        joint, found = self.joint, []
+        for name, law in self.body_laws.items():
+            cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
+            found += law.samples(joint.points[cells].mean(axis=1).T)
+        return found
 
     @property
     def size(self) -> float:

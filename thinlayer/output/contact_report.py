@@ -92,9 +92,9 @@ class ContactReport:
         law = model.contacts[seam]
         held = np.union1d(model.supports.held(model.V), model.held_in(model.V))
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
-        nodes = ContactNodes(ContactSurface.of(model, seam), model.prescribed.held)
+        nodes = ContactNodes(ContactSurface.of(model, seam), model.prescribed.held, gap=law.gaps)
         slip, d = state.memory[model.layers[seam].key], nodes.dim
-        w = nodes.jump(state.u.x.petsc_vec)
+        w = nodes.apart(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)
         threshold = law.threshold(p)
         kind = law.status(w, slip)

@@ -9,16 +9,20 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
+import ufl
+from dolfinx import fem
 
 from forms.declarations import SIZES
 from forms.kinematics import MANDEL, ROOT2, mandel
 from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.topology import IntArray
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms, quadratures
-from thinlayer.discretisation.state import State
-from thinlayer.pointwise.quadrature import Quadrature
+from thinlayer.discretisation.state import PRESSURE, State
+from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.quadrature import Quadrature, Region
 
 Array = npt.NDArray[np.float64]
 MEMORY = "memory"  # name of the internal values of a law that does not name them
@@ -47,10 +51,50 @@ class LawPoints:
         return self.quadrature.original[: len(self.quadrature.cells)]
 
     def stress(self) -> Array:
-        """Stresses (points, 3, 3); not a number where a compiled law has no stress that is known. Collective."""
-        if self.term.law.traits.compiled:
-            return np.full((self.quadrature.count, 3, 3), np.nan)
-        return tensors(self.quadrature.values(mandel(stress(self.term, self.state.u))))
+        """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective.
+
+        Components out of the plane of a compiled law that depends on strain rates are not known: they are NaN.
+        """
+        term, points = self.term, self.quadrature
+        known = (
+            self._of_compiled_law() if term.law.traits.compiled else points.values(mandel(stress(term, self.state.u)))
+        )
+        none = [k for k in range(len(MANDEL)) if k not in term.kinematics.stressed(points.dim)]
+        known[:, none] = 0.0
+        return tensors(known) + self._pressure()[:, None, None] * np.eye(3)
+
+    def _of_compiled_law(self) -> Array:
+        """Mandel's components (points, 6) of the stress that the state keeps, the others those of the law at its strain.
+
+        Nothing changes at the strain of the state, except stresses that depend on its rate.
+        """
+        law, points = self.term.law, self.quadrature
+        known = self.state.stresses.get(self.key, np.zeros((points.count, len(points.slots))))
+        whole = np.full((points.count, len(MANDEL)), np.nan)
+        if len(points.slots) < len(MANDEL) and not law.traits.rate and law.in_space is law:
+            e = points.values(mandel(self.term.step(self.state.u).e))
+            material = Material(points.comm, law)
+            if material.varies:
+                material.take_at(points.joint_x, self.state.t)
+            memory = self.state.memory.get(self.key, np.zeros((points.count, material.memory)))
+            whole = material.update(range(len(MANDEL)), e, e, memory, points.n, 0.0, 1.0)[0]
+        whole[:, points.slots] = known
+        return whole
+
+    def _pressure(self) -> Array:
+        """Pressure (points,) of an incompressible law, a part of its stress; else zero."""
+        if not self.term.law.traits.constrained:
+            return np.zeros(self.quadrature.count)
+        model, region = self.state.model, self.quadrature.region
+        same = [p for p in model.layer_terms if p.law.traits.constrained and p.strain == self.term.strain]
+        tags = tuple(tag for p in same for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
+        whole = Region(model.domain.mesh, same[0].measure.reconstruct(subdomain_id=tags))
+        own = PRESSURE + same[0].key.removeprefix(LAYER)
+        p = self.state.fields[own if own in self.state.fields else PRESSURE]
+        of_cells = p.x.array[p.function_space.dofmap.list][np.searchsorted(whole.parent, region.parent)]
+        here = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
+        here.x.array[here.function_space.dofmap.list] = of_cells
+        return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
 
     def internal(self) -> list[dict[str, Array]]:
         """Internal variables by name, (points, *shape), of each sublayer from the lower to the upper face of the layer."""
@@ -84,8 +128,8 @@ def _quadratures(model: Model) -> list[Quadrature]:
 
 def unpacked(law: BulkLaw, memory: Array) -> dict[str, Array]:
     """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
-    if not law.internal:
-        return {MEMORY: memory} if memory.shape[1] else {}
+    if sum(SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
+        return {MEMORY: memory}
     found, start = {}, 0
     for name, shape in law.internal.items():
         part = memory[:, start : start + SIZES[shape]]

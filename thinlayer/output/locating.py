@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from geometry.errors import place
+from geometry.errors import place, unknown
 from geometry.joint import Joint
+from geometry.seam import S
 from geometry.topology import IntArray, is_tensor, lagrange
 from thinlayer.errors import ModelError
 
@@ -68,13 +69,12 @@ class Located:
         located = cls(joint, found, point[inside], cell[inside], X[inside])
         missing = np.setdiff1d(np.arange(len(found)), located.point)
         if len(missing):
-            raise ModelError(
-                f"{len(missing)} of {len(found)} places are in no cell, the first at {place(found[missing[0]])}"
-            )
+            first = place(found[missing[0]])
+            raise ModelError(f"{len(missing)} of {len(found)} places are in no cell of the mesh, the first at {first}")
         return located
 
     def facets(self) -> tuple[IntArray, IntArray, IntArray]:
-        """(k,) each: positions among the cells found, rows of facets of S on which the places lie, and the side of the cell.
+        """(k,) each: positions among the cells found, rows of facets of S on which places lie, and the side of the cell.
 
         The side is 0 for the cell below a facet and 1 for that above it.
         """
@@ -98,15 +98,19 @@ class Located:
         at, row, side = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return at, row, side
 
-    def on_side(self, name: str) -> Located:
-        """The same with the cells on one side of S alone, for places on S; other places keep their cells.
+    def on_side(self, name: str, seam: str) -> Located:
+        """The same with the cells on one side of a seam ("S": of all) alone, for places on it; others keep their cells.
 
         Raises:
-            ModelError: no side; a rigid base, which has no cells below.
+            ModelError: no side; an unknown seam; a rigid base, which has no cells below.
         """
         if name not in SIDES:
             raise ModelError(f"side is {name!r}; allowed: lower, upper")
-        at, _, side = self.facets()
+        if seam not in (S, *self.joint.seams):
+            raise ModelError(unknown("seam", seam, self.joint.seams))
+        at, row, side = self.facets()
+        here = np.isin(row, self.joint.rows_of(seam))
+        at, side = at[here], side[here]
         wanted = np.unique(at[side == SIDES.index(name)])
         on_s = np.unique(self.point[at])
         without = np.setdiff1d(on_s, self.point[wanted])
@@ -120,7 +124,7 @@ class Located:
 
 
 def _pulled_back(joint: Joint, cells: IntArray, x: Array) -> Array:
-    """Coordinates (n, d) in the reference cell of places x (n, d) in cells (n,); something outside it where there are none."""
+    """Coordinates (n, d) in the reference cell of places x (n, d) in cells (n,), outside it for places elsewhere."""
     element, nodes = lagrange(joint.cell_type, joint.degree), joint.points[joint.cells[cells]]
     X = np.tile(basix.geometry(basix.CellType[joint.cell_type]).mean(axis=0), (len(x), 1))
     for _ in range(STEPS):

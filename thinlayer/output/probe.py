@@ -12,9 +12,10 @@ from scipy.spatial import cKDTree
 
 from geometry.errors import place
 from geometry.order import by_place
+from geometry.seam import S
 from geometry.topology import IntArray, is_tensor
 from thinlayer.discretisation.kinds import InterfaceModel
-from thinlayer.discretisation.places import BODY, LAYER
+from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError
 from thinlayer.output.law_points import LawPoints, law_points
@@ -33,8 +34,7 @@ class PointValues:
         key: of the law, see `Probe.names`.
         x: (n, d) places, ordered by cell or facet, then by place.
         values: (n, *shape).
-        weights: (n,) volumes or, on S, areas times the thickness that belong to the points: sums of weights times values are
-            integrals.
+        weights: (n,) volumes (on S: areas times thickness) of the points: sums of weights times values are integrals.
         entity: (n,) number in the joint of the cell, or row of its facet, of each point.
     """
 
@@ -46,7 +46,7 @@ class PointValues:
 
 
 class Probe:
-    """Displacements, stresses and internal variables of a state. Its methods are collective, with the same data on all ranks.
+    """Displacements, stresses and internal variables of a state. Methods are collective; all ranks get the same.
 
     Places are those of the model's mesh before it deforms: in a full model that with room for the layer.
 
@@ -63,40 +63,41 @@ class Probe:
         self.state, self._joint, self._comm = state, state.model.domain.joint, state.model.comm
 
     # ---------------------------------------------------------------- at places in bodies and meshed layers
-    def displacement(self, x: Any, *, side: str | None = None) -> Array:
+    def displacement(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
         """Displacements (n, d) at places (n, d), or (d,) at one.
 
         Args:
             x: places.
             side: of S, "lower" or "upper", for places on S, where displacements jump.
+            seam: name of the seam whose side is meant, for places where several meet; "S": all of them.
 
         Raises:
             ModelError: places outside the bodies and meshed layers; a place where displacements jump, without a side.
         """
-        located = self._located(x, side)
-        model, V = self.state.model, self.state.u.function_space
+        located = self._located(x, side, seam)
+        V = self.state.u.function_space
         d = self._joint.dim
         mine, local = self._local(located.cell)
         basis = V.ufl_element().basix_element.tabulate(0, located.X[mine])[0, :, :, 0]
-        nodal = cell_values(self.state.u, local).reshape(len(local), -1, d)
+        nodal = cell_values(self.state.u, local).reshape(len(local), basis.shape[1], d)
         u = self._summed(np.einsum("kn,knd->kd", basis, nodal), mine, len(located.cell))
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
         first = np.searchsorted(located.point, np.arange(len(located.x)))
         apart = np.abs(u - u[first[located.point]]).max(axis=1) > SAME * largest
         if apart.any():
             there = located.x[located.point[apart.argmax()]]
-            hint = "several bodies meet there" if side or not isinstance(model, InterfaceModel) else "give side="
+            hint = "several bodies meet there; give side= and seam=" if side else "give side="
             raise ModelError(f"displacements jump at {place(there)}: {hint}")
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
-    def stress(self, x: Any, *, side: str | None = None) -> Array:
+    def stress(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
         """Stresses (n, 3, 3) at places (n, d), or (3, 3) at one; arguments and errors as in `displacement`.
 
         In each cell they are the polynomial nearest to the stresses at the points of quadrature, of a degree below that of
         the displacements (on quadrilaterals and hexahedra of the same total degree). At a place in several cells they
         are the mean of the stresses there.
         """
-        located = self._located(x, side)
+        located = self._located(x, side, seam)
         total = np.zeros((len(located.cell), 9))
         for points in law_points(self.state):
             if points.quadrature.region.dim == self._joint.dim:
@@ -109,15 +110,15 @@ class Probe:
         out = (sums / counts[:, None]).reshape(-1, 3, 3)
         return out if np.ndim(x) > 1 else out[0]
 
-    def _located(self, x: Any, side: str | None) -> Located:
-        require_same(self._comm, places=np.asarray(x, object) if _is_ragged(x) else np.asarray(x), side=side)
+    def _located(self, x: Any, side: str | None, seam: str) -> Located:
+        require_same(self._comm, places=np.asarray(x, object) if _is_ragged(x) else np.asarray(x), side=side, seam=seam)
         with on_all(self._comm):
             located = Located.of(self._joint, x)
             if side is None:
                 return located
             if not isinstance(self.state.model, InterfaceModel):
                 raise ModelError("a side is for places on S of an interface model")
-            return located.on_side(side)
+            return located.on_side(side, seam)
 
     def _local(self, cells: IntArray) -> tuple[IntArray, IntArray]:
         """Positions among cells of the joint of those that this rank owns, and their local numbers."""
@@ -201,7 +202,7 @@ class Probe:
             ModelError: as in `points`; places where this law does not act.
         """
         found = self.points(name, key)
-        located = self._located(x, None)
+        located = self._located(x, None, S)
         if self._variables[found.key][name][0].quadrature.region.dim == self._joint.dim:
             at, entity = located.point, located.cell
         else:
@@ -239,8 +240,8 @@ def _found(numbers: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
 
 def _monomials(x: Array, degree: int) -> Array:
     """All monomials (n, k) of places (n, d) up to a total degree."""
-    columns = [np.ones(len(x))]
-    last = [(columns[0], 0)]
+    columns: list[Array] = [np.ones(len(x))]
+    last: list[tuple[Array, int]] = [(columns[0], 0)]
     for _ in range(degree):
         last = [(column * x[:, k], k) for column, first in last for k in range(first, x.shape[1])]
         columns += [column for column, _ in last]

@@ -92,6 +92,10 @@ def drive(
         raise ModelError(
             f"the law of a point is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw"
         )
+    if law.fields:
+        raise ModelError(
+            f"{type(law).__name__}: {next(iter(law.fields))} is a function of the place; a point needs a number"
+        )
     if law.traits.varies:
         raise ModelError(f"{type(law).__name__} at a point needs a temperature that is a number, not a field")
     if isinstance(steps, (str, Mapping)) or not isinstance(steps, Iterable):

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from forms.fields import number_of
 from forms.law import BulkLaw, LawError
 from forms.planes import Kinematics
 from thinlayer.compiling.compiled import library
@@ -74,9 +75,9 @@ class Material:
         """
         columns = []
         for _, law in self._current.sublayers:
-            varying = _varying(law, x, t) if law.traits.varies else {}
+            varying = law.fields_at(x) if law.fields else _varying(law, x, t) if law.traits.varies else {}
             for name, value in law.parameters().items():
-                fixed = np.broadcast_to(np.ravel(np.asarray(value, float)), (x.shape[1], np.size(value)))
+                fixed = np.broadcast_to(np.ravel(number_of(value)), (x.shape[1], np.size(value)))
                 columns.append(varying[name][:, None] if name in varying else fixed)
         self.parameters = np.ascontiguousarray(np.hstack(columns))
 

@@ -145,7 +145,8 @@ class Quadrature:
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         self.term, self.origin = term, origin
         metadata = dict(term.measure.metadata())
-        self.degree = metadata.setdefault("quadrature_degree", quadrature_degree(V, term.measure))
+        degree = quadrature_degree(V, term.measure) + term.kinematics.degree
+        self.degree = metadata.setdefault("quadrature_degree", degree)
         self.region = Region(V.mesh, term.measure)
         self.comm = origin.comm if origin else communicator(V.mesh)
         self.measure = term.measure.reconstruct(metadata=metadata)

@@ -58,8 +58,8 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
 
 
 def _thin(model: Model) -> list[SeamLayer]:
-    """The layers of an interface model whose laws are of strains."""
-    return [one for one in model.layers.values() if one.thin] if model.broken else []
+    """The layers of an interface model whose laws are of strains, several times where parameters are functions."""
+    return [sample for one in model.layers.values() if one.thin for sample in one.samples] if model.broken else []
 
 
 def _warn_of_facets(model: Model, one: SeamLayer) -> None:

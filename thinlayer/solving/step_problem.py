@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from forms.work import Term, work
 from thinlayer.discretisation.places import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import ModelError, SolveError
+from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.forms import FormPart
@@ -76,6 +78,7 @@ class StepProblem(PartSum):
         for term in terms:
             if term.law.traits.constrained:
                 raise LawError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
+        terms = [replace(term, law=term.law.for_points()) if term.law.fields else term for term in terms]
         compiled = compiled_terms(terms)
         _check(parts, {"forms", *compiled})
         in_form = [term for term in terms if not term.law.traits.compiled]
@@ -83,6 +86,9 @@ class StepProblem(PartSum):
         of_form = FormPart("forms", u, F=residual)
         super().__init__([of_form, *(CompiledPart(key, V, term) for key, term in compiled.items()), *parts])
         self.comm, self._u, self._bcs = communicator(V.mesh), u, list(bcs)
+        with on_all(self.comm):
+            for part in self.of_kind(CompiledPart):
+                part.law.check_at(part.points.joint_x)
         self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
         size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs

@@ -1,0 +1,201 @@
+"""Bodies that yield: Prandtl's punch, a thick-walled cylinder, and a joint of mortar between bodies of metal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from forms import LinearElastic, VonMises, limits
+from geometry import Joint, block, ring, sandwich
+from studies.problems import FOURIER_BODY
+from studies.sweep_mohr_coulomb import LAYERS, sheared_blocks
+from studies.sweeping import Solution, Sweep, draw_rates
+from thinlayer import History, State, Structure, Surface, Table, ThinLayer, march, plotting
+from thinlayer.running.record import Record
+
+K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
+STRENGTH = math.sqrt(3) * K
+GRADING = 1.5  # cells shrink towards the edge of the punch like this power of the distance over itself
+SUNK = (0.004, 0.008, 0.012, 0.016)  # ends of steps, over the half-width of the punch
+
+CYLINDER = limits.PlasticCylinder(a=1.0, b=2.0, mu=300.0, k=K)
+CUT = 1.4  # radius of S
+BOND = 2e5  # moduli of the bond on S, over its thickness
+PRESSURES = (0.7, 1.0, 1.2, 1.3, 1.35)  # over K; elastic up to 0.75, the limit is 2 ln 2 = 1.386
+
+METAL = VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)
+MORTAR = LAYERS[""]
+
+
+def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 128), quick: bool = False) -> None:
+    """Three problems.
+
+    punch.csv: a rough, rigid punch, half of it, is pushed into a block of ideally plastic metal: its mean pressure against
+    (2 + pi) k, by mesh refinement. Triangles of degree 2: on squares of degree 2 the error is twice as large.
+    cylinder.csv: an incompressible (nu = 0.499) cylinder under pressure from inside, partly plastic, in plane strain and
+    axisymmetric, against the closed form: displacements inside and outside, and the radial stress on S, a bond that is
+    next to rigid.
+    table.csv: the blocks and the joint of `sweep_mohr_coulomb`, the blocks of hardening metal, sheared forth: interface law
+    against meshed layer, error O(eps), where bodies and joint yield; and the energy that they dissipate.
+
+    Args:
+        record: where to write.
+        eps: thicknesses of the joint; the blocks are 0.5 high.
+        quick: coarser meshes.
+    """
+    cells, h = ((5, 10), 1 / 8) if quick else ((5, 10, 16), 1 / 16)
+    record.parameters = {
+        "grading": GRADING, "cells": cells, "cylinder": str(CYLINDER), "metal": str(METAL), "mortar": str(MORTAR), "h": h,
+    }  # fmt: skip
+    punched(record, cells)
+    inflated(record, 0.15 if quick else 0.08)
+    joint, setup = sheared_blocks(h)
+    setup |= {"body": METAL}
+    sweep = Sweep(record, joint, setup, partial(ThinLayer, MORTAR), times=(0.25, 0.5, 0.75, 1.0), more=dissipated)
+    found = sweep.run(eps, (0.9, 1.3), title="Mohr-Coulomb joint between bodies that yield")
+    for name in ("bodies", "joint"):
+        record.check(f"energy dissipated in the {name}, over the stored energy", found[name][-1], low=0.01)
+
+
+# ---------------------------------------------------------------- punch
+def half_space(n: int) -> Joint:
+    """Half of a block, 4 wide and 2 high, with n cells over the half-width 1 of the punch, graded towards its edge."""
+    grid = block(4.0, 2.0, 1 / n, structured=True, arrangement="AlternateLeft")
+    x, y = grid.points.T
+    below, beside = 1 - np.abs(1 - x) ** GRADING, 1 + 3 * (np.abs(x - 1) / 3) ** GRADING
+    points = np.column_stack([np.where(x < 1, below, beside), 2 - 2 * ((2 - y) / 2) ** GRADING])
+    outer = dict(grid.facets)
+    top = outer.pop("TOP")
+    under = grid.points[top].mean(axis=1)[:, 0] < 1
+    return replace(grid, points=points, facets={**outer, "PUNCH": top[under], "FREE": top[~under]})
+
+
+def pressure(state: State) -> float:
+    """Mean pressure of the punch, whose half-width is 1."""
+    return -float(state.reaction("PUNCH").force[1])
+
+
+def punched(record: Record, cells: Sequence[int]) -> None:
+    """Sink the punch on each mesh."""
+    table, limit = record.table("punch.csv"), limits.prandtl_pressure(K)
+    metal = VonMises.young(E=1000.0, nu=0.45, strength=STRENGTH)
+    supports: dict[str, Any] = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "PUNCH": {"x": 0.0, "y": lambda x, t: -t}}
+    errors = []
+    for n in cells:
+        model = Structure(half_space(n), body=metal, supports=supports).bonded()
+        history = march(model, SUNK, keep="last", observe={"pressure": pressure})
+        record.solved(history.last)
+        for t, p in zip(history.t, history.table["pressure"], strict=True):
+            table.append({"n": n, "sunk": float(t), "pressure": float(p), "over": float(p) / limit})
+        errors.append(float(history.table["pressure"][-1]) / limit - 1)
+    record.say(table)
+    record.check("pressure under the punch on the finest mesh, over (2 + pi) k", 1 + errors[-1], low=0.99, high=1.01)
+    record.check("its error there over that on the coarsest mesh", errors[-1] / errors[0], low=0.0, high=0.4)
+
+
+# ---------------------------------------------------------------- cylinder
+def cylinders(h: float) -> dict[str, tuple[dict[str, Any], str, str]]:
+    """Two models of the cylinder: data of the structure, names of the boundaries inside and outside.
+
+    A quarter of its cross section in plane strain, and its section by a plane through the axis, between ends that do not
+    move along the axis. S is the cylinder of radius CUT in both.
+    """
+    c = CYLINDER
+    quarter = ring(c.a, CUT, c.b, h, angle=math.pi / 2, cell="triangle", degree=2)
+    wall = sandwich(0.5, CUT - c.a, c.b - CUT, h, structured=True).rotated(-math.pi / 2).moved((CUT, 0.0))
+
+    def inside(x: Any, t: Any) -> tuple[Any, Any]:
+        r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
+        return t * x[0] / r, t * x[1] / r
+
+    plane = {"joint": quarter, "supports": {"START": {"y": 0.0}, "END": {"x": 0.0}}, "tractions": {"INSIDE": inside}}
+    axial = {
+        "joint": wall, "supports": {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}, "plane": "axisymmetric",
+        "tractions": {"BOTTOM": lambda x, t: (t, 0.0)},
+    }  # fmt: skip
+    return {"plane strain": (plane, "INSIDE", "OUTSIDE"), "axisymmetric": (axial, "BOTTOM", "TOP")}
+
+
+def inflated(record: Record, h: float) -> None:
+    """Raise the pressure in both models of the cylinder."""
+    c, table = CYLINDER, record.table("cylinder.csv")
+    nu = 0.499
+    metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
+    bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3)
+    for kind, (data, inside, outside) in cylinders(h).items():
+        model = Structure(body=metal, **data).interface(bond)
+        surface = Surface(model)
+        area = surface.integral(fem.Constant(model.domain.mesh, 1.0))
+        for state in list(march(model, PRESSURES))[1:]:
+            radial = surface.integral(surface.frame(surface.traction(state))[-1]) / area
+            row = {"model": kind, "pressure": state.t, "zone": c.zone(state.t), "stress": radial}
+            row["stress_exact"] = float(c.radial_stress(state.t, np.array(CUT)))
+            for name, place, r in (("inside", inside, c.a), ("outside", outside, c.b)):
+                row[f"u_{name}"] = moved(state, place, r)
+                row[f"u_{name}_exact"] = float(c.displacement(state.t, np.array(r)))
+            table.append(row)
+            record.solved(state)
+    record.say(table)
+    for name in ("stress", "u_inside", "u_outside"):
+        apart = float(np.abs(table[name] / table[f"{name}_exact"] - 1).max())
+        record.check(f"cylinder: largest relative error of {name}", apart, high=0.01)
+
+
+def moved(state: State, name: str, r: float) -> float:
+    """Mean outward displacement of a boundary of this radius."""
+    model = state.model
+    x = ufl.SpatialCoordinate(model.domain.mesh)
+    there = model.ds(model.domain.values(name))
+    outward = state.u[0] if model.plane == "axisymmetric" else ufl.dot(state.u, x) / r
+    return state.integral(outward * there) / state.integral(fem.Constant(model.domain.mesh, 1.0) * there)
+
+
+# ---------------------------------------------------------------- joint
+def dissipated(full: Solution, limit: Solution) -> dict[str, float]:
+    """Energies that bodies and joint dissipate in a march of the interface model, over what is stored in the end."""
+    assert isinstance(limit, History)
+    whole, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
+    stored = limit.last.audit.total
+    return {"bodies": bodies / stored, "joint": (whole - bodies) / stored}
+
+
+def draw(record: Record) -> None:
+    """Draw the pressure under the punch, the cylinder, and the rates."""
+    punch, limit = record.load("punch.csv"), limits.prandtl_pressure(K)
+    curves = {}
+    for n in np.unique(punch["n"]):
+        curves[f"{n:.0f} cells under the punch"] = tuple(punch[name][punch["n"] == n] for name in ("sunk", "over"))
+    sunk = np.array([0.0, max(SUNK)])
+    curves["(2 + pi) k"] = sunk, np.ones(2)
+    plotting.curves(
+        curves, xlabel="depth / half-width", ylabel=f"mean pressure / {limit:.3f} k", save=record.path("punch.png"),
+        title="rough punch on ideally plastic metal", styles={"(2 + pi) k": "--"},
+    )  # fmt: skip
+    _draw_cylinder(record, record.load("cylinder.csv"))
+    draw_rates(record, title="Mohr-Coulomb joint between bodies that yield")
+
+
+def _draw_cylinder(record: Record, table: Table) -> None:
+    p = np.linspace(0.0, PRESSURES[-1], 100)
+    exact = {
+        f"closed form, r = {r:g}": (np.array([float(CYLINDER.displacement(one, np.array(r))) for one in p]), p)
+        for r in (CYLINDER.a, CYLINDER.b)
+    }
+    kinds = [str(row["model"]) for row in table.rows]
+    found = {
+        f"{kind}, r = {r:g}": tuple(table[one][[k == kind for k in kinds]] for one in (f"u_{name}", "pressure"))
+        for kind in dict.fromkeys(kinds)
+        for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside"))
+    }
+    styles = {label: "o" if "strain" in label else "x" for label in found}
+    plotting.curves(
+        found | exact, xlabel="radial displacement", ylabel="pressure / k", save=record.path("cylinder.png"),
+        title="thick-walled cylinder, b = 2 a", styles=styles,
+    )  # fmt: skip

@@ -1,0 +1,225 @@
+"""Parameters that are functions of the place, and bodies of several materials: closed forms, files, what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import (
+    Anisotropic,
+    BulkLaw,
+    HolonomicCoulomb,
+    LawError,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    NonMonotone,
+    Stack,
+    VonMises,
+)
+from geometry import block, sandwich
+from studies.problems import fourier
+from tests.columns_in_time import column
+from tests.columns_in_time import joint as one_cell
+from tests.own_laws import Slipping
+from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, drive, march, solve
+
+JOINT = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
+SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+LOADS = {"TOP": lambda x, t: (0.3 * t, t * (1 + x[0]))}
+BODY, GLUE = LinearElastic.young(100.0, 0.3), LinearElastic.young(90.0, 0.3)
+METAL = VonMises(60.0, 40.0, strength=1.0, hardening=20.0)
+
+
+def constant(value):
+    return lambda x: np.full(x.shape[1], value)
+
+
+def structure(body=BODY, **data):
+    return Structure(JOINT, **{"body": body, "supports": SUPPORTS, "tractions": LOADS} | data)
+
+
+def kinds(one, layer, **options):
+    return one.full(layer, **options), one.interface(layer)
+
+
+@dataclass(frozen=True)
+class Cubic(BulkLaw):
+    """A user's law that is not linear, in forms."""
+
+    k: float
+    c: float
+    powers = {"k": 1, "c": 3}
+
+    def stress(self, step):
+        return 2 * self.k * step.e + self.c * ufl.inner(step.e, step.e) * step.e
+
+
+PAIRS = {
+    "body": (dict(body=BODY), dict(body=LinearElastic.young(constant(100.0), 0.3)), GLUE, GLUE),
+    "layer": ({}, {}, GLUE, LinearElastic.young(90.0, constant(0.3))),
+    "stack": ({}, {}, Stack((0.4, GLUE), (0.6, BODY)), Stack((0.4, LinearElastic.young(constant(90.0), 0.3)), (0.6, BODY))),
+    "yielding": (dict(body=METAL), dict(body=replace(METAL, strength=constant(1.0))), GLUE, GLUE),
+    "user": ({}, {}, Cubic(60.0, 1e3), Cubic(constant(60.0), constant(1e3))),
+    "plane stress": (dict(plane="stress"), dict(plane="stress", body=LinearElastic(constant(57.0), 38.0)), GLUE, GLUE),
+    "relaxing": ({}, {}, Maxwell(60.0, 40.0, 0.7), Maxwell(60.0, 40.0, constant(0.7))),
+}  # fmt: skip
+PAIRS["plane stress"][0]["body"] = LinearElastic(57.0, 38.0)
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_constant_function_is_its_number(name):
+    first, second, law, other = PAIRS[name]
+    for k in (0, 1):
+        a, b = (
+            march(kinds(structure(**data), ThinLayer(one, 0.1))[k], [0.5, 1.0]).last
+            for data, one in ((first, law), (second, other))
+        )
+        assert a.report.method == b.report.method
+        assert np.abs(b.u.x.array - a.u.x.array).max() < 1e-8 * np.abs(a.u.x.array).max()
+        assert b.energies() == pytest.approx(a.energies(), rel=1e-8, nan_ok=True)
+
+
+def test_order_one_with_a_constant_function():
+    a, b = (solve(structure().interface(ThinLayer(law, 0.1, order=1))) for law in (PAIRS["layer"][2:]))
+    assert b.energies() == pytest.approx(a.energies(), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["elastic", "yields"])
+def test_a_graded_column(kind):
+    """Compliance that is linear in the height: u_top = t (h/K_0 + a h^2/2)/..., exact for elements of degree 2."""
+    modulus = lambda x: 100.0 / (1 + 0.8 * (x[1] + 0.5))
+    graded = {
+        "elastic": LinearElastic(modulus, lambda x: 0.5 * modulus(x)),
+        "yields": VonMises(modulus, lambda x: 0.5 * modulus(x), strength=100.0),
+    }[kind]
+    data = column("normal", load=2.0) | {"body": graded}
+    for model in kinds(Structure(one_cell(), **data), ThinLayer(LinearElastic(60.0, 40.0), 0.1), cells_through=1):
+        state = solve(model)
+        top = np.abs(state.u.x.array).max()
+        assert top == pytest.approx(2.0 * ((1 + 0.8 / 2) / 200.0 + 1 / 140.0), rel=1e-10)
+
+
+def test_a_layer_that_is_graded_along_S():
+    """Between bodies that are as good as rigid it carries the mean of its stiffness."""
+    rigid, w = LinearElastic.young(1e7, 0.3), 0.02
+    law = LinearElastic(lambda x: 60 * (1 + x[0] ** 2), lambda x: 40 * (1 + x[0] ** 2))
+    supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": w}}
+    for one in (law, Stack((0.3, law), (0.7, law)), MohrCoulomb(law.lmbda, law.mu, 50.0, 30.0)):
+        model = structure(rigid, supports=supports, tractions=None).interface(ThinLayer(one, 0.1))
+        state, surface = solve(model), Surface(model)
+        assert surface.integral(surface.traction(state)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
+        full = solve(structure(rigid, supports=supports, tractions=None).full(ThinLayer(one, 0.1)))
+        assert surface.integral(surface.traction(full)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
+        assert full.energies()["layer"] == pytest.approx(140 * w**2 / 2 * 4 / 3, rel=1e-3)
+
+
+@pytest.mark.parametrize(("order", "ratio"), [(0, (1.8, 2.2)), (1, (3.5, 4.5))])
+def test_the_error_of_a_graded_layer_falls_with_the_thickness(order, ratio):
+    joint, setup = fourier(1 / 8, cell="quadrilateral")
+    law = LinearElastic.young(lambda x: 104 * (1 + 0.5 * np.sin(np.pi * x[0]) ** 2), 0.3)
+    errors = []
+    for eps in (1 / 16, 1 / 32):
+        full, limit = kinds(Structure(joint, **setup), ThinLayer(law, eps, order=order))
+        errors.append(compare(solve(full), solve(limit)))
+    for name in ("error_traction", "error_jump"):
+        assert ratio[0] < errors[0][name] / errors[1][name] < ratio[1], name
+
+
+def test_contact_keeps_its_solver():
+    """Bodies in forms stay there: the condensed solver, and its numbers for constants."""
+    square = block(1.0, 1.0, 0.25, structured=True)
+    law = HolonomicCoulomb(400.0, 200.0, friction=0.2)
+    data = dict(supports={"RIGHT": {"x": 0.0}}, tractions={"TOP": (0.1, -1.0)}, element="P1")
+    found = [
+        solve(Structure(square, body=body, **data).interface(law))
+        for body in (
+            BODY,
+            LinearElastic.young(constant(100.0), 0.3),
+            LinearElastic.young(lambda x: 100 + 50 * x[1], 0.3),
+        )
+    ]
+    assert {state.report.method for state in found} == {"condensed"}
+    assert found[1].u.x.array == pytest.approx(found[0].u.x.array, abs=1e-12)
+    assert np.abs(found[2].u.x.array - found[0].u.x.array).max() > 0.05 * np.abs(found[0].u.x.array).max()
+
+
+def test_a_body_of_several_materials():
+    """Two halves of the upper body, side by side or on top of each other: stiffnesses or compliances add up."""
+    stiff, soft = LinearElastic(60.0, 40.0), LinearElastic(30.0, 20.0)
+    layer = ThinLayer(LinearElastic(60.0, 40.0), 0.1)
+    centres = JOINT.points[JOINT.corners].mean(axis=1)
+    upper = JOINT.region == JOINT.regions.index("UPPER")
+    patched = replace(
+        JOINT,
+        regions=(*JOINT.regions, "PATCH"),
+        region=np.where(upper & (centres[:, 1] > 0.25), len(JOINT.regions), JOINT.region),
+    )
+    for laws in (
+        {"UPPER": stiff, "PATCH": soft},
+        {"UPPER": VonMises(60.0, 40.0, 9.0), "PATCH": Maxwell(30.0, 20.0, 1e9)},
+    ):
+        data = column("normal", load=2.0) | {"body": {"LOWER": stiff, **laws}}
+        for model in kinds(Structure(patched, **data), layer):
+            state = solve(model)
+            top = np.abs(state.u.x.array).max()
+            assert top == pytest.approx(2.0 * (0.75 / 140 + 0.25 / 70 + 1 / 140), rel=1e-9)
+            assert {key for key in state.memory if "PATCH" in key} <= {"body PATCH"}
+
+
+def test_only_the_same_functions_are_resumed(tmp_path):
+    def model(a):
+        return structure(LinearElastic.young(lambda x: 100 + a * x[0], 0.3)).interface(ThinLayer(GLUE, 0.1))
+
+    march(model(5.0), [0.5], out=tmp_path)
+    assert len(march(model(5.0), [0.5, 1.0], out=tmp_path, resume=True)) == 3
+    with pytest.raises(ModelError, match=r"is of another march .*bodies"):
+        march(model(6.0), [0.5, 1.0], out=tmp_path, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (lambda: LinearElastic.young(lambda x: 100 - 300 * x[0], 0.3), r"E is -?[\d.]+; allowed: > 0, at x = \(.*\)"),
+        (lambda: LinearElastic.young(100.0, lambda x: 0.3 + x[0] / 4), r"nu is 0\.5\d*; allowed: -1 < nu < 0.5, at x = \("),
+        (lambda: LinearElastic(lambda x: -50 + 0 * x[0], 40.0), r"lmbda is -50.0; allowed: > -2 mu/3 = .*, at x = \("),
+        (lambda: LinearElastic.shear(lambda x: np.where(x[0] < 0.5, 1, np.nan), 0.3), r"nan; allowed: finite.* at x = \("),
+        (lambda: replace(METAL, strength=lambda x: x[0] - 0.5), r"VonMises: strength is -[\d.]+; allowed: > 0, at x = \("),
+        (lambda: LinearElastic(lambda x: np.zeros(3), 40.0), r"lmbda\(x\) fails .*the shape \(3,\) .*n numbers"),
+        (lambda: LinearElastic(lambda x: 1 / 0, 40.0), r"lmbda\(x\) fails .*ZeroDivisionError"),
+    ],
+    ids=["E", "nu", "lmbda", "nan", "strength", "shape", "fails"],
+)  # fmt: skip
+def test_values_out_of_range(law, message):
+    with pytest.raises(LawError, match=message):
+        structure(law()).interface(ThinLayer(GLUE, 0.1))
+    with pytest.raises(LawError, match=message):
+        structure().full(ThinLayer(law(), 0.1))
+    with pytest.raises(LawError, match=message):
+        structure().interface(ThinLayer(law(), 0.1))
+
+
+def test_what_takes_no_functions():
+    function = lambda x: x[0]
+    for build in (
+        lambda: Slipping(function, 30.0, 12.0, 90.0),
+        lambda: HolonomicCoulomb(function, 1.0, friction=0.2),
+        lambda: Anisotropic(function),
+    ):
+        with pytest.raises(LawError, match=r"allowed: (a number|numbers|> 0)"):
+            build()
+    with pytest.raises(LawError, match=r"lmbda is a function of the place; allowed: a number, as `at` gives"):
+        NonMonotone(function, 40.0, 0.2, 0.02, np.eye(2))
+    with pytest.raises(ModelError, match="lmbda is a function of the place; a point needs a number"):
+        drive(LinearElastic(function, 40.0), [{"w_T": 0.1}])
+
+
+def test_ranges_are_those_of_the_extreme_values():
+    hard = LinearElastic.young(lambda x: 1e4 * (0.01 + x[0]), 0.3)
+    with pytest.warns(RangeWarning, match="times as hard as the softer body"):
+        solve(structure().interface(ThinLayer(hard, 0.1)))
+    locking = LinearElastic.young(90.0, lambda x: 0.3 + 0.199 * x[0])
+    assert np.isfinite(solve(structure().interface(ThinLayer(locking, 0.01, order=1))).energies()["layer"])

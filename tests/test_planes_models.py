@@ -1,0 +1,216 @@
+"""Models in plane stress and of bodies of revolution, in time and on several ranks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from forms import (
+    Incompressible,
+    KelvinVoigt,
+    LinearElastic,
+    Maxwell,
+    MohrCoulomb,
+    MohrCoulombMonodirectional,
+    NonMonotoneUnrelaxed,
+    Norton,
+    Stack,
+    VonMises,
+)
+from forms.elastic import lame
+from forms.limits_plastic import PlasticCylinder
+from geometry import sandwich
+from studies.problems import fourier
+from tests.columns_in_time import check_same, column, joint
+from tests.planes_run import numbers
+from tests.ranks import mpirun
+from tests.taylor import observed_orders
+from tests.test_plane_stress import Pressed, Stiffening
+from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer.output.probe import Probe
+from thinlayer.running.cli import main
+from thinlayer.solving.solvers import Solver
+
+L, M, EPS = 6.0, 4.0, 0.05
+NU = L / (2 * (L + M))
+SHEET = 2 * L * M / (L + 2 * M)  # lmbda of plane stress
+EXACT = 1e-9
+LAWS = {
+    "Kelvin-Voigt": KelvinVoigt(L, M, 0.3, 0.5),
+    "Maxwell": Maxwell(L, M, 0.7, 1.5),
+    "Norton 1.5": Norton(L, M, 5.0, 1.5),
+    "Mohr-Coulomb": MohrCoulomb(L, M, 0.3, 30.0, 0.05),
+    "monodirectional": MohrCoulombMonodirectional(L, M, 0.3, 30.0, 0.05),
+    "Stack": Stack((0.4, Maxwell(L, M, 0.7)), (0.6, MohrCoulomb(L, M, 0.3, 30.0, 0.05))),
+    "incompressible": Incompressible(M),
+    "phases": NonMonotoneUnrelaxed(L, M, 0.5, 0.04, np.array([[0.0, 0.0], [0.0, 1.0]])),
+}
+
+
+@dataclass(frozen=True)
+class Plain(LinearElastic):
+    """The same stress by another method, so that its plane stress is found point by point."""
+
+    def stress(self, step):
+        return lame(self.lmbda, self.mu, step.mid)
+
+
+def sheet(mode="normal", **ends) -> Structure:
+    return Structure(joint(), **column(mode, **ends), plane="stress")
+
+
+# ---------------------------------------------------------------- columns: both models agree
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("mode", ["normal", "shear"])
+def test_both_models_agree_on_a_sheet(name, mode):
+    structure, layer = sheet(mode, move=lambda x, t: 0.2 * t), ThinLayer(LAWS[name], EPS)
+    times = [0.1, 0.2, 0.4]
+    check_same(*(march(model, times) for model in (structure.interface(layer), structure.full(layer))))
+
+
+@pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell"])
+def test_the_midpoint_rule_is_of_order_2_on_a_sheet(name):
+    """Both models to the last digit; the error falls to a quarter with half the steps; energies balance."""
+    structure, layer = sheet(move=lambda x, t: 0.1 * t**2), ThinLayer(LAWS[name], EPS)
+    found = []
+    for n in (8, 16, 32):
+        times = np.linspace(0, 0.8, n + 1)[1:].tolist()
+        limit = march(structure.interface(layer), times, theta=0.5)
+        assert np.abs(limit.table["imbalance"]).max() < 1e-10
+        found.append(limit.last.memory["layer"][:, -3].mean())  # the strain 33
+        if n == 8:
+            check_same(limit, march(structure.full(layer), times, theta=0.5))
+    assert (found[1] - found[0]) / (found[2] - found[1]) == pytest.approx(4, rel=0.1)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_a_linear_law_is_condensed_as_in_closed_form(order):
+    """In bodies and layer, both models; plane strain gives other numbers."""
+    loads = {"TOP": lambda x, t: (0.3, -1.0 + x[0])}
+    states = {}
+    for kind in (LinearElastic, Plain):
+        body, layer = kind(80.0, 50.0), ThinLayer(kind(L, M), EPS, order=order if kind is LinearElastic else 0)
+        structure = Structure(joint(), body=body, supports={"BOTTOM": 0.0}, tractions=loads, plane="stress")
+        states[kind] = [solve(structure.full(layer)), solve(structure.interface(layer))]
+    if order == 0:
+        for a, b in zip(states[LinearElastic], states[Plain], strict=True):
+            assert b.u.x.array == pytest.approx(a.u.x.array, rel=EXACT, abs=EXACT * np.abs(a.u.x.array).max())
+            assert b.energies() == pytest.approx(a.energies(), rel=EXACT)
+            assert b.mean_stress() == pytest.approx(a.mean_stress(), rel=EXACT, abs=1e-12)
+            for one in (a, b):
+                stress = Probe(one).stress([(0.3, 0.2), (0.7, -0.4)])
+                assert np.abs(stress[:, :2, :2]).max() > 0.1
+                assert (stress[:, 2] == 0).all()
+    strained = solve(
+        Structure(joint(), body=LinearElastic(80.0, 50.0), supports={"BOTTOM": 0.0}, tractions=loads).interface(
+            ThinLayer(LinearElastic(L, M), EPS)
+        )
+    )
+    assert abs(strained.energies()["loads"] / states[LinearElastic][1].energies()["loads"] - 1) > 0.05
+
+
+def test_traction_of_a_sheet():
+    """t_N = (lmbda' + 2 mu) w_N with lmbda' of plane stress, 4 mu w_N if incompressible: E/(1 - nu^2) for both."""
+    for law, stiffness in (
+        (LinearElastic(L, M), SHEET + 2 * M),
+        (Plain(L, M), SHEET + 2 * M),
+        (Incompressible(M), 4 * M),
+    ):
+        state = solve(sheet(load=0.7).interface(ThinLayer(law, EPS)))
+        surface = Surface(state.model)
+        assert surface.profile(surface.jump(state))[1][:, 1] == pytest.approx(0.7 / stiffness, rel=EXACT)
+
+
+# ---------------------------------------------------------------- the interface law against the band
+@pytest.mark.parametrize("name", ["Maxwell", "Mohr-Coulomb"])
+def test_the_layer_of_a_sheet_tends_to_its_law_at_rate_1(name):
+    mesh, setup = fourier(1 / 8, cell="quadrilateral")
+    errors = []
+    for eps in (0.02, 0.01):
+        layer = ThinLayer(LAWS[name], eps)
+        structure = Structure(mesh, **setup, plane="stress")
+        full, limit = (march(model, [0.2, 0.5]) for model in (structure.full(layer), structure.interface(layer)))
+        errors.append(compare(full, limit))
+    for key in ("error_traction", "error_jump"):
+        assert np.log2(errors[0][key] / errors[1][key]) == pytest.approx(1.0, abs=0.12), key
+
+
+def test_tangents_of_models_are_those_of_the_residual():
+    mesh, setup = fourier(1 / 2)
+    structure = Structure(mesh, **setup | {"body": Stiffening(3.0)}, plane="stress")
+    for model in (
+        structure.interface(ThinLayer(Norton(L, M, 5.0, 3.0), EPS)),
+        structure.full(ThinLayer(Stiffening(9.0), EPS)),
+    ):
+        with Solver(model) as solver:
+            assert observed_orders(solver) > 1.9
+
+
+def test_where_no_strain_out_of_the_plane_is_found_the_error_says_so():
+    with pytest.raises(SolveError, match=r"Pressed .* or no strain out of the plane makes the stresses there zero"):
+        solve(sheet(load=0.7).interface(ThinLayer(Pressed(M), EPS)))
+
+
+@pytest.mark.parametrize("build", ["full", "interface"])
+def test_parameters_that_vary_along_a_sheet(build):
+    """A function that is constant is the number; one that grows to the right makes the right stiffer."""
+    found = []
+    for mu in (M, lambda x: M + 0 * x[0], lambda x: M * (1 + x[0])):
+        law = Stack((0.5, Maxwell(L, mu, 0.7)), (0.5, MohrCoulomb(L, mu, 0.3, 30.0, 0.05)))
+        history = march(getattr(sheet(load=lambda t: 0.1 * t), build)(ThinLayer(law, EPS)), [0.2, 0.4])
+        found.append(history.last.energies()["layer"])
+    assert found[1] == pytest.approx(found[0], rel=EXACT)
+    assert found[2] < 0.95 * found[0]
+
+
+# ---------------------------------------------------------------- bodies
+def test_a_bar_of_metal_in_plane_stress():
+    """Pulled along: e = s/E + (s - Y)/H, contracting alike in both directions."""
+    body, pull = VonMises(60.0, 50.0, strength=1.0, hardening=30.0), 1.4
+    E = 2 * 50.0 * (1 + 60.0 / 220.0)
+    bar = Structure(
+        joint(), body=body, supports={"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}},
+        tractions={"TOP": lambda x, t: (0.0, pull * t)}, plane="stress",
+    )  # fmt: skip
+    state = march(bar.bonded(), [0.5, 1.0]).last
+    assert np.abs(state.u.x.array).max() == pytest.approx(pull / E + (pull - 1.0) / 30.0, rel=1e-8)
+    plastic = state.memory["body LOWER"]
+    assert plastic[:, 0] == pytest.approx(plastic[:, 2], rel=1e-8)  # 11 and 33
+
+
+def test_a_thick_plastic_cylinder_of_revolution():
+    """Von Mises, nu = .499: the rim moves as in the closed form for an incompressible cylinder."""
+    mu, k, (a, b) = 50.0, 0.6, (1.0, 2.0)
+    closed = PlasticCylinder(a, b, mu, k)
+    body = VonMises(mu * 499.0, mu, strength=k * np.sqrt(3))
+    wall = sandwich(0.1, 0.5, 0.5, 0.1, cell="quadrilateral", structured=True).rotated(-np.pi / 2).moved((1.5, 0.0))
+    pressure = closed.pressure(1.6)
+    cylinder = Structure(
+        wall, body=body, supports={"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}},
+        tractions={"BOTTOM": lambda x, t: (pressure * t, 0.0)}, plane="axisymmetric",
+    )  # fmt: skip
+    state = march(cylinder.bonded(), [0.5, 0.7, 0.85, 0.95, 1.0]).last
+    u = state.u.x.array.reshape(-1, 2)
+    places = state.model.V.tabulate_dof_coordinates()
+    rim = u[np.isclose(places[:, 0], b), 0]
+    assert rim == pytest.approx(float(closed.displacement(pressure, np.array(b))), rel=1e-2)
+    elastic = pressure * a**2 / (1 - (a / b) ** 2) / (2 * mu * b)
+    assert rim.mean() > 1.1 * elastic
+
+
+# ---------------------------------------------------------------- ranks
+def test_the_same_numbers_on_two_ranks():
+    done = mpirun(2, "-m", "tests.planes_run")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == pytest.approx(numbers(), rel=1e-9)
+
+
+# ---------------------------------------------------------------- studies
+@pytest.mark.parametrize(("name", "checks"), [("tubes", 6), ("plane_stress", 4)])
+def test_studies_of_planes(tmp_path, capsys, name, checks):
+    assert main(["run", name, "--quick", "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.count("ok   ") == checks
+    assert list((tmp_path / "out").glob("*.png"))

@@ -1,0 +1,206 @@
+"""Values at places: displacements and stresses against closed forms, internal variables against memory."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from forms import Incompressible, LinearElastic, Maxwell, MohrCoulombMonodirectional, Stack
+from geometry import ring, sandwich, wall
+from tests.fields_run import BODY, CASES, EPS, K, axes, slipping, uniform
+from tests.ranks import mpirun
+from thinlayer import ModelError, Probe, Structure, ThinLayer, march, solve
+
+PLACES = {2: [[0.31, -0.27], [1.73, 0.4], [0.9, 0.05]], 3: [[0.31, -0.27, 0.6], [1.73, 0.4, 0.21], [0.9, 0.05, 0.9]]}
+CREEP = Maxwell(lmbda=60.0, mu=40.0, t1=0.7, t2=0.55)
+
+
+@pytest.mark.parametrize(("d", "cell", "element"), CASES)
+def test_displacements_and_stresses_of_a_linear_field(d, cell, element):
+    """At places inside cells, on their corners, and on S from either side."""
+    structure, stress, jump = uniform(d, cell, element)
+    model = structure.interface(ThinLayer(K, EPS))
+    probe = Probe(march(model, [1.0]).last)
+    x = np.array(PLACES[d]) @ axes(d)
+    corners = model.joint.points[model.joint.surface[:, :d]].mean(axis=1)  # on S
+    mean = np.trace(stress) / (2 * BODY.mu + d * BODY.lmbda)
+    strain = (stress - BODY.lmbda * mean * np.eye(d)) / (2 * BODY.mu)
+    above = (x @ axes(d)[1] > 0)[:, None]
+    assert probe.displacement(x) == pytest.approx(x @ strain + above * jump, rel=1e-9, abs=1e-12)
+    assert probe.stress(x)[:, :d, :d] == pytest.approx(np.tile(stress, (len(x), 1, 1)), rel=1e-9, abs=1e-9)
+    assert probe.stress(x[0])[0, 1] == pytest.approx(stress[0, 1], rel=1e-8)
+    assert probe.displacement(corners, side="lower") == pytest.approx(corners @ strain, rel=1e-8, abs=1e-11)
+    assert probe.displacement(corners, side="upper") == pytest.approx(corners @ strain + jump, rel=1e-8, abs=1e-11)
+    with pytest.raises(ModelError, match=r"displacements jump at .*: give side="):
+        probe.displacement(corners)
+    if d == 2:
+        nu = BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
+        assert probe.stress(x)[:, 2, 2] == pytest.approx(nu * np.trace(stress), rel=1e-9)
+
+
+def test_stresses_that_are_linear_in_a_cell():
+    """A beam bent by its own supports: u = (x y, -x^2/2) without Poisson's effect; stress E y."""
+    E = 50.0
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    bent = {"x": lambda x, t: 0.1 * x[0] * x[1], "y": lambda x, t: -0.05 * x[0] ** 2}
+    structure = Structure(
+        joint, body=LinearElastic.young(E, 0.0), supports=dict.fromkeys(["LEFT", "RIGHT", "TOP", "BOTTOM"], bent)
+    )
+    probe = Probe(solve(structure.interface(ThinLayer(LinearElastic(1e9, 1e9), 1e-3))))
+    x = np.array([[0.31, -0.27], [1.73, 0.4], [1.0, 0.61], [0.0, -0.5]])
+    s = probe.stress(x)
+    assert s[:, 0, 0] == pytest.approx(0.1 * E * x[:, 1], rel=1e-5, abs=1e-6)
+    assert np.abs(s[:, 0, 1]).max() < 1e-5
+    assert s[:, 0, 0] != pytest.approx(0.1 * E * (x[:, 1] + 0.05), rel=1e-2)
+
+
+def test_curved_cells():
+    """A pressed ring on its curved cells, and places on its circle: sides are told apart."""
+    joint = ring(1.0, 1.5, 2.0, h=0.4, degree=2)
+    structure = Structure(
+        joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": lambda x, t: (0.1 * x[0], 0.1 * x[1])}
+    )
+    state = solve(structure.interface(ThinLayer(K, EPS)))
+    probe = Probe(state)
+    on = joint.points[np.unique(joint.surface)]
+    n = on / np.linalg.norm(on, axis=1, keepdims=True)
+    lower, upper = (probe.displacement(on, side=side) for side in ("lower", "upper"))
+    opening = np.einsum("kd,kd->k", upper - lower, n)
+    assert opening == pytest.approx(opening.mean(), rel=2e-2)
+    assert opening.mean() > 1e-3
+    inside = probe.stress([[1.2, 0.1], [0.1, 1.2], [-1.2, 0.1]])
+    assert np.trace(inside, axis1=1, axis2=2) == pytest.approx(np.trace(inside[0]), rel=3e-2)
+
+
+@pytest.mark.parametrize("kind", ["full", "interface"])
+def test_internal_variables_are_those_of_the_memory(kind):
+    """By name, in bodies, meshed layers and on S; their integrals, and the nearest one at a place."""
+    law = MohrCoulombMonodirectional(3.0, 2.0, cohesion=0.05, friction_angle=20.0, elastic_fraction=0.1)
+    state = slipping(kind, Stack((0.4, LinearElastic(4.0, 3.0)), (0.6, law))).last
+    probe = Probe(state)
+    (key,) = probe.names
+    assert probe.names[key] == ["plastic", "accumulated"]
+    assert key == "layer 2" if kind == "interface" else "layer"
+    found = probe.points("plastic")
+    assert found.key == key
+    assert found.values.shape == (len(found.x), 3, 3)
+    assert found.values == pytest.approx(found.values.swapaxes(1, 2))
+    share = 1.0 if kind == "interface" else 0.6
+    assert found.weights.sum() == pytest.approx(2.0 * EPS * share)
+    memory = state.memory[next(iter(state.memory))][:, -7:-1]
+    norms = np.sort(np.linalg.norm(found.values, axis=(1, 2)))
+    assert norms == pytest.approx(np.sort(np.linalg.norm(memory, axis=1)))  # Mandel's components keep it
+    assert norms.max() > 0.1
+    places = found.x[[3, 10]] if kind == "full" else np.column_stack([found.x[[3, 10], 0], [0.0, 0.0]])
+    assert probe.internal("plastic", places, key) == pytest.approx(found.values[[3, 10]])
+    with pytest.raises(ModelError, match="there is no internal variable 'flow'; known: layer"):
+        probe.points("flow")
+    with pytest.raises(ModelError, match="does not act at"):
+        probe.internal("plastic", [1.0, -0.31])
+
+
+def creeping():
+    """A body that relaxes beside an elastic one, confined."""
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(
+        joint, body={"LOWER": CREEP, "UPPER": BODY}, supports=rollers, tractions={"TOP": (0.0, -0.3)}
+    )  # fmt: skip
+    return march(structure.interface(ThinLayer(K, EPS)), [0.2, 0.5]).last
+
+
+def test_bodies_with_memory():
+    """Stress across is the load, that along S the same along both axes, nearer to it than in the elastic body."""
+    state = creeping()
+    probe = Probe(state)
+    x = [[0.3, -0.2], [1.6, -0.4]]
+    s = probe.stress(x)
+    assert s[:, 1, 1] == pytest.approx(-0.3, rel=1e-9)
+    assert s[:, 0, 0] == pytest.approx(s[:, 2, 2], rel=1e-9)
+    low, high = -0.3, -0.3 * BODY.lmbda / (BODY.lmbda + 2 * BODY.mu)
+    assert low < s[0, 0, 0] < high - 1e-3
+    elastic = probe.stress([0.3, 0.3])
+    assert elastic[0, 0] == pytest.approx(high, rel=1e-9)
+    assert list(probe.names) == ["body LOWER"]
+    name = probe.names["body LOWER"][0]
+    assert probe.internal(name, x) == pytest.approx(np.tile(probe.points(name).values[0], (2, 1, 1)), rel=1e-9)
+    assert probe.points(name, "body LOWER").weights.sum() == pytest.approx(2.0 * 0.5)
+
+
+def test_stress_of_an_incompressible_layer_has_its_pressure():
+    """Confined, it passes the load on as a pressure, in all directions."""
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(joint, body=BODY, supports=rollers, tractions={"TOP": (0.0, -0.3)})
+    state = solve(structure.full(ThinLayer(Incompressible(2.0), EPS)))
+    s = Probe(state).stress([[0.7, 0.03], [1.3, -0.01]])
+    assert s == pytest.approx(np.tile(-0.3 * np.eye(3), (2, 1, 1)), rel=1e-6, abs=1e-8)
+
+
+def test_plane_stress_has_no_stress_out_of_the_plane():
+    joint = sandwich(2.0, 0.5, 0.7, 0.5)
+    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.0, -0.3)}, plane="stress")
+    s = Probe(solve(structure.interface(ThinLayer(K, EPS)))).stress([0.7, 0.3])
+    nu = BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
+    assert s == pytest.approx(np.diag([-0.3 * nu, -0.3, 0.0]), rel=1e-9, abs=1e-10)
+
+
+def test_several_bodies_meet():
+    joint = wall(2, 3, brick=(2.0, 1.0), h=0.5)
+    structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.05, -0.1)})
+    probe = Probe(solve(structure.interface(ThinLayer(K, EPS))))
+    t_joint = [2.0, 1.0]  # two bricks below, one above
+    with pytest.raises(ModelError, match=r"jump at \(2, 1\): several bodies meet there; give side= and seam="):
+        probe.displacement(t_joint, side="lower")
+    above = probe.displacement(t_joint, side="upper", seam="BED")
+    assert above == pytest.approx(probe.displacement([2.0, 1.0 + 1e-7]), rel=1e-5)
+    left, right = (probe.displacement(t_joint, side=side, seam="HEAD") for side in ("lower", "upper"))
+    beside = probe.displacement([[2.0 - 1e-7, 1.0 - 1e-7], [2.0 + 1e-7, 1.0 - 1e-7]])
+    assert np.array([left, right]) == pytest.approx(beside, rel=1e-5)
+    assert np.abs([left - right, left - above]).max(axis=1).min() > 1e-4
+
+
+def test_places_that_are_none():
+    structure, _, _ = uniform()
+    probe = Probe(solve(structure.interface(ThinLayer(K, EPS))))
+    with pytest.raises(ModelError, match=r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"):
+        probe.stress([[0.31, 0.2], [9.0, 9.0]])
+    for wrong in ([1.0, 2.0, 3.0], "x", [[1.0], [2.0]], [np.nan, 1.0], [[1.0, 2.0], [3.0]]):
+        with pytest.raises(ModelError, match="2 finite coordinates each"):
+            probe.displacement(wrong)
+    with pytest.raises(ModelError, match="allowed: lower, upper"):
+        probe.displacement([0.3, 0.2], side="top")
+    with pytest.raises(ModelError, match="a side is for places on S of an interface model"):
+        Probe(solve(structure.full(ThinLayer(K, EPS)))).displacement([0.3, 0.2], side="upper")
+    with pytest.raises(ModelError, match="no law remembers anything"):
+        probe.points("plastic")
+    with pytest.raises(ModelError, match="a probe takes a state"):
+        Probe(structure)
+
+
+def numbers() -> list:
+    state = slipping().last
+    probe, x = Probe(state), [[0.31, -0.27], [1.73, 0.4], [0.5, 0.0]]
+    found = [probe.displacement(x, side="upper"), probe.stress(x, side="lower"), probe.points("plastic").values]
+    creep = Probe(creeping())
+    name = creep.names["body LOWER"][0]
+    found += [creep.stress(x[:2]), creep.internal(name, x[:1]), creep.points(name).x, creep.points(name).values]
+    return [one.tolist() for one in found]
+
+
+def test_values_do_not_depend_on_the_ranks():
+    done = mpirun(3, "-m", "tests.test_probe")
+    assert done.returncode == 0, done.stderr
+    for a, b in zip(numbers(), json.loads(done.stdout), strict=True):
+        assert np.array(b) == pytest.approx(np.array(a), rel=1e-8, abs=1e-10)
+
+
+if __name__ == "__main__":
+    answer = numbers()
+    if MPI.COMM_WORLD.rank == 0:
+        json.dump(answer, sys.stdout)
