@@ -19,6 +19,7 @@ from geometry import block, periodic, sandwich
 from studies.tubes import lame
 from thinlayer import ContactReport, ModelError, Springs, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.errors import LooseBody
+from thinlayer.output.homogenised import homogenised_stiffness
 
 BODY = LinearElastic(80.0, 50.0)
 GLUE = LinearElastic(3.0, 2.0)  # per thickness
@@ -211,6 +212,11 @@ def _tubes(**options):
     return structure(tubes(), HELD, **options)
 
 
+def _ring():
+    joint = periodic(tubes(cell="quadrilateral", structured=True, height=1.0), ("LEFT", "RIGHT"))
+    return structure(joint, {}).interface(ThinLayer(GLUE, EPS))
+
+
 def _rods(**options):
     return structure(rods(), {"BOTTOM": 0}, **options)
 
@@ -229,6 +235,7 @@ def _rods(**options):
         (lambda: _rods(parts=[Springs("LEFT", normal=1.0)]).bonded(), "springs on 'LEFT': these facets are the axis"),
         (lambda: _tubes(strain=((0, 0), (0, 1))), "a mean strain or stress is for periodic cells"),
         (lambda: structure(periodic(rods(inner=0.5, radius=2.0), ("LEFT", "RIGHT")), {}), "repeats along the axis"),
+        (lambda: homogenised_stiffness(_ring()), "homogenised_stiffness is not for plane='axisymmetric'"),
         (lambda: structure(block(1.0, 1.0, 0.5).rotated(-np.pi / 2), {}), "'S' lies on the axis, where it has no area"),
     ],
 )  # fmt: skip
