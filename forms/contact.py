@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from typing import Any, ClassVar, Self
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from forms.elastic import LinearElastic
 from forms.law import Law, LawError, positive, require
+from forms.temperature import real
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +30,8 @@ class ContactLaw(Law):
     """A law between the jump at a node of S and the traction there, without a bulk law behind it.
 
     Jumps w (n, d) and tractions (n, d) have components in the frame of S: d - 1 tangential ones, then the normal one, which
-    is positive where S opens and where it pulls. Penetration is u_N = -w_N, pressure p = -t_N >= 0:
+    is positive where S opens and where it pulls. The normal jump counts from contact: an initial gap adds to it.
+    Penetration is u_N = -w_N, pressure p = -t_N >= 0:
 
         p = K_N max(u_N, 0),   t_T = K_T (w_T - slip), shortened to the length threshold(p) where it is longer.
 
@@ -37,16 +40,42 @@ class ContactLaw(Law):
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
+        gap: by keyword, initial gap along n between the two sides, a length: a number, or a numpy function of places x
+            (d, n) that returns n numbers; < 0 is an interference, which presses the sides together before they move.
         memory: whether a node remembers its slip, (d - 1) components; otherwise slip = 0.
     """
 
     K_N: float
     K_T: float
+    gap: float | Callable[[Array], Array] = field(default=0.0, kw_only=True)
     symmetric = False
+    functions = ("gap",)
     memory: ClassVar[bool] = False
 
     def check(self) -> None:
         positive(self, "K_N", "K_T")
+        require(
+            callable(self.gap) or bool(np.isfinite(self.gap)), self, "gap", self.gap, "a finite number, or a function"
+        )
+
+    def parameters(self) -> dict[str, Any]:
+        return super().parameters() | ({"gap": np.nan} if callable(self.gap) else {})
+
+    def gaps(self, x: Array) -> Array:
+        """Initial gaps (n,) at places x (d, n); raises LawError if they are not n finite numbers."""
+        if not callable(self.gap):
+            return np.full(x.shape[1], float(self.gap))
+        what = f"{type(self).__name__}: gap(x) for x of shape {x.shape}"
+        try:
+            found = np.array(np.broadcast_to(real(self.gap(x.copy())), (x.shape[1],)))
+        except Exception as error:
+            raise LawError(
+                f"{what}: {type(error).__name__}: {error}; it must give n lengths for places (d, n)"
+            ) from error
+        if not np.isfinite(found).all():
+            at = np.flatnonzero(~np.isfinite(found))[0]
+            raise LawError(f"{what} is {found[at]} at x = ({', '.join(f'{c:g}' for c in x[:, at])})")
+        return found
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}

@@ -231,7 +231,7 @@ class Law(OfPlaces):
 
 
 class BulkLaw(Law):
-    """A law of strains, for the material of a layer, and of bodies if it has no rate and no memory.
+    """A law of strains, for the material of a layer or of a body.
 
     A law is written for real moduli. Users give its parameters in a layer *per thickness*: the real value of a parameter
     in a layer of thickness eps is value * eps**power, with the power declared here (0 by default).

@@ -127,7 +127,7 @@ class Joint:
             self._check_seams()
             self._take_out_seams()
         if self.periods:
-            outer = self.surface_rows[self.surface_cells[:, 0] < 0]
+            outer = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
     def _check_regions(self) -> None:

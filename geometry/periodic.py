@@ -43,6 +43,25 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     return replace(joint, periods=Periods(before.sides + named, before.pairs + pairs))
 
 
+def require_inside(joint: Joint) -> None:
+    """Raise GeometryError if S reaches a periodic side: inflated, opposite sides would not match."""
+    for names, pair in zip(joint.periods.sides, joint.periods.pairs, strict=True) if joint.periods else ():
+        reached = np.intersect1d(pair, joint.surface)
+        if len(reached):
+            sides = " and ".join(map(repr, names))
+            raise GeometryError(
+                f"S reaches the periodic sides {sides}, at {place(joint.points[reached[0]])}: the layer cannot be meshed, "
+                "as the sides would not match when it opens; cut the cell where S is not, use the interface model, or mesh "
+                "a large piece that is not periodic"
+            )
+
+
+def repeated(inflated: Joint, periods: Periods) -> Joint:
+    """An inflated joint, whose periodic sides have not moved, with the periods of the one that it came from."""
+    pairs = tuple(_matched(inflated, *names) for names in periods.sides)
+    return replace(inflated, periods=Periods(periods.sides, pairs))
+
+
 def _matched(joint: Joint, first: str, second: str) -> IntArray:
     """(n, 2) nodes on the first side and the same ones on the second."""
     rows = [_outer_rows(joint, name) for name in (first, second)]

@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 
 from forms import LinearElastic
-from geometry import fibre
+from geometry import fibre, periodic
 from geometry.parallel import on_root
 from studies.concentric import Cylinders
 from studies.sweeping import Solution, Sweep, draw_rates, last
-from thinlayer import State, Structure, Table, ThinLayer, observed_orders, plotting, solve
+from thinlayer import State, Structure, Table, ThinLayer, homogenised_stiffness, observed_orders, plotting, solve
 from thinlayer.output.grid import gather
 from thinlayer.running.record import Record
 
 EPS = (0.08, 0.04, 0.02, 0.01)  # over the radius of the matrix
 SIZES = (0.1, 0.05, 0.025)
 RADIUS, RIM = 0.4, 1.0
+CELL = (1.2, 1.0)  # width and height of the periodic cell
 STRETCH = 0.1  # of the rim, along x
 GLASS, RESIN = LinearElastic.young(E=5.0, nu=0.3), LinearElastic.young(E=1.0, nu=0.2)
 COATING = LinearElastic(lmbda=0.6, mu=0.7)  # per thickness
@@ -31,7 +32,8 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
     The interface model's energy against its closed form on finer and finer meshes: order 2 with straight cells, whose S
     is a polygon, 4 with curved ones. The interphase's thickness against the interface law: error O(eps), the same as that
-    of the closed forms of three cylinders in one another and of two with springs between.
+    of the closed forms of three cylinders in one another and of two with springs between. A periodic cell of such fibres as
+    a whole: the same rate.
 
     Args:
         record: where to write.
@@ -55,6 +57,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
     record.check("energy of the meshed model, relative error", max(table["energy"]), high=5e-5)
     along_axis(record, sweep, max(eps))
+    homogenise(record, eps, 0.1 if quick else 0.05)
 
 
 def setup() -> dict[str, Any]:
@@ -112,6 +115,24 @@ def refine(record: Record, sizes: Sequence[float]) -> None:
             table.append(row | {"order": order})
         record.check(f"observed order of the energy in h, cells of degree {degree}", order or 0.0, low=low, high=high)
     record.say(table)
+
+
+def homogenise(record: Record, eps: Sequence[float], h: float) -> None:
+    """Stiffness of a periodic cell of coated fibres as a whole, the coating meshed and as a law on S: error O(eps)."""
+    cell = periodic(fibre(RADIUS, CELL, h, degree=2), ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
+    structure, table = Structure(cell, body=setup()["body"], supports={}), record.table("homogenised.csv")
+    errors: list[float] = []
+    for e in eps:
+        layer = ThinLayer(COATING, e)
+        full, limit = (
+            homogenised_stiffness(m) for m in (structure.full(layer, bodies="extended"), structure.interface(layer))
+        )
+        errors.append(float(np.abs(full - limit).max() / np.abs(limit).max()))
+        order = observed_orders(eps[: len(errors)], errors)[-1]
+        row = {"eps": e, "C_11": full[0, 0], "C_22": full[1, 1], "C_12": full[0, 1], "C_66": full[2, 2]}
+        table.append({name: float(value) for name, value in row.items()} | {"error": errors[-1], "order": order})
+    record.say(table)
+    record.check("observed order of the homogenised stiffness in eps", order or 0.0, low=0.85, high=1.15)
 
 
 def along_axis(record: Record, sweep: Sweep, eps: float) -> None:

@@ -8,7 +8,7 @@ from thinlayer.parts.part import Interval
 from thinlayer.solving.solvers import Solver
 
 
-def observed_orders(solver: Solver, size: float = 1e-2, theta: float = 1.0) -> float:
+def observed_orders(solver: Solver, size: float = 1e-2, theta: float = 1.0, longest: float = 1.0) -> float:
     """Smallest order in h of |R(x + h d) - R(x) - h A d| at some unknowns x, for a direction d; inf where it vanishes."""
     equations = solver.equations
     equations.begin(Interval(solver.rest(0.0), 0.1, 0.1, theta))
@@ -20,7 +20,7 @@ def observed_orders(solver: Solver, size: float = 1e-2, theta: float = 1.0) -> f
     A = equations.tangent()
     A.mult(d, linear)
     errors = []
-    for h in (1.0, 0.5, 0.25, 0.125):
+    for h in longest * np.array([1.0, 0.5, 0.25, 0.125]):
         moved = x.copy()
         moved.axpy(h, d)
         equations.residual(moved, there)

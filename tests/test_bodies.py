@@ -27,6 +27,7 @@ from tests.bodies_run import JOINT, SHEARED, YIELDING, numbers, yielding
 from tests.columns_in_time import column, joint
 from tests.own_laws import Slipping
 from tests.ranks import mpirun
+from tests.taylor import observed_orders
 from thinlayer import (
     Adaptive,
     ContactReport,
@@ -40,6 +41,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
+from thinlayer.solving.solvers import Solver
 
 MU, Y, H = 50.0, 1.0, 30.0
 METAL = VonMises(60.0, MU, strength=Y, hardening=H)
@@ -127,6 +129,14 @@ def test_order_one_knows_the_stresses_of_bodies():
     assert surface.integral(t[1]) == pytest.approx(4.0, rel=1e-8)
     assert surface.norm(surface.traction(b) - t) < 1e-7 * surface.norm(t)
     assert a.dissipated["bodies"] > 0
+
+
+@pytest.mark.parametrize("theta", [1.0, 0.7])
+@pytest.mark.parametrize("body", [replace(METAL, strength=1e-4), Maxwell(60.0, MU, 0.7)], ids=["yields", "relaxes"])
+def test_the_tangent_is_that_of_the_residual(body, theta):
+    for model in (yielding(body), yielding({"LOWER": body, "UPPER": GLUE})):
+        with Solver(model, method="newton") as solver:
+            assert observed_orders(solver, theta=theta, longest=1e-3) > 1.9
 
 
 def test_bodies_reach_their_limit():

@@ -45,7 +45,7 @@ def test_stress_is_the_slope_of_the_stored_energy(h, theta):
     n = random.normal(size=(points, 3))
     n /= np.linalg.norm(n, axis=1)[:, None]
     e, direction = (0.01 * random.normal(size=(points, 6)) for _ in range(2))
-    q = np.zeros((points, 6))
+    q = np.zeros((points, 7))
     now = respond(law, e, e, q, n, theta=theta)
     t_N = np.einsum("ki,kij,kj->k", n, tensor(now.stress - h * respond(ELASTIC, e, e, q[:, :0], n).stress), n)
     pulled = np.abs(t_N) < 1e-9
@@ -116,7 +116,7 @@ def test_tangents_next_to_coinciding_stresses(pair, gap):
     W = turn @ W @ turn.T
     for beyond in (1 - 0.01 * gap, 1 + 0.01 * gap, 1 + 0.1 * gap):
         e = turn @ strain @ turn.T * yields * beyond
-        answer = respond(law, vector(e[None]), np.zeros((1, 6)), np.zeros((1, 6)), n)
+        answer = respond(law, vector(e[None]), np.zeros((1, 6)), np.zeros((1, 7)), n)
         s = tensor(answer.stress)[0]
         turned = vector((W @ e - e @ W)[None])[0]
         found = answer.tangent[0] @ turned

@@ -194,7 +194,7 @@ def numbers() -> list:
 
 
 def test_values_do_not_depend_on_the_ranks():
-    done = mpirun(2, "-m", "tests.test_probe")
+    done = mpirun(3, "-m", "tests.test_probe")
     assert done.returncode == 0, done.stderr
     for a, b in zip(numbers(), json.loads(done.stdout), strict=True):
         assert np.array(b) == pytest.approx(np.array(a), rel=1e-8, abs=1e-10)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import pyvista
 
 from forms import LinearElastic
 from geometry import sandwich
@@ -27,7 +28,7 @@ SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[0], re.DOTALL
 @pytest.mark.parametrize("number", [0, 1], ids=["lap", "creep"])
 def test_script(tmp_path, number):
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
-    assert len(SCRIPTS) == len(tables) + 5 == 7
+    assert len(SCRIPTS) == len(tables) + 6 == 8
     (tmp_path / "script.py").write_text(SCRIPTS[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -93,6 +94,22 @@ def test_limit_script(printed_by):
     assert found == pytest.approx(printed, abs=2e-3)
     t_N, angle = found[3], math.radians(35)
     assert found[0] == pytest.approx(0.2 * math.cos(angle) - t_N * math.sin(angle), rel=2e-3)
+
+
+def test_results_script(printed_by):
+    """What is printed, and files that can be read."""
+    out = printed_by(7)
+    wanted = README.partition("## Results")[2].partition("![")[0].splitlines()
+    numbers = re.compile(r"-?\d+\.\d+")
+    for line in out.splitlines():
+        (printed,) = (one for one in wanted if numbers.sub("", one).split() == numbers.sub("", line).split())
+        found, there = ([float(x) for x in numbers.findall(one)] for one in (line, printed))
+        assert found == pytest.approx(there, rel=1e-2)  # another gmsh may mesh a little differently
+    for name in ("wall.pvd", "wall.gif", "along.png"):
+        assert Path(name).stat().st_size > 300, name
+    state = pyvista.get_reader("wall.pvd")
+    assert state.time_values == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert state.read()[0].keys() == ["bodies", "S"]
 
 
 def test_scripts_are_short():

@@ -5,12 +5,13 @@ from __future__ import annotations
 import gmsh
 import numpy as np
 import pytest
+import pyvista
 import ufl
 
 from forms import LinearElastic, Maxwell, NonMonotone, Stack
 from geometry import GeometryError, read
 from tests.meshes import boxes, drawing, save, sides
-from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, march, solve
+from thinlayer import ModelError, PhaseReport, Structure, Surface, ThinLayer, fields, march, solve
 from thinlayer.output.grid import gather
 
 BODY = LinearElastic(30.0, 20.0)
@@ -52,7 +53,7 @@ def test_layers_in_series(path, seams):
     assert state.energies()["layer"] == pytest.approx(2 * t**2 * SHARE / 2, rel=1e-9)
 
 
-def test_a_seam_on_a_rigid_base(path):
+def test_a_seam_on_a_rigid_base(path, tmp_path):
     """The foot stands on a base; the whole S has no sides of one kind, its seams have."""
     joint = read(path, S={"BOTTOM": None, "TWO": (0, 1)})
     assert joint.base_seams == ("BOTTOM",)
@@ -65,6 +66,11 @@ def test_a_seam_on_a_rigid_base(path):
         assert jump[:, 1] == pytest.approx(t / stiffness, rel=1e-9)
         _, traction = surface.profile(surface.traction(state))
         assert traction[:, 1] == pytest.approx(t, rel=1e-9)
+    fields.write(state, tmp_path / "a.pvd")
+    on_s = pyvista.read(tmp_path / "a.pvd")[0]["S"]
+    assert on_s["t_N"] == pytest.approx(t, rel=1e-8)
+    stiffnesses = np.array([{"BOTTOM": 5, "TWO": 9}[name] for name in on_s.field_data["seams"]])
+    assert on_s.point_data_to_cell_data()["w_N"] == pytest.approx(t / stiffnesses[on_s["seam"]], rel=1e-8)
     assert len(gather(state).base) == len(joint.facets["BOTTOM"])
     whole = Surface(state.model)
     with pytest.raises(

@@ -176,7 +176,7 @@ def test_a_beam_on_springs():
 
 def test_stiffnesses_that_are_refused():
     joint = sandwich(1.0, HEIGHT, HEIGHT, 0.25, structured=True)
-    with pytest.raises(ModelError, match="normal is -1.0; allowed: a finite number >= 0, or a function of x"):
+    with pytest.raises(ModelError, match=r"normal is -1.0; allowed: a finite number >= 0, or a function of x"):
         Springs("BOTTOM", normal=-1.0)
     for given, message in (
         (lambda x: x[0] - 0.3, r"normal is -0.3 at \(.*, -0.5\); allowed: finite, >= 0"),

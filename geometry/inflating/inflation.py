@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from geometry.inflating.layering import Layering, check_junctions, check_layerin
 from geometry.inflating.motion import NOT_KEPT, UNIFORM, extended_motion, face_motion, kept_motion
 from geometry.inflating.room import is_swept, require_apart, require_room
 from geometry.joint import Band, Joint, Profile
+from geometry.periodic import repeated, require_inside
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import FloatArray, IntArray, node_jacobians
 
@@ -63,9 +64,10 @@ def inflate(
         curved cells stay curved.
 
     Raises:
-        GeometryError: a size, cells_through or fractions out of range; S ends inside the bodies or is folded; the
-            thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that touch S and are nearly
-            parallel to it, layers of different thickness that meet in line (extended); cells turned inside out, layers
+        GeometryError: a size, cells_through or fractions out of range; S reaches a periodic side, ends inside the bodies
+            or is folded; the thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that
+            touch S and are nearly parallel to it, layers of different thickness that meet in line (extended); cells turned
+            inside out, layers
             that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, of an odd number of
             cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three layers there;
             bodies that touch at a vertex, or along an edge, only; gaps alone.
@@ -75,6 +77,9 @@ def inflate(
         raise GeometryError(f"inflate takes a joint, not {joint!r}")
     if joint.band is not None:
         raise GeometryError("this joint is inflated already; inflate the joint it came from")
+    require_inside(joint)
+    periods, joint = joint.periods, replace(joint, periods=None)
+    fixed = np.unique(np.concatenate(periods.pairs)) if periods else np.empty(0, np.int64)
     claims = claims_of(joint, junctions, gaps)
     layers = Layering.of(joint, eps, profile, cells_through, fractions)
     copies = Copies.of(joint)
@@ -85,7 +90,7 @@ def inflate(
     around = polyhedra_of(joint, posts, meetings)
 
     translation = _translation(joint, layers.thickness) if bodies == "kept" else None
-    copied = _motion(joint, copies, layers.thickness, translation)
+    copied = _motion(joint, copies, layers.thickness, translation, fixed)
     nodes, moved, below = posts.between(copied)
     motion = np.concatenate([copied, np.empty((posts.size, joint.dim))])
     footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
@@ -136,7 +141,7 @@ def inflate(
     )
     if translation is not None and not is_swept(joint, translation):
         require_apart(opened)
-    return opened
+    return repeated(opened, periods) if periods else opened
 
 
 @dataclass(frozen=True)
@@ -231,14 +236,16 @@ def _bands(
     return _Cells.joined(found), names
 
 
-def _motion(joint: Joint, copies: Copies, thickness: FloatArray, translation: FloatArray | None) -> FloatArray:
-    """(n, d) motion of each node of the parted bodies, and of the copies on a rigid base."""
+def _motion(
+    joint: Joint, copies: Copies, thickness: FloatArray, translation: FloatArray | None, fixed: IntArray
+) -> FloatArray:
+    """(n, d) motion of each node of the parted bodies, and of the copies on a rigid base; some are fixed if they extend."""
     n_nodes = len(joint.points) + len(copies.new)
     if translation is None:
         on_base = (joint.surface_cells[:, 0] < 0)[:, None]
         up, down = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
         known, values = face_motion(joint, copies, (down, up))
-        return extended_motion(joint, copies.cells, n_nodes, known, values)
+        return extended_motion(joint, copies.cells, n_nodes, known, values, fixed)
     motion = np.zeros((n_nodes, joint.dim))
     motion[copies.cells] = translation[joint.splitting.pieces][:, None]
     motion[len(joint.points) :][copies.base] = translation[-1]

@@ -87,7 +87,7 @@ class Layering:
         """From the arguments of `inflate`.
 
         Raises:
-            GeometryError: a size or fractions out of range; the joint is periodic; S ends inside the bodies.
+            GeometryError: a size or fractions out of range; S reaches a periodic side; S ends inside the bodies.
         """
         sizes, shares = by_seam(joint, eps, "eps"), by_seam(joint, fractions, "fractions", ())
         profiles = by_seam(joint, profile, "profile", None)
@@ -100,11 +100,6 @@ class Layering:
                 raise GeometryError(
                     f"the sublayers' fractions {tuple(some)}{which} must be numbers > 0 and add up to 1"
                 )
-        if joint.periods:
-            raise GeometryError(
-                "a periodic joint has no meshed layer: inflated, its sides would not match; use the interface model, or "
-                "inflate a large piece that is not periodic"
-            )
         if joint.tip is not None:
             raise GeometryError(
                 f"S ends inside the bodies (near {place(joint.tip)}): the layer has no room at its tip and cannot be "

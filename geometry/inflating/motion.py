@@ -214,7 +214,7 @@ def _translations(
 
 
 def extended_motion(
-    joint: Joint, body_cells: IntArray, n_nodes: int, known: IntArray, values: FloatArray
+    joint: Joint, body_cells: IntArray, n_nodes: int, known: IntArray, values: FloatArray, fixed: IntArray
 ) -> FloatArray:
     """Motion (n_nodes, d) of the bodies' nodes: given at the layer's faces, harmonic inside, sliding along outer faces.
 
@@ -224,12 +224,13 @@ def extended_motion(
         n_nodes: number of nodes of the inflated joint.
         known: nodes of the faces.
         values: (n, d) their motion.
+        fixed: nodes of the joint that do not move, as those of periodic sides.
     """
     d, k = joint.dim, joint.corners.shape[1]
     corners = body_cells[:, :k]
     motion = np.zeros((n_nodes, d))
     motion[known] = values
-    free = np.setdiff1d(np.unique(corners), known)
+    free = np.setdiff1d(np.unique(corners), np.concatenate([known, fixed]))
 
     moments, count = _outer_moments(joint, body_cells)
     eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])

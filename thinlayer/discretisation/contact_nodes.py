@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -18,6 +19,7 @@ from forms.work import LIFTED
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError
+from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.exchange import ask
 
 Array = npt.NDArray[np.float64]
@@ -83,14 +85,23 @@ class ContactNodes:
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
         held: (n, d) components of the jump (global axes) that supports prescribe.
         held_upper: (n, d) components of the upper side's displacement that supports prescribe.
+        gap: (n,) initial gap between the sides; < 0: interference.
     """
 
-    def __init__(self, surface: ContactSurface, held: npt.NDArray[np.int32] = NONE, *, turned: bool = False) -> None:
+    def __init__(
+        self,
+        surface: ContactSurface,
+        held: npt.NDArray[np.int32] = NONE,
+        *,
+        gap: Callable[[Array], Array] | None = None,
+        turned: bool = False,
+    ) -> None:
         """Make the nodes of a surface.
 
         Args:
             surface: the facets.
             held: displacements of this rank that supports prescribe (local, unrolled).
+            gap: initial gaps (n,) at places (d, n); None: there are none.
             turned: swap the two sides and reverse the frames, so that components of jumps stay the same.
         """
         self._turned = turned
@@ -129,6 +140,8 @@ class ContactNodes:
             raise ModelError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
         self.frames = (-1.0 if turned else 1.0) * _frames(vectors / size[:, None])
         self._note_held(held)
+        with on_all(self.comm):
+            self.gap = np.zeros(len(upper)) if gap is None else gap(np.ascontiguousarray(self.x.T))
 
     @property
     def pairs(self) -> npt.NDArray[np.int64]:
@@ -231,6 +244,12 @@ class ContactNodes:
         """Jumps in the nodes' frames, (n, d)."""
         difference = u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u)
         return np.einsum("nij,nj->ni", self.frames, difference)
+
+    def apart(self, u: PETSc.Vec) -> Array:
+        """How far the sides are apart, in the nodes' frames, (n, d): jumps, and the initial gap along the normal."""
+        w = self.jump(u)
+        w[:, -1] += self.gap
+        return w
 
     def add_forces(self, t: Array, out: PETSc.Vec) -> None:
         """Add the nodal forces of tractions (n, d), in the nodes' frames."""

@@ -61,11 +61,15 @@ class LayeredModel(Model):
         new._lay(layer, partial(new._check_beside, self))
         with on_all(self.comm):
             new.given_on = {name: one.given(self.coordinates) for name, one in new.layers.items()}
-        new.layer_terms = new._terms_of_layers()
+        new.layer_terms = new._strained(new._terms_of_layers())
         with on_all(self.comm):
             new.forces = new._forces(new.structure)
             if new.strain or new.stress:
                 new.require_order_zero()
+            if new.stress and not new.broken:
+                raise ModelError(
+                    "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
+                )
         new.made_from = new._data()
         new.laws_were_read()
         return new

@@ -117,6 +117,7 @@ class Model(ABC):
             self.strain, self.stress = self._mean_loads()
         if self.strain:
             self.bodies = added(self.bodies, self.strain.expression)
+            self.layer_terms = self._strained(self.layer_terms)
         self.parts = structure.parts
         with on_all(self.comm):
             check_additions(self.parts, self)
@@ -221,7 +222,7 @@ class Model(ABC):
             self.require_order_zero()
         return (
             None if strain is None else MeanStrain(strain, self.coordinates, self.joint),
-            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.bodies),
+            None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids),
         )
 
     def require_order_zero(self) -> None:
@@ -329,6 +330,15 @@ class Model(ABC):
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
+
+    def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
+        """The terms of layers, of meshed ones with the mean strain of a periodic cell."""
+        return added(terms, self.strain.expression) if self.strain and not self.broken else terms
+
+    @property
+    def solids(self) -> list[forms.Term]:
+        """The terms of bodies and of meshed layers."""
+        return self.bodies if self.broken else self.terms
 
     @property
     def terms(self) -> list[forms.Term]:

@@ -233,7 +233,10 @@ class State(Configuration):
     @property
     def layers(self) -> list[Term]:
         """The terms of the layers' laws, with the strains that are given beside those of u."""
-        return at_time(self.model.layer_terms, self.t)
+        model = self.model
+        terms = at_time(model.layer_terms, self.t)
+        found = model.stress and not model.broken
+        return added(terms, lift(fem.Constant(model.domain.mesh, self.mean_strain()))) if found else terms
 
     def stress(self, term: Term) -> Expr:
         """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
@@ -252,13 +255,13 @@ class State(Configuration):
         return stressed(self.model, terms, self.u, self.stresses)
 
     def mean_stress(self) -> npt.NDArray[np.float64]:
-        """Mean stress (d, d) of the bodies. Collective.
+        """Mean stress (d, d) of the bodies and of meshed layers. Collective.
 
         In a periodic cell with a layer on S, which has no volume, it is the stress of the cell as a whole.
         """
         model, d = self.model, self.model.joint.dim
         chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
-        terms = self.bodies
+        terms = self.bodies if model.broken else [*self.bodies, *self.layers]
         part = compiled(sum(ufl.inner(s, lift(chosen)) * p.weight * measure for p, s, measure in self._stressed(terms)))
         volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
         out = np.zeros((d, d))

@@ -12,7 +12,9 @@ class Structure(Setup):
 
     Args:
         joint: the joint; S is where the layer is.
-        body: law of the bodies (moduli: stress), or region name -> law.
+        body: law of the bodies (moduli: stress), or region name -> law. Any law of strains but those for layers alone
+            (`Stack`, `Incompressible`, laws with phases, or of the normal of S) and those that soften. Its parameters may
+            be numpy functions of places (d, n) in the joint that give n values.
         supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer. Where places
             overlap their values must agree.
         tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that returns d

@@ -92,9 +92,9 @@ class ContactReport:
         law = model.contacts[seam]
         held = model.supports.held(model.V)
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
-        nodes = ContactNodes(ContactSurface.of(model, seam), held[held < owned])
+        nodes = ContactNodes(ContactSurface.of(model, seam), held[held < owned], gap=law.gaps)
         slip, d = state.memory[model.layers[seam].key], nodes.dim
-        w = nodes.jump(state.u.x.petsc_vec)
+        w = nodes.apart(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)
         threshold = law.threshold(p)
         kind = law.status(w, slip)

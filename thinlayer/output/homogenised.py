@@ -28,12 +28,12 @@ def homogenised_stiffness(model: Model) -> Array:
     """Mean stresses of a periodic cell over mean strains, by one factor and a solve for each mean strain. Collective.
 
     Args:
-        model: an interface or bonded model of a periodic joint, with linear laws and supports that do not move. Its loads,
+        model: a model of a periodic joint, with linear laws and supports that do not move. Its loads,
             eigenstrains and its own mean strain play no part.
 
     Returns:
         (k, k) stress, in the order of `Anisotropic`: 11, 22, 12 in 2D (k = 3), 11, 22, 33, 23, 13, 12 in 3D (k = 6). A
-        column is the mean stress of the bodies under a mean strain 1, or under a shear of 1 (e_12 = e_21 = 1/2). Where
+        column is the mean stress under a mean strain 1, or under a shear of 1 (e_12 = e_21 = 1/2). Where
         sides are free, rows and columns of directions without a period vanish.
 
     Raises:
@@ -51,6 +51,8 @@ def homogenised_stiffness(model: Model) -> Array:
         [replace(p, given=None) for p in some] for some in (model.bodies, model.layer_terms)
     )
     strained.bodies = added(bodies, strained.strain.expression)
+    if not model.broken:
+        strained.layer_terms = added(strained.layer_terms, strained.strain.expression)
     strained.forces = Forces(model.domain, None, None, at, kinematics=model.kinematics)
     with Solver(strained) as solver:
         times = map(float, range(len(PAIRS[model.joint.dim])))

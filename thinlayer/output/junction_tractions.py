@@ -18,6 +18,7 @@ from forms.kinematics import Expr, lift
 from forms.law import explained
 from forms.work import Term
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.given import at_time
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.pairs import Pairs
@@ -79,7 +80,7 @@ class JunctionTractions:
             layer, here = model.layers.get(name), self._on(name)
             if layer.contact if layer else model.layers:  # bonded bodies have no layers
                 fixed |= here
-            elif layer and _is_told(layer) and self._is_finite(by_law := self._by_law(layer, u)):
+            elif layer and _is_told(layer) and self._is_finite(by_law := self._by_law(layer, u, state.t)):
                 t.x.array[here] = by_law.x.array[here]
             else:
                 mute.append(name)
@@ -149,9 +150,9 @@ class JunctionTractions:
         return np.asarray(nodal_forces(self._trace, form).x.array)
 
     # ---------------------------------------------------------------- what is known beforehand
-    def _by_law(self, layer: SeamLayer, u: fem.Function) -> fem.Function:
-        """The law's tractions at the jump, on a layer's seam."""
-        terms, sides = self.model.terms_of(layer), self._sides[layer.name]
+    def _by_law(self, layer: SeamLayer, u: fem.Function, t: float) -> fem.Function:
+        """The law's tractions at the jump and a time, on a layer's seam."""
+        terms, sides = at_time(self.model.terms_of(layer), t), self._sides[layer.name]
 
         def stress(term: Term) -> Expr:
             with explained(term.law, "stress"):
@@ -161,17 +162,17 @@ class JunctionTractions:
         by_law = ufl.as_vector([total[k] for k in range(len(sides.n))])
         rule = {"quadrature_rule": "vertex", "quadrature_degree": 1}
         form = ufl.inner(by_law, sides.upper(ufl.TestFunction(self.pairs.space))) * sides.measure(metadata=rule)
-        t = nodal_forces(self.pairs.space, form, self.pairs.maps)
-        t.x.array[:] /= self._vertex_areas
-        return t
+        found = nodal_forces(self.pairs.space, form, self.pairs.maps)
+        found.x.array[:] /= self._vertex_areas
+        return found
 
     def _by_contact(self, state: State, layer: SeamLayer) -> fem.Function:
         """The tractions of a contact law on its seam."""
         model, law = self.model, layer.contact
         assert law is not None
         surface = ContactSurface.of(model, layer.name)
-        nodes = ContactNodes(surface)
-        t = law.traction(nodes.jump(state.u.x.petsc_vec), state.memory[layer.key])
+        nodes = ContactNodes(surface, gap=law.gaps)
+        t = law.traction(nodes.apart(state.u.x.petsc_vec), state.memory[layer.key])
         known = np.vstack([np.einsum("nij,ni->nj", nodes.frames, t), np.zeros(model.joint.dim)])  # the last: at tips
         imap = model.V.dofmap.index_map
         keys = nodes.pairs @ [imap.size_global + 1, 1]

@@ -79,7 +79,7 @@ class Probe:
         d = self._joint.dim
         mine, local = self._local(located.cell)
         basis = V.ufl_element().basix_element.tabulate(0, located.X[mine])[0, :, :, 0]
-        nodal = cell_values(self.state.u, local).reshape(len(local), -1, d)
+        nodal = cell_values(self.state.u, local).reshape(len(local), basis.shape[1], d)
         u = self._summed(np.einsum("kn,knd->kd", basis, nodal), mine, len(located.cell))
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
         first = np.searchsorted(located.point, np.arange(len(located.x)))

@@ -51,10 +51,10 @@ def contact_forces(state: State) -> fem.Function:
     """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
     model, forces = state.model, fem.Function(state.model.V)
     for name, law in model.contacts.items():
-        nodes = ContactNodes(ContactSurface.of(model, name))
+        nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
         out = nodes.zero()
         slip = state.memory[model.layers[name].key]
-        nodes.add_forces(-law.traction(nodes.jump(state.u.x.petsc_vec), slip), out)
+        nodes.add_forces(-law.traction(nodes.apart(state.u.x.petsc_vec), slip), out)
         forces.x.array[: out.getLocalSize()] += out.array_r
         nodes.destroy()
         out.destroy()

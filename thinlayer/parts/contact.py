@@ -40,10 +40,11 @@ class ContactPart(Part):
         if not isinstance(law, ContactLaw):
             raise LawError(f"{law!r} is no contact law")
         law.check_threshold()
-        self.key, self.law, self.nodes = key, law, ContactNodes(surface, held)
+        self.key, self.law, self.nodes = key, law, ContactNodes(surface, held, gap=law.gaps)
         self.now: ContactLaw | EasedContact = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
+        self.distance = self.nodes.comm.allreduce(float(np.abs(self.nodes.gap).max(initial=0.0)), max)
         if self.nodes.lower is not None:
             areas = self.nodes.comm.allreduce(float((self.nodes.weights**2).sum()))
             self.cancelling = float(max(law.K_N, law.K_T) * np.sqrt(areas))
@@ -59,7 +60,7 @@ class ContactPart(Part):
         self.now = self.law.eased(LEAST_SHARE ** (1 - ease)) if ease else self.law
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._w = self.nodes.jump(u.x.petsc_vec)
+        self._u, self._w = u, self.nodes.apart(u.x.petsc_vec)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         self.nodes.add_forces(self.now.traction(self._w, self.slip), out)
@@ -68,7 +69,7 @@ class ContactPart(Part):
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. At rest the law has no tangent; the tangent of bonded springs is used instead."""
         w = self._w
-        moved = self.nodes.comm.allreduce(int(w.any()))
+        moved = self.nodes.comm.allreduce(int(self.nodes.jump(self._u.x.petsc_vec).any()))
         C = self.now.tangent(w, self.slip) if moved else self.law.bonded(len(w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
@@ -76,11 +77,14 @@ class ContactPart(Part):
         w, law, nodes = self._w, self.law, self.nodes
         old = self.interval.old
         stored, dissipated = law.energies(w, self.slip)
-        worked = (law.traction(w, self.slip) * (w - nodes.jump(old.u.x.petsc_vec))).sum(axis=1)
-        sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked)]))
-        after, lost, work = map(float, sums if law.traits.has_energy else np.full(3, np.nan))
+        t, change = law.traction(w, self.slip), w - nodes.apart(old.u.x.petsc_vec)
+        pressed = t[:, -1] * nodes.gap * old.at_rest  # an interference comes with the first step
+        worked = (t * change).sum(axis=1) + pressed
+        sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked, pressed)]))
+        after, lost, work = map(float, sums[:3] if law.traits.has_energy else np.full(3, np.nan))
         before = old.stored.get(self.key, 0.0)
-        return Outcome(before, after, lost, work - (after - before) - lost, law.slip_after(w, self.slip))
+        memory = law.slip_after(w, self.slip)
+        return Outcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))
 
     def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
         return (self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]).ravel()

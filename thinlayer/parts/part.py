@@ -159,6 +159,8 @@ class Part(ABC):
         field: the part's own unknowns beside the displacements, in the solver's units; None: there are none.
         failed: number of points on all ranks at which the last evaluation failed.
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
+        distance: largest distance of bodies that is given, such as an initial gap. It may be added to displacements, whose
+            rounding is then that of the distance.
         cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements. The
             rounding of these forces is that of the displacements times this stiffness.
         tie: (n, k) sparse, the displacements of this rank that follow all k own unknowns of the part, as those of a rigid
@@ -172,6 +174,7 @@ class Part(ABC):
     field: fem.Function | None = None
     failed: int = 0
     K: PETSc.Mat | None = None
+    distance: float = 0.0
     cancelling: float = 0.0
     tie: Any = None
     stress_width: int = 0

@@ -4,8 +4,10 @@ from thinlayer.output.plotting.contacts import contact
 from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, rates
 from thinlayer.output.plotting.layers import layers
 from thinlayer.output.plotting.lines import along
+from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.picture import Picture
-from thinlayer.output.plotting.structures import VIEWS, deformed
+from thinlayer.output.plotting.scene import VIEWS
+from thinlayer.output.plotting.structures import deformed
 
 __all__ = [
     "COLOURS",
@@ -17,6 +19,7 @@ __all__ = [
     "curves",
     "deformed",
     "layers",
+    "movie",
     "panels",
     "rates",
 ]

@@ -150,7 +150,7 @@ def _from_softer_side(problem: ContactProblem) -> ContactProblem:
     if not 0 < lower < upper:
         return problem
     turned = copy(problem)
-    turned.nodes = ContactNodes(nodes.surface, problem.held, turned=True)
+    turned.nodes = ContactNodes(nodes.surface, problem.held, gap=problem.law.gaps, turned=True)
     return turned
 
 

@@ -41,6 +41,7 @@ class PairNodes:
         self._ends = place[1:].reshape(-1, 2) - 1  # -1: the rigid base
         self._frames = np.concatenate([part.nodes.frames for part in parts])
         self._weights = np.concatenate([part.nodes.weights for part in parts])
+        self._gaps = np.concatenate([part.nodes.gap for part in parts])
         self._of_part = np.split(np.arange(len(pairs)), np.cumsum([len(part.nodes.upper) for part in parts])[:-1])
         self.free = ~held.reshape(-1, self.d)[self.nodes]
         self._jumps = self._jump_matrix()
@@ -74,24 +75,27 @@ class PairNodes:
             [of_part(part.now, w[own], part.slip) for part, own in zip(self._parts, self._of_part, strict=True)]
         )
 
-    def jump(self, u: Array) -> Array:
-        """(pairs, d) jumps in the pairs' frames at displacements (n d,)."""
-        return np.asarray((self._jumps @ u).reshape(-1, self.d))
+    def apart(self, u: Array) -> Array:
+        """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
+        w = (self._jumps @ u).reshape(-1, self.d)
+        w[:, -1] += self._gaps
+        return np.asarray(w)
 
     def forces(self, u: Array) -> Array:
         """(n d,) forces of the pairs, to be added to those of the bodies; zero at held displacements."""
-        t = self._gathered(lambda law, w, slip: law.traction(w, slip), self.jump(u))
+        t = self._gathered(lambda law, w, slip: law.traction(w, slip), self.apart(u))
         out = self._jumps.T @ (t * self._weights[:, None]).ravel()
         return np.where(self.free.ravel(), out, 0.0)
 
     def tangent(self, u: Array) -> scipy.sparse.csr_matrix:
         """(n d, n d) derivative of `forces`."""
-        return self._stiffness(self._gathered(lambda law, w, slip: law.tangent(w, slip), self.jump(u)))
+        return self._stiffness(self._gathered(lambda law, w, slip: law.tangent(w, slip), self.apart(u)))
 
     def bonded(self) -> tuple[scipy.sparse.csr_matrix, Array]:
-        """Stiffness of springs that neither open nor slide, and their forces on nodes at rest, which the slip causes."""
+        """Stiffness of springs that neither open nor slide, and their forces on nodes at rest, by slip and gaps."""
         rest = np.zeros((len(self._weights), self.d))
         rest[:, :-1] = -np.concatenate([part.slip for part in self._parts])
+        rest[:, -1] = self._gaps
         D = self._gathered(lambda law, w, _: law.bonded(*w.shape), rest)
         t = np.einsum("nij,nj->ni", D, rest) * self._weights[:, None]
         return self._stiffness(D), np.where(self.free.ravel(), self._jumps.T @ t.ravel(), 0.0)
@@ -125,7 +129,8 @@ class PairNodes:
             u: (n d,) displacements.
             sweeps: number of sweeps.
         """
-        numbers = self._gathered(lambda law, w, _: np.tile(_numbers(law), (len(w), 1)), self.jump(u))
+        numbers = self._gathered(lambda law, w, _: np.tile(_numbers(law), (len(w), 1)), self.apart(u))
+        numbers = np.column_stack([numbers, self._gaps])
         slip = np.concatenate([part.slip for part in self._parts])
         moves = np.asarray(self.free.all(axis=1), np.uint8)
         arrays = (

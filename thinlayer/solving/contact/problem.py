@@ -22,7 +22,8 @@ LARGE = 3e-5  # residual, relative to `largest`, above which the rounding of a b
 class ContactProblem:
     """Find u with A u + (nodal forces of law.traction(jump(u), slip)) = b, for the step that equations have begun.
 
-    All methods are collective.
+    Where there are initial gaps, u are the displacements from contact: those of the model, and the gaps at the nodes of the
+    upper side (`lift`). So schemes need not know of gaps. All methods are collective.
 
     Attributes:
         equations: the balance of forces of a model with linear bodies and a contact law.
@@ -32,6 +33,7 @@ class ContactProblem:
         law: the contact law.
         near: the rigid motions, as near null space for multigrid.
         loads: nodal forces of loads and given strains; zero at held displacements.
+        pull: nodal forces that the gaps would cause as displacements; zero at held displacements.
         prescribed: prescribed values at held displacements; zero at the others.
         b: loads less the forces of prescribed displacements; at held displacements the diagonal times the prescribed value.
         slip: (n, d - 1) slip at the beginning of the step.
@@ -46,6 +48,10 @@ class ContactProblem:
         self.near = PETSc.NullSpace().create(vectors=rigid_modes(equations.model), comm=self.comm)
         self.b, self.prescribed, self.loads, self._forces = (self.K.createVecLeft() for _ in range(4))
         self.slip, self._key = part.rest(), part.key
+        self.lift, self.pull, self._displacements = (self.K.createVecLeft() for _ in range(3))
+        self.lift.array[self.nodes.dofs.ravel()] = (self.nodes.frames[:, -1] * self.nodes.gap[:, None]).ravel()
+        self.K.mult(self.lift, self.pull)
+        self.pull.array[self.held] = 0.0
 
     @cached_property
     def diagonal(self) -> float:
@@ -84,14 +90,21 @@ class ContactProblem:
         equations, old = self.equations, self.equations.interval.old
         self.slip = old.memory[self._key]
         self.prescribed.set(0.0)
-        self.prescribed.array[self.held] = equations.prescribed
+        self.prescribed.array[self.held] = equations.prescribed + self.lift.array_r[self.held]
         self.K.mult(self.prescribed, self.b)
         self.b.aypx(-1.0, equations.external)
-        self.b.array[self.held] = self.diagonal * equations.prescribed
+        self.b.axpy(1.0, self.pull)
+        self.b.array[self.held] = self.diagonal * self.prescribed.array_r[self.held]
         equations.external.copy(self.loads)
         self.loads.array[self.held] = 0.0
         self.K.mult(old.u.x.petsc_vec, self._forces)
         self.largest = max(float(self.b.norm()), float(self._forces.norm()))
+
+    def displacements(self, u: PETSc.Vec) -> PETSc.Vec:
+        """The displacements of the model, for those from contact; valid until the next call."""
+        u.copy(self._displacements)
+        self._displacements.axpy(-1.0, self.lift)
+        return self._displacements
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Write A u + contact forces - b, zero at held displacements; returns its norm relative to the forces.
@@ -116,6 +129,6 @@ class ContactProblem:
 
     def destroy(self) -> None:
         """Free the matrices."""
-        for name in ("A", "b", "prescribed", "loads", "_forces"):
+        for name in ("A", "b", "prescribed", "loads", "lift", "pull", "_forces", "_displacements"):
             if name in vars(self):
                 getattr(self, name).destroy()

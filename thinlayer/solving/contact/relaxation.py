@@ -112,7 +112,9 @@ class ContactRelaxation:
         problem, nodes = self.problem, self.problem.nodes
         chosen = _options()
         b, z = problem.b.duplicate(), problem.b.duplicate()
-        self.T.multTranspose(problem.loads, b)
+        problem.loads.copy(z)
+        z.axpy(1.0, problem.pull)
+        self.T.multTranspose(z, b)
         z.set(0.0)
         prescribed = problem.prescribed
         z.array[problem.held] = prescribed.array_r[problem.held]

@@ -132,10 +132,11 @@ class ContactFinder:
         else:
             expected = problem.nodes.jump(problem.equations.interval.old.u.x.petsc_vec)
         known = problem.comm.allreduce(int(expected.any()))
+        expected[:, -1] += problem.nodes.gap
         self.reused = self._has_solved
         u, steps, residuals = self._scheme.solve(expected if known else None)
         self._like, self._has_solved = None, True
-        return Found(u, steps, residuals[-1])
+        return Found(problem.displacements(u), steps, residuals[-1])
 
     def forget(self) -> bool:
         """False: matrices and factors do not depend on the step, so nothing is dropped."""

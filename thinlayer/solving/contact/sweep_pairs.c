@@ -1,7 +1,7 @@
 /* Gauss-Seidel sweeps over nodes in contact with several others, for normal compliance and Coulomb friction.
  *
  * A pair joins an upper node with a lower one; its jump w has d - 1 tangential components, then the normal one, which is
- * positive where it opens. Its traction on the lower node is (1 - share) t + share K (w - slip): p = K_N max(-w_N, 0),
+ * positive where it opens, the initial gap included. Its traction on the lower node is (1 - share) t + share K (w - slip): p = K_N max(-w_N, 0),
  * t_N = -p, and t_T = K_T (w_T - slip), shortened to the length cohesion + friction p where it is longer. */
 #include <math.h>
 #include <stddef.h>
@@ -88,7 +88,8 @@ static double residual(const node *a, const double *x, double *F, double T[3][3]
             w[k] = 0;
             for (int l = 0; l < d; l++) w[k] += frame[k * d + l] * sign * (x[l] - there[l]);
         }
-        law(d, a->numbers + (size_t)i * 5, a->slip + (size_t)i * (d - 1), w, t, D);
+        w[d - 1] += a->numbers[(size_t)i * 6 + 5];
+        law(d, a->numbers + (size_t)i * 6, a->slip + (size_t)i * (d - 1), w, t, D);
         for (int k = 0; k < d; k++) {
             double force = 0;
             for (int l = 0; l < d; l++) force += frame[l * d + k] * t[l];
@@ -131,8 +132,8 @@ static int solve_node(const node *a, double *x)
  * solved.
  *
  * g, u: (n, d) forces and displacements. Node i is in the pairs begins[i] to begins[i + 1] of pair, other (node, -1: rigid
- * base) and sign (1: i is the upper node, -1: the lower one). frames: (pairs, d, d); weights: (pairs,); numbers: (pairs, 5)
- * K_N, K_T, friction, cohesion, share; slip: (pairs, d - 1). moves: (n,) whether a node is solved. */
+ * base) and sign (1: i is the upper node, -1: the lower one). frames: (pairs, d, d); weights: (pairs,); numbers: (pairs, 6)
+ * K_N, K_T, friction, cohesion, share, gap; slip: (pairs, d - 1). moves: (n,) whether a node is solved. */
 int sweep_pairs(int n, int d, const int32_t *indptr, const int32_t *indices, const double *blocks, const double *g,
                  double *u, const int32_t *begins, const int32_t *pair, const int32_t *other, const int32_t *sign,
                  const double *frames, const double *weights, const double *numbers, const double *slip,

@@ -1,0 +1,104 @@
+"""Files for ParaView of all kinds of models: eigenstrains, planes, rates, order 1, contact in networks, bases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms import KelvinVoigt, VonMises
+from geometry import sandwich
+from tests.dry_walls import dry_wall
+from tests.fields_run import BODY, EPS, K
+from tests.test_fields import last
+from thinlayer import ContactReport, Structure, ThermalExpansion, ThinLayer, fields, march, solve
+
+L, M, NU = BODY.lmbda, BODY.mu, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
+ROLLERS = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(solution):
+        fields.write(solution, tmp_path / "a.pvd")
+        return last(tmp_path / "a.pvd")
+
+    return write
+
+
+def strips():
+    return sandwich(2.0, 0.5, 0.7, 0.5)
+
+
+def test_free_expansion_has_no_stress_in_the_plane(written):
+    """In plane strain the expansion that is held out of the plane stresses: -E alpha dT."""
+    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
+    hot = ThermalExpansion(1e-3, lambda x, t: 20.0 * t)
+    structure = Structure(strips(), body=BODY, supports=supports, eigenstrain=hot)
+    bodies = written(march(structure.interface(ThinLayer(K, EPS)), [0.5, 1.0]))["bodies"]
+    E = M * (3 * L + 2 * M) / (L + M)
+    assert bodies["stress"][:, 2] == pytest.approx(-E * 0.02, rel=1e-8)
+    assert np.abs(np.delete(bodies["stress"], 2, axis=1)).max() < 1e-9
+
+
+@pytest.mark.parametrize("law", [BODY, VonMises(L, M, strength=9.0)], ids=["form", "compiled"])
+@pytest.mark.parametrize(("plane", "out"), [("strain", 1.0), ("stress", 0.0)])
+def test_stress_out_of_the_plane(written, law, plane, out):
+    """Pressed between rollers: along S nu/(1 - nu) or nu times the load, out of the plane the same or none."""
+    structure = Structure(strips(), body=law, supports=ROLLERS, tractions={"TOP": (0.0, -0.3)}, plane=plane)
+    stress = written(march(structure.interface(ThinLayer(K, EPS)), [1.0]))["bodies"]["stress"]
+    along = -0.3 * (NU / (1 - NU) if plane == "strain" else NU)
+    wanted = np.tile([along, -0.3, out * along, 0, 0, 0], (len(stress), 1))
+    assert stress == pytest.approx(wanted, rel=1e-6, abs=1e-8)
+
+
+def test_bodies_of_revolution(written):
+    """A rod under an axial load, sides on rollers: hoop stress as along r; weights of cell means are volumes."""
+    rod = Structure(strips(), body=BODY, supports=ROLLERS, tractions={"TOP": (0.0, -0.3)}, plane="axisymmetric")
+    found = written(solve(rod.interface(ThinLayer(K, EPS))))
+    along = -0.3 * NU / (1 - NU)
+    stress = found["bodies"]["stress"]
+    assert stress == pytest.approx(np.tile([along, -0.3, along, 0, 0, 0], (len(stress), 1)), rel=1e-8, abs=1e-10)
+    assert found["S"]["t_N"] == pytest.approx(-0.3, rel=1e-7)
+
+
+def test_rates_leave_no_wrong_stress(written):
+    """Of a law that depends on strain rates the stress out of the plane is not known, in the plane it is."""
+    slow = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
+    bodies = {"LOWER": slow, "UPPER": BODY}
+    press = {"TOP": lambda x, t: (0.0, -0.3 * t)}
+    structure = Structure(strips(), body=bodies, supports=ROLLERS, tractions=press)
+    found = written(march(structure.interface(ThinLayer(K, EPS)), [0.5, 1.0]))["bodies"]
+    lower = found["region"] == list(found.field_data["regions"]).index("LOWER")
+    assert found["stress"][:, 1] == pytest.approx(-0.3, rel=1e-8)
+    assert np.isnan(found["stress"][lower, 2]).all()
+    assert np.isnan(found["von Mises"][lower]).all()
+    assert np.isfinite(found["von Mises"][~lower]).all()
+
+
+def test_two_points_through_a_layer_of_order_1(written):
+    structure = Structure(strips(), body=BODY, supports=ROLLERS, tractions={"TOP": lambda x, t: (0.0, -0.3 * t)})
+    law = VonMises(3.0, 2.0, strength=0.05, hardening=1.0)
+    on_s = written(march(structure.interface(ThinLayer(law, EPS, order=1)), [0.5, 1.0]))["S"]
+    names = {name for name in on_s.cell_data if name.startswith("plastic")}
+    assert names == {"plastic 1", "plastic 2"}
+    assert on_s["plastic 1"] == pytest.approx(on_s["plastic 2"], rel=1e-6)  # nothing changes along S
+    assert np.abs(on_s["plastic 1"]).max() > 1e-4
+
+
+def test_contact_on_several_seams(written):
+    history = march(dry_wall(), [0.2])
+    on_s = written(history)["S"]
+    codes = {code.split(maxsplit=1)[1]: int(code.split()[0]) for code in on_s.field_data["contact codes"]}
+    for number, name in enumerate(on_s.field_data["seams"]):
+        report = ContactReport(history.last, str(name))
+        part = on_s.extract_cells(on_s["seam"] == number)
+        found = {name: int((part["contact"] == code).sum()) for name, code in codes.items()}
+        corners = np.bincount(report.facets.ravel(), minlength=len(report.x))
+        wanted = {status: int(corners[report.status == status].sum()) for status in codes}
+        assert found == wanted
+    assert (on_s["contact"] >= 0).all()
+
+
+def test_bonded_bodies_have_no_s(written):
+    structure = Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.3)})
+    assert written(solve(structure.bonded())).keys() == ["bodies"]

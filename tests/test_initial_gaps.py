@@ -1,0 +1,173 @@
+"""Initial gaps and interferences of contact laws: closed forms, all solvers, networks, time, ranks; what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import HolonomicCoulomb, IncrementalCoulomb, LawError, LinearElastic, Tresca
+from geometry import block, ring, sandwich, wall
+from tests.contact_cases_with_gaps import CURVED, LOWER, UPPER, curved, norms
+from tests.ranks import mpirun
+from thinlayer import ContactReport, ModelError, SolveError, Structure, Surface, march, solve
+
+METHODS = ("condensed", "multigrid", "newton", "relaxation")
+SIDES = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": 0.0}
+K = 400.0
+
+
+def column(law, dim=2, *, shift=None, load=None):
+    """Two blocks between smooth walls, pressed by a shift or a load of the top."""
+    cell, deep = ("triangle", {}) if dim == 2 else ("hexahedron", {"depth": 1.0})
+    joint = sandwich(2.0, 0.5, 0.75, 0.25 * (dim - 1), cell=cell, structured=True, **deep)
+    supports = SIDES | ({"FRONT": {"z": 0.0}, "BACK": {"z": 0.0}} if dim == 3 else {})
+    supports |= {} if shift is None else {"TOP": {"y": shift}}
+    tractions = {} if load is None else {"TOP": (0.0, load, 0.0)[:dim]}
+    bodies, element = {"LOWER": LOWER, "UPPER": UPPER}, "P1" if dim == 2 else "Q1"
+    return Structure(joint, body=bodies, supports=supports, tractions=tractions, element=element).interface(law)
+
+
+def across(state):
+    """Mean normal jump and traction on S."""
+    surface = Surface(state.model)
+    w, t = surface.jump(state), surface.traction(state)
+    area = surface.integral(1.0)
+    return surface.integral(w[1]) / area, surface.integral(t[1]) / area
+
+
+# ---------------------------------------------------------------- closed forms
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("gap", [0.03, -0.03])
+def test_blocks_over_a_gap(gap, method, dim):
+    """w = -gap - p/K under a load; under a shift S and both blocks are in series for what is left of it."""
+    law = HolonomicCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=gap)
+    assert across(solve(column(law, dim, load=-0.8), method=method)) == pytest.approx((-gap - 0.8 / K, -0.8), rel=1e-9)
+    compliance = 1 / K + 0.5 / (LOWER.lmbda + 2 * LOWER.mu) + 0.75 / (UPPER.lmbda + 2 * UPPER.mu)
+    p = (0.05 - gap) / compliance
+    assert across(solve(column(law, dim, shift=-0.05), method=method)) == pytest.approx((-gap - p / K, -p), rel=1e-9)
+
+
+def test_a_gap_that_does_not_close_carries_nothing():
+    law = HolonomicCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=0.06)
+    state = solve(column(law, shift=-0.05))
+    assert across(state) == pytest.approx((-0.05, 0.0), rel=1e-9, abs=1e-12)
+    report = ContactReport(state)
+    assert report.counts["separated"] + report.counts["pinned"] == len(report.p)
+    assert report.u_N == pytest.approx(-0.01, rel=1e-9)
+    for method in METHODS[:3]:
+        with pytest.raises(SolveError):
+            solve(column(law, load=0.1), method=method)
+
+
+@pytest.mark.parametrize("method", ["condensed", "multigrid"])
+def test_a_ring_shrunk_on_a_hollow_shaft(method):
+    """Lame's pressure for an interference, in plane stress, as K grows; S is a polygon, whose error falls with h."""
+    inner, middle, outer, interference, stiffness = 10.0, 15.0, 20.0, 0.02, 1e7
+    shaft, hub = LinearElastic.young(210e3, 0.3), LinearElastic.young(70e3, 0.33)
+    grown = [(outer**2 + middle**2) / (outer**2 - middle**2), (middle**2 + inner**2) / (middle**2 - inner**2)]
+    compliance = middle * ((grown[0] + 0.33) / 70e3 + (grown[1] - 0.3) / 210e3) + 1 / stiffness
+    errors = []
+    for h in (2.0, 1.0):
+        joint = ring(inner, middle, outer, h)
+        at = {(inner, 0.0): {"y": 0.0}, (-inner, 0.0): {"y": 0.0}, (0.0, inner): {"x": 0.0}}
+        data = {"body": {"INNER": shaft, "OUTER": hub}, "supports": at, "plane": "stress", "element": "P1"}
+        law = HolonomicCoulomb(K_N=stiffness, K_T=1e4, friction=0.1, gap=-interference)
+        report = ContactReport(solve(Structure(joint, **data).interface(law), method=method))
+        errors.append(report.normal_force / (2 * np.pi * middle) / (interference / compliance) - 1)
+    assert abs(errors[1]) < 0.02
+    assert abs(errors[1]) < 0.4 * abs(errors[0])
+
+
+# ---------------------------------------------------------------- all solvers
+@pytest.mark.parametrize("kind", [HolonomicCoulomb, IncrementalCoulomb])
+def test_solvers_agree_on_a_crowned_block(kind):
+    """A gap that grows along S, closed in part, and slid."""
+    found = [solve(curved(kind), 1.0, method=method) for method in METHODS]
+    for state in found[1:]:
+        apart = np.abs(state.u.x.array - found[0].u.x.array).max()
+        assert apart < 1e-7 * np.abs(found[0].u.x.array).max()
+    counts = ContactReport(found[0]).counts
+    assert min(counts["separated"], counts["sliding"]) > 2
+    flat = solve(curved(kind, gap=0.0), 1.0)
+    assert ContactReport(flat).counts["separated"] < counts["separated"]
+
+
+def test_a_law_of_ones_own_and_tresca_have_gaps_too():
+    for law in (Tresca(K_N=K, K_T=150.0, bound=0.1, gap=lambda x: 0.03 + 0 * x[0]),):
+        assert across(solve(column(law, load=-0.8))) == pytest.approx((-0.03 - 0.8 / K, -0.8), rel=1e-9)
+
+
+def test_networks_have_a_gap_for_each_seam():
+    """Heads that are open at first close under pressure from the side."""
+    joint = wall(3, 2, (1.0, 0.5), 0.125, cell="quadrilateral")
+    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": -0.03}}
+    structure = Structure(joint, body=LOWER, supports=supports, tractions={"TOP": (0.0, -0.3)}, element="Q1")
+    found = []
+    for gap in (0.0, 0.01):
+        laws = {
+            "BED": HolonomicCoulomb(K_N=200.0, K_T=80.0, friction=0.5, gap=-0.001),
+            "HEAD": HolonomicCoulomb(K_N=100.0, K_T=40.0, friction=0.3, gap=lambda x, gap=gap: gap + 0 * x[0]),
+        }
+        one, other = (solve(structure.interface(laws), method=method) for method in ("condensed", "newton"))
+        assert np.abs(one.u.x.array - other.u.x.array).max() < 1e-7 * np.abs(one.u.x.array).max()
+        found.append(ContactReport(one, "HEAD").normal_force)
+    assert 0 < found[1] < 0.8 * found[0]
+
+
+def test_a_shift_of_the_whole_body_closes_a_gap():
+    """The gap is no more than where displacements count from: the same as without it, from a shifted top."""
+    joint = block(2.0, 1.0, 0.25, structured=True)
+    data = {"body": UPPER, "element": "P1"}
+    states = []
+    for gap, top in ((0.0, -0.05), (0.2, -0.25)):
+        supports = {"TOP": {"x": 0.01, "y": top}}
+        law = HolonomicCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=gap)
+        states.append(solve(Structure(joint, supports=supports, **data).interface(law)))
+    u, v = (state.u.x.array.reshape(-1, 2) for state in states)
+    assert np.add(v, (0.0, 0.2)) == pytest.approx(u, rel=1e-9, abs=1e-10)
+
+
+# ---------------------------------------------------------------- time, files, ranks
+def test_a_march_closes_a_gap_and_balances_its_energy():
+    """Before contact nothing is stored; afterwards energies balance, and an interference does work at the start."""
+    law = IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=0.03)
+    history = march(column(law, shift=lambda x, t: -0.05 * t), [0.5, 1.0])
+    assert [state.audit.total > 1e-20 for state in history] == [False, False, True]
+    assert history.at(0.5).stored["contact"] == 0.0
+    pressed = march(
+        column(IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=-0.01), shift=lambda x, t: -0.05 * t), [1.0]
+    )
+    for state in (*history, *pressed):
+        assert state.audit.total < 1e-20 or abs(state.audit.imbalance) < 1e-11
+        energies = state.energies()
+        assert state.audit.total == pytest.approx(energies["bodies"] + energies["layer"], rel=1e-10, abs=1e-15)
+    assert pressed.at(0.0).audit.supplied > 0
+
+
+def test_same_on_two_ranks():
+    found = json.loads(mpirun(2, "-m", "tests.contact_cases_with_gaps").stdout)
+    assert found == pytest.approx(norms(), rel=1e-7)
+
+
+def test_models_with_other_gaps_are_others():
+    models = [curved(gap=gap) for gap in (0.0, 0.1, CURVED, lambda x: 0.02 * x[0])]
+    assert len({json.dumps(model.identity(), sort_keys=True) for model in models}) == 4
+
+
+@pytest.mark.parametrize(
+    ("gap", "match"),
+    [
+        (np.nan, "gap is nan"),
+        ("wide", "gap is 'wide'"),
+        (ufl.sin(1.0) * 0 + np.inf, "gap"),
+        (lambda x: x, "it must give n lengths"),
+        (lambda x: np.full(x.shape[1], np.inf), r"is inf at x = \("),
+        (lambda x: 1 / 0, "ZeroDivisionError"),
+        (lambda x: x[0] > 0, "not real numbers"),
+    ],
+)
+def test_refused(gap, match):
+    with pytest.raises((LawError, ModelError), match=match):
+        solve(curved(gap=gap), 1.0)

@@ -1,0 +1,121 @@
+"""Movies of marches: a frame for each state, of one window and one range of colours, with its time."""
+
+from __future__ import annotations
+
+import builtins
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from forms import LinearElastic
+from geometry import sandwich
+from tests.ranks import mpirun
+from thinlayer import ModelError, Structure, ThinLayer, march, plotting, solve
+
+
+def pulled(times=(0.5, 1.0, 2.0)):
+    """A strip that is pulled away and along, more and more."""
+    joint = sandwich(2.0, 0.5, 0.5, 0.5)
+    load = {"TOP": lambda x, t: (0.3 * t, 0.5 * t)}
+    structure = Structure(joint, body=LinearElastic(60.0, 40.0), supports={"BOTTOM": 0}, tractions=load)
+    return march(structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.1)), list(times))
+
+
+@pytest.fixture(scope="module")
+def history():
+    return pulled()
+
+
+def frames(path):
+    with Image.open(path) as movie:
+        found = []
+        for number in range(movie.n_frames):
+            movie.seek(number)
+            found.append(np.asarray(movie.convert("RGB"), float) / 255)
+        return found, movie.info["duration"]
+
+
+def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
+    path = plotting.movie(history, save=tmp_path / "a.gif", per_second=5, title="strip", unit="mm", time_unit="h")
+    found, duration = frames(path)
+    assert len(found) == 4 == len(list(history))
+    assert duration == 200
+    assert [one.name for one in tmp_path.iterdir()] == ["a.gif"]
+    for one in found:
+        assert one.std() > 0.05
+    # colours are common: at rest nothing is yellow but the colour bar, at the end a corner is
+    yellow = [((one[..., 0] > 0.85) & (one[..., 1] > 0.8) & (one[..., 2] < 0.35)).sum() for one in found]
+    assert yellow[0] == pytest.approx(yellow[1], rel=0.2)
+    assert yellow[3] > 1.5 * yellow[0]
+    # so is the window: the lower side is held and stays where it is, the upper side moves up
+    drawn = [np.flatnonzero(one[:, int(0.3 * one.shape[1])].min(axis=1) < 0.9) for one in found]
+    bar = int(0.8 * len(found[0]))
+    assert len({one[one < bar].max() for one in drawn}) == 1
+    tops = [one.min() for one in drawn]
+    assert tops[0] > tops[1] > tops[3]
+
+
+def test_an_mp4_has_as_many(history, tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    path = plotting.movie(history, save=str(tmp_path / "deep" / "a.mp4"), per_second=4, component="y")
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    assert (count, seconds) == (4, pytest.approx(1.0, abs=0.05))
+    reader = imageio_ffmpeg.read_frames(str(path))
+    width, height = next(reader)["size"]
+    pixels = [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
+    assert all(one.std() > 10 for one in pixels)
+    assert np.abs(pixels[-1].astype(float) - pixels[0]).max() > 100
+
+
+def test_ffmpeg_is_missing(history, tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name == "imageio_ffmpeg":
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.delitem(sys.modules, "imageio_ffmpeg", raising=False)
+    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    with pytest.raises(ModelError, match=r"pip install 'thinlayer\[movie\]'.*save a \.gif"):
+        plotting.movie(history, save=tmp_path / "a.mp4")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_what_is_no_movie(history, tmp_path):
+    for nothing in (history.last, [], None, [1, 2]):
+        with pytest.raises(ModelError, match="give a history that keeps them, or several states"):
+            plotting.movie(nothing, save=tmp_path / "a.gif")
+    with pytest.raises(ModelError, match="of several models"):
+        plotting.movie([history.last, pulled([1.0]).last], save=tmp_path / "a.gif")
+    for name in ("a.avi", None, 3):
+        with pytest.raises(ModelError, match=r"ends in \.gif or \.mp4"):
+            plotting.movie(history, save=name)
+    for pace in (0, 2.5, "x", 1000):
+        with pytest.raises(ModelError, match="whole numbers from 1 to 50"):
+            plotting.movie(history, save=tmp_path / "a.gif", per_second=pace)
+    with pytest.raises(ModelError, match="scale is 'x'"):
+        plotting.movie(history, save=tmp_path / "a.gif", scale="x")
+    with pytest.raises(ModelError, match="unknown component"):
+        plotting.movie(history, save=tmp_path / "a.gif", component="z")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_states_of_a_solve_make_a_movie_too(tmp_path):
+    state = solve(pulled([1.0]).model)
+    found, _ = frames(plotting.movie([state], save=tmp_path / "one.gif", zoom=(0.5, 1.5, -0.3, 0.3)))
+    assert len(found) == 1
+
+
+def test_on_two_ranks(tmp_path):
+    done = mpirun(2, "-m", "tests.test_movies", str(tmp_path / "a.gif"))
+    assert done.returncode == 0, done.stderr
+    assert len(frames(tmp_path / "a.gif")[0]) == 4
+
+
+if __name__ == "__main__":
+    plotting.movie(pulled(), save=sys.argv[1])

@@ -1,0 +1,119 @@
+"""Movies of marches: deformed structures in time, drawn off screen, written by matplotlib's animation writers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+
+from forms.base import is_number
+from geometry.parallel import on_root
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.output.grid import gather
+from thinlayer.output.plotting.scene import Look, Scene
+from thinlayer.time.history import History
+
+GIF, MP4 = ".gif", ".mp4"
+DPI = 120
+FASTEST = 50  # frames per second: a gif counts hundredths of a second
+
+
+def movie(
+    solution: History | Sequence[State],
+    *,
+    save: str | Path,
+    per_second: int = 10,
+    component: str = "size",
+    scale: float | None = None,
+    title: str = "",
+    unit: str = "",
+    time_unit: str = "",
+    zoom: Sequence[float] | None = None,
+    view: Sequence[float] | None = None,
+    cut: bool = False,
+) -> Path:
+    """Write a movie of a march: a frame for each state that the history keeps, with its time. Collective.
+
+    All frames have one window, one factor of the displacements and one range of colours. Frames follow each other at one
+    pace, whatever the steps of the march. A notebook shows the file by IPython's `Image` (gif) or `Video` (mp4).
+
+    Args:
+        solution: a history, or states of one model, in order.
+        save: file, .gif or .mp4. An mp4 needs ffmpeg, from the package imageio-ffmpeg or on the PATH.
+        per_second: number of frames per second.
+        component, scale, unit, zoom, view, cut: as in `deformed`.
+        title, time_unit: text over the frames; unit of the time there.
+
+    Returns:
+        The file, on all ranks.
+
+    Raises:
+        ModelError: no state, or states of several models; arguments as in `deformed`; another ending; no ffmpeg.
+        OSError: the movie could not be written; on all ranks.
+    """
+    states = _states(solution)
+    look = Look(component, scale, unit, zoom, view, cut)
+    if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF, MP4):
+        raise ModelError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
+    if not (is_number(per_second) and per_second == int(per_second) and 1 <= per_second <= FASTEST):
+        raise ModelError(f"per_second is {per_second!r}; allowed: whole numbers from 1 to {FASTEST}")
+    path, comm = Path(save), states[0].model.comm
+    ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4 else ""
+    grids = [gather(state) for state in states]
+
+    def draw() -> None:
+        scene = Scene.of(grids, look)
+        figure, (axes,) = scene.panels(1)
+        shown = axes.imshow(scene.image(grids[0]), extent=scene.window)
+        clock = axes.set_title(" ", fontsize=11)
+        if title:
+            figure.suptitle(title)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # every frame has the layout of the first
+        writer: AbstractMovieWriter = PillowWriter(per_second) if path.suffix == GIF else FFMpegWriter(per_second)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f".{path.stem}.part{path.suffix}")
+        try:
+            with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(partial), DPI):
+                for state, grid in zip(states, grids, strict=True):
+                    shown.set_data(scene.image(grid))
+                    clock.set_text(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}")
+                    writer.grab_frame()
+            os.replace(partial, path)
+        except BaseException:
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+            raise
+
+    on_root(comm, draw)
+    return path
+
+
+def _states(solution: object) -> list[State]:
+    """The states of a movie, of one model."""
+    states = list(solution) if isinstance(solution, Iterable) else []
+    if not states or not all(isinstance(one, State) for one in states):
+        raise ModelError(f"movie: {solution!r:.80} has no states; give a history that keeps them, or several states")
+    if any(one.model is not states[0].model for one in states):
+        raise ModelError("movie: the states are of several models; give those of one march")
+    return states
+
+
+def _ffmpeg() -> str:
+    """Where ffmpeg is; raises ModelError if it is missing."""
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+
+        return str(get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        if found := shutil.which("ffmpeg"):
+            return found
+    raise ModelError(
+        "an mp4 needs ffmpeg, which is not here: install imageio-ffmpeg (pip install 'thinlayer[movie]'), or save a .gif"
+    )

@@ -1,0 +1,189 @@
+"""Scenes: where the viewer stands, the window, the factor of displacements and the range of colours of pictures."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+if not os.environ.get("DISPLAY"):  # without an X server VTK otherwise tries one first, and warns
+    os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+
+import numpy as np
+import numpy.typing as npt
+import pyvista
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+
+from forms.base import is_number
+from thinlayer.errors import ModelError
+from thinlayer.output.grid import Grid
+from thinlayer.output.plotting.picture import Picture
+from thinlayer.output.plotting.shapes import Shape, edges, surface
+
+LARGEST = 0.05  # largest drawn displacement, over the size of the structure
+VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
+LIFT = 0.004  # shift of lines towards the viewer, over the picture's width, so that surfaces do not hide them
+PIXELS = 1400  # length of the longer side of an image
+RED: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
+BLACK: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
+GREY: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
+BODY: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
+
+Window = tuple[float, float, float, float]
+PANEL = 4.6  # width of a structure in a picture, inches
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the caller of a picture asks for, checked on every rank; see `deformed`.
+
+    Raises:
+        ModelError: a scale that is no finite number, a window that is none.
+    """
+
+    component: str = "size"
+    scale: float | None = None
+    unit: str = ""
+    zoom: Sequence[float] | None = None
+    view: Sequence[float] | None = None
+    cut: bool = False
+
+    def __post_init__(self) -> None:
+        if self.scale is not None and not (is_number(self.scale) and math.isfinite(self.scale)):
+            raise ModelError(f"scale is {self.scale!r}; it must be a finite number, the factor of the displacements")
+        if self.zoom is not None:
+            _window(self.zoom)
+
+
+@dataclass(frozen=True)
+class View:
+    """Parallel projection: orthonormal directions on the screen, to the right, upwards and towards the viewer."""
+
+    right: npt.NDArray[np.float64]
+    up: npt.NDArray[np.float64]
+    towards: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, dim: int, view: Sequence[float] | None, cut: bool) -> View:
+        """The projection for a direction; raises ModelError for one in 2D, or for a zero direction."""
+        if dim == 2 and (view is not None or cut):
+            raise ModelError("view and cut are for three-dimensional structures")
+        towards = np.array(VIEWS[dim] if view is None else view, float)
+        if towards.shape != (3,) or not np.isfinite(towards).all() or not towards.any():
+            raise ModelError(f"view is {view}; it needs three components, not all zero")
+        towards /= np.linalg.norm(towards)
+        right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
+        right /= np.linalg.norm(right)
+        return cls(right, np.cross(towards, right), towards)
+
+    def on_screen(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """(n, 3) coordinates of points along the three directions."""
+        return points @ np.array([self.right, self.up, self.towards]).T
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One view of several grids: of structures side by side, or of one in time.
+
+    Attributes:
+        look: what was asked for.
+        view: where the viewer stands.
+        factor: of the displacements.
+        window: left, right, bottom, top on the screen.
+        limits: of the colours.
+    """
+
+    look: Look
+    view: View
+    factor: float
+    window: Window
+    limits: tuple[float, float]
+
+    @classmethod
+    def of(cls, grids: Sequence[Grid], look: Look) -> Scene:
+        """The view in which all grids can be seen.
+
+        Raises:
+            ModelError: unknown component, no direction, view or cut in 2D, nothing in the window.
+        """
+        view = View.of(grids[0].dim, look.view, look.cut)
+        largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
+        fitting = LARGEST * np.ptp(grids[0].points, axis=0).max() / largest if largest > 0 else 1.0
+        whole = cls(look, view, float(fitting if look.scale is None else look.scale), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0))
+        shapes = [whole.shape(grid) for grid in grids]
+        x, y, _ = view.on_screen(np.concatenate([shape.points for shape in shapes])).T
+        x0, x1, y0, y1 = window = (*_range(x), *_range(y)) if look.zoom is None else _window(look.zoom)
+        inside = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+        values = np.concatenate([shape.values for shape in shapes])
+        if x.max() < x0 or x.min() > x1 or y.max() < y0 or y.min() > y1:
+            raise ModelError(f"nothing to draw in the window {(x0, x1, y0, y1)}")
+        seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
+        return cls(look, view, whole.factor, window, (float(np.nanmin(seen)), float(np.nanmax(seen))))
+
+    def shape(self, grid: Grid) -> Shape:
+        """The deformed structure of a grid."""
+        front = (0.0, 0.0, float(np.copysign(1.0, self.view.towards[2]))) if self.look.cut else None
+        return Shape.of(grid, self.look.component, self.factor, front)
+
+    def panels(self, count: int) -> tuple[Picture, list[Axes]]:
+        """A picture with places for so many structures, and the colour bar of all."""
+        x0, x1, y0, y1 = self.window
+        figure = Picture(figsize=(PANEL * count, PANEL * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained")
+        axes = list(figure.subplots(1, count, squeeze=False)[0])
+        for one in axes:
+            one.set_axis_off()
+        look = self.look
+        name = ("|u|" if look.component == "size" else f"u_{look.component}") + (f" ({look.unit})" if look.unit else "")
+        label = f"{name}; drawn displacements x {self.factor:.3g}"
+        colours = ScalarMappable(Normalize(*self.limits), "viridis")
+        bar = figure.colorbar(colours, ax=axes, orientation="horizontal", aspect=40, pad=0.02, label=label)
+        bar.ax.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
+        return figure, axes
+
+    def image(self, grid: Grid) -> npt.NDArray[np.uint8]:
+        """Image of a structure; edges and outlines of bodies black, of the layer's parts red, the base grey."""
+        shape, view = self.shape(grid), self.view
+        x0, x1, y0, y1 = self.window
+        size = [round(PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
+        plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
+        plotter.add_light(pyvista.Light(light_type="headlight"))
+        body = BODY | {"clim": self.limits}
+        parts = [(region, body, *((RED, 2) if number < 0 else (BLACK, 1))) for number, region in shape.regions.items()]
+        for mesh, look, pen, lift in parts + ([] if shape.base is None else [(shape.base, GREY, GREY, 0)]):
+            outside = surface(mesh)
+            plotter.add_mesh(outside, **look)
+            lines = edges(outside)
+            lines.points += lift * LIFT * (x1 - x0) * view.towards
+            if lines.n_cells:
+                plotter.add_mesh(lines, **pen)
+        depth = view.on_screen(shape.points)[:, 2]
+        near, far = depth.max() + (x1 - x0), depth.min() - (x1 - x0)
+        centre = (x0 + x1) / 2 * view.right + (y0 + y1) / 2 * view.up
+        plotter.enable_parallel_projection()
+        plotter.camera_position = [centre + near * view.towards, centre + far * view.towards, view.up]
+        plotter.camera.parallel_scale = (y1 - y0) / 2
+        plotter.camera.clipping_range = (0.0, near - far)
+        image = plotter.screenshot(return_img=True)
+        plotter.close()
+        return image
+
+
+def _range(x: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Smallest and largest value, with a margin."""
+    margin = 0.04 * np.ptp(x)
+    return float(x.min() - margin), float(x.max() + margin)
+
+
+def _window(zoom: Any) -> Window:
+    """The four numbers of a window; raises ModelError."""
+    try:
+        left, right, bottom, top = (float(one) if is_number(one) else math.nan for one in zoom)
+        if np.isfinite([left, right, bottom, top]).all() and left < right and bottom < top:
+            return left, right, bottom, top
+    except (TypeError, ValueError):
+        pass
+    raise ModelError(f"zoom is {zoom!r}; it needs (left, right, bottom, top), numbers, left < right and bottom < top")
