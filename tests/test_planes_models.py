@@ -23,7 +23,7 @@ from forms import (
 from forms.elastic import lame
 from forms.limits_plastic import PlasticCylinder
 from geometry import sandwich
-from studies.problems import fourier
+from studies.problems import FOURIER_BODY, fourier
 from tests.columns_in_time import check_same, column, joint
 from tests.planes_run import numbers
 from tests.ranks import mpirun
@@ -136,6 +136,27 @@ def test_the_layer_of_a_sheet_tends_to_its_law_at_rate_1(name):
         errors.append(compare(full, limit))
     for key in ("error_traction", "error_jump"):
         assert np.log2(errors[0][key] / errors[1][key]) == pytest.approx(1.0, abs=0.12), key
+
+
+@pytest.mark.parametrize(("order", "rate"), [(0, 1.0), (1, 1.95)])
+@pytest.mark.parametrize("plane", ["stress", "axisymmetric"])
+def test_the_next_order_is_one_more(plane, order, rate):
+    """S across the axis between rods on rollers, a creeping layer; between blocks in plane stress."""
+    mesh, setup = fourier(1 / 16, cell="quadrilateral")
+    if plane == "axisymmetric":
+        loads = {"TOP": lambda x, t: (0.5 * x[0] * (1 - x[0]), (1 - x[0] ** 2) ** 2)}
+        setup = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0, "RIGHT": {"x": 0.0}}, "tractions": loads}
+    errors = []
+    for eps in (0.02, 0.01):
+        structure, layer = (
+            Structure(mesh, **setup, plane=plane),
+            ThinLayer(KelvinVoigt(60.0, 40.0, 0.3, 0.5), eps, order),
+        )
+        errors.append(
+            compare(*(march(model, [0.2, 0.5]) for model in (structure.full(layer), structure.interface(layer))))
+        )
+    for key in ("error_traction", "error_jump"):
+        assert np.log2(errors[0][key] / errors[1][key]) == pytest.approx(rate, abs=0.1), key
 
 
 def test_tangents_of_models_are_those_of_the_residual():
