@@ -25,8 +25,8 @@ class Structure(Setup):
             is called "S"): the weight of a layer, which acts on its cells or, in the interface model, times the thickness
             and in halves on both sides of S; half of it goes to a rigid base directly. It is of order eps.
         loads: `PointLoad`, `LineLoad`.
-        plane: "strain", "stress" or "axisymmetric", of a joint in 2D. In plane stress laws find the strains out of the plane
-            themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of revolution, y the
+        plane: "strain", "stress" or "axisymmetric", of a joint in 2D. In plane stress laws find the strains out of the
+            plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of revolution, y the
             place along it, there is no twist; u_x = 0 holds on the axis by itself, and all integrals (energies, loads,
             forces, over S) are over the whole revolution.
         element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
