@@ -17,12 +17,24 @@ from forms import (
 )
 from geometry import block, periodic, sandwich
 from studies.tubes import lame
-from thinlayer import ContactReport, ModelError, Springs, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import (
+    ContactReport,
+    LayerReport,
+    ModelError,
+    Springs,
+    Structure,
+    Surface,
+    ThinLayer,
+    compare,
+    march,
+    solve,
+)
 from thinlayer.errors import LooseBody
 from thinlayer.output.homogenised import homogenised_stiffness
 
 BODY = LinearElastic(80.0, 50.0)
 GLUE = LinearElastic(3.0, 2.0)  # per thickness
+YIELDING = MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)
 R, EPS, P = 1.3, 0.05, 0.7
 EXACT = 1e-9
 
@@ -149,7 +161,7 @@ def rates(law, eps, run=solve, **options):
 
 @pytest.mark.parametrize(
     "law",
-    [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)],
+    [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), YIELDING],
     ids=["Maxwell", "Incompressible", "Mohr-Coulomb"],
 )
 def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
@@ -161,6 +173,15 @@ def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
     traction, jump = rates(law, (0.08, 0.04), run)
     assert 0.9 < traction < 1.15
     assert isinstance(law, Incompressible) or 0.9 < jump < 1.15
+
+
+def test_shares_of_s_are_those_of_areas():
+    """Rods pressed in the middle: what slides or yields there counts with 2 pi r."""
+    report = LayerReport(
+        march(_rods(tractions={"TOP": (0.0, -0.1 * P)}).interface(ThinLayer(YIELDING, EPS)), [1.0]).last
+    )
+    assert report.sizes.sum() == pytest.approx(np.pi * R**2, rel=EXACT)
+    assert sum(report.shares.values()) == pytest.approx(1.0)
 
 
 # ---------------------------------------------------------------- contact
