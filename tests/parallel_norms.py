@@ -22,7 +22,7 @@ def structures_in_space() -> dict[str, tuple]:
     body, glue = LinearElastic.young(30.0, 0.1), LinearElastic.young(3.0, 0.4)
     setup = {
         "body": body,
-        "supports": {"BOTTOM": 0.0, "BACK": {"z": 0.0}, "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(3 * x[1])}},
+        "supports": {"BOTTOM": {"y": 0.0}, "BACK": {"z": 0.0}, "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(3 * x[1])}},
         "tractions": {"TOP": lambda x, t: (0.3, -1.0, 0.1 * x[0])},
     }
     tetrahedra = sandwich(1.0, 0.4, 0.5, 0.3, depth=0.8)
@@ -111,7 +111,7 @@ def norms() -> dict[str, float]:
     found = {}
     soft, hard = LinearElastic.young(30.0, 0.1), LinearElastic.young(12.0, 0.4)
     rotated = sandwich(1.0, 0.5, 0.7, 0.15, h_S=0.05).rotated(0.4)
-    pinned = {"BOTTOM": 0.0, tuple(rotated.points[rotated.facets["S"][0, 0]]): {"x": 0.0}}
+    pinned = {"BOTTOM": {"x": 0.0}, tuple(rotated.points[rotated.facets["S"][0, 0]]): {"x": 0.0}}
     pinned |= {"RIGHT/UPPER": {"y": 0.01}, "RIGHT/LOWER": {"y": 0.02}}
     push = {"TOP": lambda x, t: (0.5 * x[0], -1.0), "LEFT/UPPER": (0.2, 0.0)}
     structures = {
@@ -134,7 +134,7 @@ def norms() -> dict[str, float]:
                 "supports": {
                     "BOTTOM": {"x": 0.0, "y": lambda x, t: 0.02 + 0.01 * x[0] ** 2},
                     "LEFT/UPPER": {"x": 0.01},
-                    "RIGHT/LOWER": {"y": 0.02},
+                    "RIGHT/LOWER": {"y": 0.03},
                 },
                 "tractions": {"TOP": (1.0, 2.0)},
             },

@@ -7,9 +7,13 @@ import pytest
 
 from forms.laws import LinearElastic
 from geometry import block, sandwich
+from tests.arc_length_run import KINKED
 from tests.supports_run import BODY, CONTACT, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, plate, turn
 from tests.taylor import observed_orders
 from thinlayer import (
+    ArcLength,
+    ContactReport,
+    LimitLoad,
     LooseBody,
     ModelError,
     RigidPlate,
@@ -129,6 +133,32 @@ def test_in_time(law, theta):
     assert out_of_balance(history.last) < 1e-8
 
 
+def test_along_a_path():
+    """A plate that is moved up by arc length, and may turn, on a law that softens: to the same forces as a support."""
+    joint = block(1.0, 0.5, 0.25, cell="quadrilateral", structured=True)
+    given = {"body": BODY, "element": "Q1"}
+    top = RigidPlate("TOP", motion={"x": 0.0, "rotation": 0.0, "y": lambda x, t: t})
+    plates = Structure(joint, supports={}, parts=[top], **given).interface(KINKED)
+    supports = Structure(joint, supports={"TOP": {"x": 0.0, "y": lambda x, t: t}}, **given).interface(KINKED)
+    forces = []
+    for made in (plates, supports):
+        history = march(made, ArcLength(end=0.15, first=0.02))
+        forces.append(history.last.reaction("TOP").force[1])
+        assert out_of_balance(history.last) < 1e-8
+    assert forces[0] == pytest.approx(forces[1], rel=1e-6)
+
+
+def test_the_limit_load_of_a_plate():
+    """Pushed along by a plate that stays level under a pressure: the mortar's C cos + sin p, as of a traction."""
+    joint = sandwich(2.0, 0.5, 0.6, 0.5)
+    top = RigidPlate("TOP", force=lambda x, t: (t, -0.4), motion={"rotation": 0.0})
+    made = model(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[top]), "interface", MORTAR)
+    with pytest.raises(LimitLoad) as limit:
+        march(made, [0.05 * k for k in range(1, 12)])
+    expected = 2.0 * 0.05 * np.cos(np.pi / 6) + 0.5 * 0.4
+    assert limit.value.t == pytest.approx(expected, rel=5e-3)
+
+
 def test_resumed(tmp_path):
     """The plate's motion is among the unknowns that files keep."""
     top = RigidPlate("TOP", force=lambda x, t: (0.02 * t, -0.01))
@@ -149,6 +179,10 @@ def test_contact_under_a_plate():
     assert state.report.method == "newton"
     assert out_of_balance(state) < 1e-10
     assert state.reaction("S", about=(2.0, 2.0)).moment == pytest.approx(-0.5, rel=1e-9)
+    report = ContactReport(state)
+    assert report.equilibrium < 1e-10
+    assert report.clapeyron < 1e-9
+    assert report.normal_force == pytest.approx(3.0, rel=1e-9)
     with pytest.raises(ModelError, match=r"method='condensed' needs .* no inclined supports or rigid plates"):
         solve(made, method="condensed")
 

@@ -147,7 +147,7 @@ def test_forces_are_refused_as_integrands():
 
 def test_a_rigid_base_has_one_side():
     """There a field has its only value."""
-    model = Structure(block(1.0, 0.5, 0.25), body=STEEL, supports={"TOP": {"y": 0.1}, "LEFT": 0}).interface(
+    model = Structure(block(1.0, 0.5, 0.25), body=STEEL, supports={"TOP": {"y": 0.1}, "LEFT": {"x": 0}}).interface(
         ThinLayer(FOURIER_LAYER, 0.1)
     )
     found, surface = solve(model), Surface(model)

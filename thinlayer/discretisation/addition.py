@@ -110,6 +110,17 @@ class Addition(ABC):
         """
         return []
 
+    def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
+
+        Collective. By default none.
+        """
+        return np.empty(0, np.int32)
+
+    def force_at(self, model: Host, t: float) -> npt.NDArray[np.float64]:
+        """Resultant (d,) of given forces of the part at a time, as of loads."""
+        return np.zeros(model.joint.dim)
+
     def load_work(self, model: Host, state: Any) -> float:
         """Work of given forces of the part, as of loads, in the displacements of a configuration. Collective."""
         return 0.0

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import basix.ufl
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -367,6 +368,14 @@ class Model(ABC):
             name: sum(value for key, value in values.items() if key.split("/")[0] == one.key)
             for name, one in several.items()
         }
+
+    def held_in(self, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.
+
+        Without those that a rigid base holds.
+        """
+        found = [part.held(self, V) for part in self.parts]
+        return np.unique(np.concatenate([self.supports.held(V, self.supports.given), *found]))
 
     @property
     def holders(self) -> list[Place]:

@@ -90,9 +90,9 @@ class ContactReport:
         if seam not in model.contacts:
             raise ModelError(f"seam is {seam!r}; name one with a contact law: {', '.join(model.contacts)}")
         law = model.contacts[seam]
-        held = model.supports.held(model.V)
+        held = np.union1d(model.supports.held(model.V), model.held_in(model.V))
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
-        nodes = ContactNodes(ContactSurface.of(model, seam), held[held < owned], gap=law.gaps)
+        nodes = ContactNodes(ContactSurface.of(model, seam), model.prescribed.held, gap=law.gaps)
         slip, d = state.memory[model.layers[seam].key], nodes.dim
         w = nodes.apart(state.u.x.petsc_vec)
         t, p = law.traction(w, slip), law.pressure(w)

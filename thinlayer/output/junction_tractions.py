@@ -68,7 +68,7 @@ class JunctionTractions:
         if model.contact:
             r.x.array[:] -= contact_forces(state).x.array  # of areas around nodes, not of tractions of degree 1
         held, u = fem.Function(r.function_space), fem.Function(r.function_space)
-        held.x.array[model.supports.held(r.function_space, model.supports.given)] = 1.0
+        held.x.array[model.held_in(r.function_space)] = 1.0
         held.x.scatter_forward()
         u.interpolate(state.u)
         r, held, u = (transfer(f, model, self._trace, self.model) for f in (r, held, u))

@@ -190,7 +190,7 @@ class Surface:
             return self.sides.upper(self._junctions.recovered(state))
         r = reaction(state)
         held, u = fem.Function(r.function_space), fem.Function(r.function_space)
-        held.x.array[state.model.supports.held(r.function_space, state.model.supports.given)] = 1.0
+        held.x.array[state.model.held_in(r.function_space)] = 1.0
         held.x.scatter_forward()
         u.interpolate(state.u)
         r, held, u = (transfer(f, state.model, self.trace_space, self.model) for f in (r, held, u))

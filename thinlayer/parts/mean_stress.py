@@ -107,6 +107,12 @@ class MeanStressPart(Part):
         out.axpy(1.0, self._forces)
         return float(self._forces.norm())
 
+    def own_load_at(self, t: float) -> Array:
+        return np.asarray(self._given.components(t) * self._volume / self._given.size, float)[: self.own_size]
+
+    def own_load(self) -> Array:
+        return self._load
+
     def own_residual(self) -> Array:
         return np.asarray(self._own.array_r + self._strained[2] - self._load)
 

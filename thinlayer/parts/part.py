@@ -249,6 +249,14 @@ class Part(ABC):
         """Residual of the part's own equations on this rank, for the last evaluation."""
         return np.empty(0)
 
+    def own_load(self) -> Array:
+        """Given forces of the step in `own_residual`, on this rank: that residual is what balances them, less these."""
+        return np.zeros(self.own_size)
+
+    def own_load_at(self, t: float) -> Array:
+        """The same at a time."""
+        return np.zeros(self.own_size)
+
     def own_start(self, old: Configuration) -> Array:
         """Own unknowns on this rank at the start of a step from `old`."""
         return np.zeros(self.own_size)

@@ -215,6 +215,12 @@ class RigidPlate(Addition):
         columns = np.tile(np.arange(k), len(blocks) * d)
         return scipy.sparse.csr_matrix((values.ravel(), (rows, columns)), (owned * d, k))
 
+    def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """As in `Addition`: all displacements of the plate's nodes."""
+        facets, d = model.domain.facets(self.place, layer_sides=True), model.joint.dim
+        blocks = fem.locate_dofs_topological(V, d - 1, facets)
+        return np.unique(blocks[:, None] * d + np.arange(d)).astype(np.int32)
+
     def size(self, model: Host) -> float:
         """Largest extent of the structure, by which rotations are multiplied to be lengths."""
         return float(np.ptp(model.domain.joint.points, axis=0).max())
@@ -231,6 +237,10 @@ class RigidPlate(Addition):
     def motions_held(self, model: Host) -> list[int]:
         """Numbers of the prescribed motions."""
         return sorted({*self._prevented(model), *(_names(model.joint.dim).index(name) for name in self.motion)})
+
+    def force_at(self, model: Host, t: float) -> npt.NDArray[np.float64]:
+        """As in `Addition`: the given force."""
+        return self.resultants(model, t)[: model.joint.dim]
 
     def load_work(self, model: Host, state: Configuration) -> float:
         """Work of the given force and moment in the plate's motion at a state. Collective."""
@@ -296,11 +306,10 @@ class PlatePart(Part):
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
-        new = old = self._given.resultants(self._model, interval.t)
+        new = old = self.own_load_at(interval.t)
         if interval.theta < 1:
-            old = self._given.resultants(self._model, interval.old.t)
-        load = (interval.theta * new + (1 - interval.theta) * old) / self._scale
-        self._load = load[: self.own_size]
+            old = self.own_load_at(interval.old.t)
+        self._load = interval.theta * new + (1 - interval.theta) * old
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         pass
@@ -308,8 +317,14 @@ class PlatePart(Part):
     def add_forces(self, out: PETSc.Vec) -> float:
         return 0.0
 
+    def own_load(self) -> Array:
+        return self._load
+
+    def own_load_at(self, t: float) -> Array:
+        return (self._given.resultants(self._model, t) / self._scale)[: self.own_size]
+
     def own_residual(self) -> Array:
-        return np.asarray(-self._load)
+        return -self._load
 
     def tangents(self, relative_residual: float) -> list[Block]:
         return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -221,6 +222,27 @@ class Equations(PartSum):
         for part in self.parts:
             part.add_fixed(self.external)
         self.external.aypx(-1.0, self.loads)
+
+    def given_forces(self) -> PETSc.Vec:
+        """The forces of the present step that are given, as those on the unknowns; the caller destroys the vector."""
+        return self._on_unknowns(self.external, [part.own_load() for part in self._with_own])
+
+    def given_forces_at(self, t: float) -> PETSc.Vec:
+        """Loads and given forces of parts at a time, as those on the unknowns; the caller destroys the vector."""
+        loads = self.history.loads_at(t)
+        out = self._on_unknowns(loads, [part.own_load_at(t) for part in self._with_own])
+        loads.destroy()
+        return out
+
+    def _on_unknowns(self, forces: PETSc.Vec, own: Sequence[npt.NDArray[np.float64]]) -> PETSc.Vec:
+        out = self.vector()
+        rows = self._layout.split(out.array)
+        rows[DISPLACEMENTS][:] = forces.array_r
+        for part, load in zip(self._with_own, own, strict=True):
+            rows[part.key][:] = load
+        if self.substitution:
+            self.substitution.forces(rows)
+        return out
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Compute the residual at the displacements before the step, and tell the force scale its norm.

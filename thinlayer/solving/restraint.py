@@ -107,7 +107,7 @@ class Restraint:
         """
         equations, r, d = self.equations, self._r, self._d
         equations.begin(Interval(rest, step.old.t, step.dt, 1.0))
-        loads, prescribed = equations.external.copy(), equations.prescribed
+        loads, prescribed = equations.given_forces(), equations.prescribed
         ease = equations.eased
         equations.ease(1.0)
         try:
@@ -118,10 +118,11 @@ class Restraint:
         finally:
             equations.ease(ease)
         A.shift(LEAST_STIFFNESS * self._unit)
-        n = equations.n_displacements
-        r.set(0.0)
-        r.array[:n] = equations.external.array_r - loads.array_r
-        loads.destroy()
+        after = equations.given_forces()
+        after.copy(r)
+        r.axpy(-1.0, loads)
+        for vector in (loads, after):
+            vector.destroy()
         d.set(0.0)
         d.array[equations.held] = equations.prescribed - prescribed
         A.zeroRowsColumns(equations.held_rows, 1.0, d, r)

@@ -209,7 +209,7 @@ class TimeStepping:
         return max(start + (t - start) / NEARER, end)
 
     def _loads_change(self, before: float, after: float) -> bool:
-        a, b = (self.solver.equations.history.loads_at(t) for t in (before, after))
+        a, b = (self.solver.equations.given_forces_at(t) for t in (before, after))
         size = b.norm()
         b.axpy(-1.0, a)
         change = b.norm()
@@ -218,12 +218,13 @@ class TimeStepping:
         return bool(change > SAME_LOADS * size)
 
     def _resultant(self, t: float) -> list[float]:
-        """Sum of the tractions and body forces on the bodies at time t, (d,)."""
+        """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
         model, loads = self.solver.model, self.solver.equations.history.loads_at(t)
         translations = [*rigid_motions(model.V, model.joint).values()][: model.joint.dim]
         forces = [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
         loads.destroy()
-        return forces
+        of_parts = sum((part.force_at(model, t) for part in model.parts), np.zeros(len(forces)))
+        return [float(force) for force in np.array(forces) + of_parts]
 
     def _try(self, old: State, end: float) -> tuple[list[State], float]:
         """States of a step ([] if its error is too large), and the ratio of the next step's length to this one's."""
