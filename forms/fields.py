@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ class Field:
 
     function: Callable[..., Any]
     operands: tuple[Any, ...] = ()
+    __array_ufunc__: ClassVar[None] = None  # numbers of numpy leave arithmetic to this class
 
     def __call__(self, x: Array) -> Array:
         """Values (n,) at places x (d, n).

@@ -132,7 +132,7 @@ def test_moved_sides_of_a_layer_that_is_rigid_at_rest():
     joint = sandwich(1.0, 0.5, 0.5, 0.25)
     supports = {
         "BOTTOM": 0.0,
-        "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(9 * t) * x[1]},
+        "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(9 * t) * (x[1] + 0.5)},
         "RIGHT/UPPER": {"x": lambda x, t: 0.01 * ufl.cos(9 * t)},
     }
     layer = ThinLayer(Norton(60.0, 40.0, eta=5.0, p=1.3), 0.1)

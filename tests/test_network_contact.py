@@ -113,8 +113,8 @@ def test_a_support_that_moves():
     """Held nodes in contact: the sole of the right brick is held along x, the left one is pushed by its side."""
     joint = three_bricks(4, "quadrilateral")
     structure = Structure(
-        joint, body=LinearElastic.young(50.0, 0.2), supports={"BOTTOM": 0.0, "LEFT": {"x": 0.01}}, element="Q1",
-        tractions={"TOP": (0.0, -1.0)},
+        joint, body=LinearElastic.young(50.0, 0.2), element="Q1", tractions={"TOP": (0.0, -1.0)},
+        supports={"BOTTOM": 0.0, "LEFT": {"x": lambda x, t: 0.01 * x[1]}},
     )  # fmt: skip
     model = structure.interface({"BED": BED, "HEAD": HEAD})
     require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))

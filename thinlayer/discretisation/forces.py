@@ -20,7 +20,8 @@ from geometry.sheet import Sheet
 from thinlayer.discretisation.axis import refuse_axis
 from thinlayer.discretisation.load_curves import Moment
 from thinlayer.discretisation.loads import Coordinates, Load, Pressure, refuse_periodic, refuse_seam, vector
-from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms
+from thinlayer.discretisation.point_forms import ConcentratedForms
+from thinlayer.discretisation.point_loads import Concentrated
 from thinlayer.errors import ModelError, warn
 
 BodyForce = Load | Mapping[str, Load]

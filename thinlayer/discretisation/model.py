@@ -36,7 +36,8 @@ from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
 from thinlayer.discretisation.placed import placed
-from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
+from thinlayer.discretisation.point_forms import ConcentratedForms
+from thinlayer.discretisation.point_loads import Concentrated, check_loads
 from thinlayer.discretisation.prescribed import Prescribed
 from thinlayer.discretisation.reactions import on_centre
 from thinlayer.discretisation.rigid import free_translations, require_support

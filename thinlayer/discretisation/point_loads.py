@@ -1,8 +1,8 @@
-"""Loads at vertices and along edges, as forms: densities on single cells whose work is that of the load."""
+"""Loads at vertices and along edges, and in which cells and where they act."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -10,16 +10,11 @@ import basix
 import basix.ufl
 import numpy as np
 import numpy.typing as npt
-import ufl
-from dolfinx import fem
 
-from forms.kinematics import Expr
-from geometry.domain import Domain
 from geometry.errors import place as at_place
 from geometry.errors import unknown
 from geometry.joint import Joint
-from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.loads import Coordinates, Load, refuse_periodic, vector
+from thinlayer.discretisation.loads import Load, refuse_periodic
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
@@ -179,87 +174,6 @@ def _in_one_body(
         where = at_place(joint.points[joint.corners[cells[kept[0]]]].mean(axis=0))
         raise ModelError(f"{what} acts where S parts bodies, near {where}, and each of them has a node there; {hint}")
     return int(kept[cells[kept].argmin()])
-
-
-# ---------------------------------------------------------------- forms
-class ConcentratedForms:
-    """Virtual work of loads at points, a UFL form: sum over cells of int F . v g dX = F . v at the load's place.
-
-    g is the element's polynomial on the reference cell for which that holds for all displacements v of the cell.
-
-    Args:
-        domain: the domain.
-        joint: the joint before inflating, whose cells are the first of the domain's.
-        degree: of the displacements.
-        at: coordinates and time.
-    """
-
-    def __init__(self, domain: Domain, joint: Joint, degree: int, at: Coordinates) -> None:
-        self.domain, self.joint, self.at, self._degree = domain, joint, at, degree
-        kind = basix.CellType[joint.cell_type]
-        self._ufl = basix.ufl.element("DG", domain.mesh.basix_cell(), degree)
-        self._element = self._ufl.basix_element
-        X, w = basix.make_quadrature(kind, 2 * degree)
-        phi = self._element.tabulate(0, X)[0, :, :, 0]
-        self._inverse = np.linalg.inv(phi.T @ (w[:, None] * phi))
-        mesh = domain.mesh
-        dx = ufl.Measure("dx", domain=mesh, subdomain_data=domain.cell_tags, metadata={"quadrature_degree": 2 * degree})
-        self._dx = dx(domain.cell_values(*joint.bodies))
-        self._jacobian = abs(ufl.JacobianDeterminant(mesh))
-
-    def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
-        """Pairs of a load per volume (d,) and a measure. Collective."""
-        nodes, d = load.nodes(self.joint), self.joint.dim
-        places, lengths = self._in_space(nodes)
-        if not callable(load.force):
-            factor = self._densities(nodes, lengths)
-            return [(vector(load.force, self.at, d, load.what) * self._function(factor) / self._jacobian, self._dx)]
-        found = []
-        for some in _rounds(nodes.cells):
-            for k in range(nodes.points.shape[1]):
-                one = Nodes(nodes.cells[some], nodes.points[some, k : k + 1])
-                x = np.zeros((len(self.domain.joint.cells), 1, d))
-                x[one.cells] = places[some, k : k + 1]
-                at = Coordinates(self.at.mesh, cellwise(self.domain, ("DG", 0, (d,)), x), self.at.t)
-                factor = self._densities(one, lengths[some, k : k + 1])
-                given = vector(load.force, at, d, load.what)
-                found.append((given * self._function(factor) / self._jacobian, self._dx))
-        return found
-
-    def _in_space(self, nodes: Nodes) -> tuple[Array, Array]:
-        """Places (n, k, d) of nodes, as arguments of loads, and weights (n, k)."""
-        joint = self.domain.joint
-        shown = joint.points if joint.band is None or joint.band.bodies == "extended" else joint.reference
-        element = basix.create_element(
-            basix.ElementFamily.P, basix.CellType[joint.cell_type], joint.degree, basix.LagrangeVariant.equispaced
-        )
-        places, weights = np.zeros_like(nodes.points), np.ones(nodes.points.shape[:2])
-        for row, cell in enumerate(nodes.cells):
-            table = element.tabulate(1, nodes.points[row])[..., 0]
-            places[row] = table[0] @ shown[joint.cells[cell]]
-            if nodes.along is not None:
-                J = np.einsum("jkn,ni->kij", table[1:], joint.points[joint.cells[cell]])
-                weights[row] = np.linalg.norm(np.einsum("kij,kj->ki", J, nodes.along[row]), axis=1)
-        return places, weights
-
-    def _densities(self, nodes: Nodes, weights: Array) -> Array:
-        """(n_cells, m) degrees of freedom of g, summed over the nodes of each cell."""
-        out = np.zeros((len(self.domain.joint.cells), len(self._inverse)))
-        phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
-        g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
-        np.add.at(out, nodes.cells, (weights[..., None] * g).sum(axis=1))
-        return out
-
-    def _function(self, values: Array) -> fem.Function:
-        return cellwise(self.domain, self._ufl, values[..., None])
-
-
-def _rounds(cells: npt.NDArray[np.int64]) -> Iterable[npt.NDArray[np.int64]]:
-    """Rows of nodes in groups in which each cell is at most once."""
-    order = np.argsort(cells, kind="stable")
-    first = np.searchsorted(cells[order], cells[order])
-    turn = np.arange(len(cells)) - first
-    return [order[turn == k] for k in range(int(turn.max(initial=-1)) + 1)]
 
 
 def check_loads(loads: Any) -> tuple[Concentrated, ...]:

@@ -57,7 +57,7 @@ def write(solution: State | History, path: str | Path, *, surface: Surface | Non
 
     Raises:
         ModelError: no state, no name of a file, or another ending; a surface of another joint, or beside a .bp file.
-        RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
+        ModelError: this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else world()

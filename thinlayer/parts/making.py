@@ -49,6 +49,8 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         diagonal = diagonal_at_rest(bodies)
         largest = float(diagonal.max()[1])
         diagonal.destroy()
+        if not largest:  # no law of the bodies is linear, or compiled
+            largest = max(part.largest_at_rest() for part in bodies if isinstance(part, LawForms))
         parts += [PressurePart(model.V, p, largest, model.origin, key, some) for key, (p, some) in pressures.items()]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))

@@ -1,0 +1,123 @@
+"""The motion of a rigid plate as unknowns of the balance of forces."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from geometry.errors import place as at_place
+from thinlayer.discretisation.addition import Host
+from thinlayer.discretisation.broken import Keys, broken_space
+from thinlayer.discretisation.prescribed import ROUNDING
+from thinlayer.discretisation.reactions import Array, count
+from thinlayer.discretisation.state import Configuration
+from thinlayer.errors import ModelError
+from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part
+
+if TYPE_CHECKING:
+    from thinlayer.parts.plates import RigidPlate
+
+
+class PlatePart(Part):
+    """The motions q of a plate, rotations times a length, and its given forces and moments, these over the length."""
+
+    def __init__(self, given: RigidPlate, model: Host) -> None:
+        self.key, self._given, self._model = given.key, given, model
+        self._dim, mesh = model.joint.dim, model.V.mesh
+        element = basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(count(self._dim),))
+        whole = fem.functionspace(mesh, element)
+        one = np.zeros(np.shape(whole.dofmap.list), np.int64)
+        self.field = fem.Function(broken_space(model.comm, Keys(whole, one, one)))
+        self._scale = np.ones(count(self._dim))
+        self._scale[self._dim :] = given.size(model)
+        self.tie = given.tie(model, given.point(model), given.size(model))
+        self._require_free_nodes(model, given.size(model))
+        self._load: Array = np.zeros(0)
+
+    def _require_free_nodes(self, model: Host, size: float) -> None:
+        """Raise ModelError if supports act on nodes of the plate."""
+        tied = np.flatnonzero(np.diff(self.tie.indptr)) // self._dim
+        prescribed = model.prescribed
+        rows = np.flatnonzero(np.isin(prescribed.blocks, tied) & (prescribed.entry >= 0))
+        message = ""
+        if len(rows):
+            place, _ = model.supports.entries[prescribed.entry[rows[0]]]
+            x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows[0]], : self._dim]
+            x = np.where(np.abs(x) > ROUNDING * size, x, 0.0)
+            message = (
+                f"the support on {place!r} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; "
+                f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
+            )
+        if messages := [one for one in model.comm.allgather(message) if one]:
+            raise ModelError(messages[0])
+
+    # ---------------------------------------------------------------- a step
+    def at_time(self, t: float) -> None:
+        self._t = t
+
+    def parameters(self) -> list[Array]:
+        motions = self._given.motions(self._model, self._t)
+        return [self._given.resultants(self._model, self._t), np.array([*motions.values()])]
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        new = old = self.own_load_at(interval.t)
+        if interval.theta < 1:
+            old = self.own_load_at(interval.old.t)
+        self._load = interval.theta * new + (1 - interval.theta) * old
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        pass
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        return 0.0
+
+    def own_load(self) -> Array:
+        return self._load
+
+    def own_load_at(self, t: float) -> Array:
+        return (self._given.resultants(self._model, t) / self._scale)[: self.own_size]
+
+    def own_residual(self) -> Array:
+        return -self._load
+
+    def tangents(self, relative_residual: float) -> list[Block]:
+        return []
+
+    def commit(self) -> Outcome:
+        assert self.field is not None
+        change = self.field.x.array[: self.own_size] - self.own_start(self.interval.old)
+        comm = self.field.function_space.mesh.comm
+        return Outcome(kept=False, supplied=float(comm.allreduce(float(self._load @ change), MPI.SUM)))
+
+    @property
+    def resists_rigid(self) -> bool:
+        """False: a plate follows the body that it is bonded to."""
+        return False
+
+    # ---------------------------------------------------------------- own unknowns
+    def own_held(self, t: float) -> tuple[npt.NDArray[np.int64], Array]:
+        held = sorted(self._given.motions(self._model, t).items()) if self.own_size else []
+        numbers = np.array([k for k, _ in held], np.int64)
+        return numbers, np.array([value for _, value in held]) * self._scale[numbers]
+
+    def own_start(self, old: Configuration) -> Array:
+        q = old.fields.get(self.key)
+        return super().own_start(old) if q is None else q.x.array[: self.own_size] * self._scale[: self.own_size]
+
+    def own_result(self) -> fem.Function:
+        assert self.field is not None
+        q = self.field.copy()
+        q.x.array[:] /= self._scale
+        return q
+
+    @property
+    def own_file_order(self) -> FileOrder:
+        """One row for the whole plate."""
+        return FileOrder(np.zeros(1, np.int64), np.arange(count(self._dim))[None, :])
