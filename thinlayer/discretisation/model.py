@@ -26,12 +26,13 @@ from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.broken import Keys, broken_space
-from thinlayer.discretisation.eigenstrains import Matter, given_strain
+from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Load
+from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.origin import origin_of
