@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from itertools import combinations
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from forms.base import InputError, is_number
 from forms.declarations import LawError
 
 Array = npt.NDArray[np.float64]
+MANY = 1000  # number of places at which parameters are checked beside those where they are extreme
 Parameter = float | Callable[[Array], Any]  # a number, or a numpy function of places (d, n) that gives n values
 
 
@@ -36,6 +38,7 @@ class Field:
 
     function: Callable[..., Any]
     operands: tuple[Any, ...] = ()
+    __array_ufunc__: ClassVar[None] = None  # numbers of numpy leave arithmetic to this class
 
     def __call__(self, x: Array) -> Array:
         """Values (n,) at places x (d, n).
@@ -134,19 +137,26 @@ class OfPlaces:
             yield self.with_parameters({name: float(value[k]) for name, value in values.items()})
 
     def check_at(self, x: Array) -> None:
-        """Raise LawError if a parameter is out of its range at one of the places x (d, n)."""
-        for k, one in enumerate(self.at_places(x) if self.fields else ()):
+        """Raise LawError if a parameter is out of its range at one of the places x (d, n).
+
+        Of many places those are checked at which a parameter, or a difference or a ratio of two, is smallest or largest,
+        and some thousand others.
+        """
+        if not self.fields:
+            return
+        values, n = list(self.fields_at(x).values()), x.shape[1]
+        at = sorted({*extremes(values, differences=True), *range(0, n, max(n // MANY, 1))})
+        for k, one in zip(at, self.at_places(x[:, at]), strict=True):
             try:
                 one.check()
             except LawError as error:
                 raise LawError(f"{error}, at {place_of(x, k)}") from None
 
     def samples(self, x: Array) -> list[Self]:
-        """The law with numbers, at those of the places x (d, n) where a parameter is smallest or largest."""
+        """The law with numbers, at those of the places x (d, n) where a parameter or a ratio of two is extreme."""
         if not self.fields:
             return [self]
-        self.fields_at(x)  # raises errors with names and places
-        extreme = extremes(list(self.fields.values()), x)
+        extreme = x[:, extremes(list(self.fields_at(x).values()))]
         self.check_at(extreme)
         return list(self.at_places(extreme))
 
@@ -171,7 +181,12 @@ def place_of(x: Array, k: int) -> str:
     return f"x = ({', '.join(f'{c:g}' for c in x[:, k])})"
 
 
-def extremes(fields: list[Field], x: Array) -> Array:
-    """Those of the places x (d, n) at which one of the fields is smallest or largest, (d, m)."""
-    at = {int(pick(values)) for one in fields for values in [one(x)] for pick in (np.argmin, np.argmax)}
-    return x[:, sorted(at)]
+def extremes(values: Sequence[Array], *, differences: bool = False) -> list[int]:
+    """Numbers of the places at which one of some values (n,), or a ratio, or a difference of two is smallest or largest."""
+    compared = list(values)
+    with np.errstate(all="ignore"):
+        for a, b in combinations(values, 2):
+            compared += [a / b] + ([a - b] if differences else [])
+    return sorted(
+        {int(pick(one)) for one in compared for pick in (np.nanargmin, np.nanargmax) if np.isfinite(one).any()}
+    )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.fields import Field
-from forms.law import BulkLaw
+from forms.law import BulkLaw, require
 from forms.traits import Traits
 
 Array = npt.NDArray[np.float64]
@@ -95,6 +95,7 @@ class PlaneStress(BulkLaw):
         return self.law.at(x, t)
 
     def check_dimension(self, d: int) -> None:
+        require(d == 2, self, "dimension of the model", d, "2")
         self.law.check_dimension(d)
 
     def trial_strain(self, a: Array, n: Array) -> Array:

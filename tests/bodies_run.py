@@ -14,6 +14,7 @@ from thinlayer.discretisation.kinds import InterfaceModel
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
 YIELDING = VonMises(60.0, 50.0, strength=1.0, hardening=20.0, kinematic=10.0)
+METAL = VonMises(60.0, 50.0, strength=lambda x: 0.5 + x[0], hardening=20.0)
 SHEARED = {"TOP": lambda x, t: (0.5 * t * (1 + x[0]), -0.3 * t)}
 LAYER = ThinLayer(LinearElastic(60.0, 40.0), 0.1)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
@@ -36,6 +37,10 @@ def numbers() -> dict[str, float]:
     for name, stress in state.stresses.items():
         squares = float((stress**2).sum())
         found[name] = state.model.comm.allreduce(squares)
+    graded = {"LOWER": LinearElastic.young(lambda x: 100 + 40 * x[0], 0.3), "UPPER": METAL}
+    glue = LinearElastic(lambda x: 60 * (1 + x[0]), lambda x: 40 * (1 + x[0] ** 2))
+    last = march(structure(graded).interface(ThinLayer(glue, 0.1)), [0.5, 1.0]).last
+    found |= {f"graded, {name}": value for name, value in last.energies().items()}
     mean = state.mean_stress()
     return found | {
         "jump": surface.norm(surface.jump(state)),

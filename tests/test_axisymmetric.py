@@ -17,11 +17,24 @@ from forms import (
 )
 from geometry import block, periodic, sandwich
 from studies.tubes import lame
-from thinlayer import ContactReport, ModelError, Springs, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import (
+    ContactReport,
+    LayerReport,
+    ModelError,
+    Springs,
+    Structure,
+    Surface,
+    ThinLayer,
+    compare,
+    march,
+    solve,
+)
 from thinlayer.errors import LooseBody
+from thinlayer.output.homogenised import homogenised_stiffness
 
 BODY = LinearElastic(80.0, 50.0)
 GLUE = LinearElastic(3.0, 2.0)  # per thickness
+YIELDING = MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)
 R, EPS, P = 1.3, 0.05, 0.7
 EXACT = 1e-9
 
@@ -148,7 +161,7 @@ def rates(law, eps, run=solve, **options):
 
 @pytest.mark.parametrize(
     "law",
-    [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)],
+    [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), YIELDING],
     ids=["Maxwell", "Incompressible", "Mohr-Coulomb"],
 )
 def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
@@ -160,6 +173,15 @@ def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
     traction, jump = rates(law, (0.08, 0.04), run)
     assert 0.9 < traction < 1.15
     assert isinstance(law, Incompressible) or 0.9 < jump < 1.15
+
+
+def test_shares_of_s_are_those_of_areas():
+    """Rods pressed in the middle: what slides or yields there counts with 2 pi r."""
+    report = LayerReport(
+        march(_rods(tractions={"TOP": (0.0, -0.1 * P)}).interface(ThinLayer(YIELDING, EPS)), [1.0]).last
+    )
+    assert report.sizes.sum() == pytest.approx(np.pi * R**2, rel=EXACT)
+    assert sum(report.shares.values()) == pytest.approx(1.0)
 
 
 # ---------------------------------------------------------------- contact
@@ -211,6 +233,11 @@ def _tubes(**options):
     return structure(tubes(), HELD, **options)
 
 
+def _ring():
+    joint = periodic(tubes(cell="quadrilateral", structured=True, height=1.0), ("LEFT", "RIGHT"))
+    return structure(joint, {}).interface(ThinLayer(GLUE, EPS))
+
+
 def _rods(**options):
     return structure(rods(), {"BOTTOM": 0}, **options)
 
@@ -229,6 +256,7 @@ def _rods(**options):
         (lambda: _rods(parts=[Springs("LEFT", normal=1.0)]).bonded(), "springs on 'LEFT': these facets are the axis"),
         (lambda: _tubes(strain=((0, 0), (0, 1))), "a mean strain or stress is for periodic cells"),
         (lambda: structure(periodic(rods(inner=0.5, radius=2.0), ("LEFT", "RIGHT")), {}), "repeats along the axis"),
+        (lambda: homogenised_stiffness(_ring()), "homogenised_stiffness is not for plane='axisymmetric'"),
         (lambda: structure(block(1.0, 1.0, 0.5).rotated(-np.pi / 2), {}), "'S' lies on the axis, where it has no area"),
     ],
 )  # fmt: skip

@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
 
 from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Stack, VonMises
 from forms.law import BulkLaw
+from forms.work import work
 from geometry import block, periodic, sandwich
 from tests.dry_walls import dry_wall
 from tests.ranks import mpirun
@@ -74,6 +76,11 @@ def test_bodies_that_expand_freely_have_no_stress(law):
     confined = 2e-3 * 3 * LAW.lmbda
     assert largest_stress(state) < 1e-11 * confined
     assert state.energies()["bodies"] < 1e-20 * confined
+    rest = fem.Function(state.model.V)
+    residual = work(state.model.terms_at(0.0), state.u, ufl.TestFunction(state.model.V))
+    assert np.abs(fem.assemble_vector(state.model.form(residual)).array).max() < 1e-11 * confined
+    unbalanced = work(state.model.terms_at(0.0), rest, ufl.TestFunction(state.model.V))
+    assert np.abs(fem.assemble_vector(state.model.form(unbalanced)).array).max() > 1e-3 * confined
     bent = ThermalExpansion(2e-3, lambda x, t: x[0] ** 2)
     assert largest_stress(solve(Structure(SOLID, body=law, supports=AT_REST_3D, eigenstrain=bent).bonded())) > 1e-3
 
@@ -120,6 +127,25 @@ def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
     linear, strong, weak = found.values()
     assert strong == pytest.approx(linear, rel=1e-8)
     assert weak < 0.7 * linear
+
+
+@pytest.mark.parametrize(("length", "stress"), [(1e-6, 1e9), (1e6, 1e-9)])
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_results_do_not_depend_on_units(length, stress, nonlinear):
+    """Free and bent strips, with nothing but heat to set the scale of the forces."""
+    found = []
+    for L, S in ((1.0, 1.0), (length, stress)):
+        law = Hardening(20.0 * S, 10.0 * S, 5.0) if nonlinear else LinearElastic.young(30.0 * S, 0.3)
+        scaled = replace(FLAT, points=np.multiply(FLAT.points, L))
+        at = {(x * L, y * L): given for (x, y), given in AT_REST.items()}
+        bent = ThermalExpansion(2e-3, lambda x, t, L=L: (x[1] / L) ** 2)
+        for heat in (3e-3, bent):
+            structure = Structure(scaled, body={"LOWER": law, "UPPER": law}, supports=at, eigenstrain=heat)
+            state = solve(structure.interface(ThinLayer(LinearElastic(7.0 * S / L, 5.0 * S / L), 0.1 * L)))
+            energies = state.energies()
+            found.append((energies["bodies"] / (S * L**2), energies["layer"] / (S * L**2)))
+    assert found[2] == pytest.approx(found[0], rel=1e-6, abs=1e-14)
+    assert found[3] == pytest.approx(found[1], rel=1e-6)
 
 
 # ---------------------------------------------------------------- confined

@@ -92,6 +92,20 @@ def test_uniform_stresses_are_read_again(written, d, cell_type, element):
     assert area == pytest.approx(np.prod(SIZE[d]) / SIZE[d][1], rel=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["interface", "full"])
+def test_arrays_are_the_same_at_all_times(written, tmp_path, kind):
+    """ParaView offers those of the first time, at which everything is at rest."""
+    written(slipping(kind))
+    reader = pyvista.get_reader(tmp_path / "a.pvd")
+    first = {
+        name: set(block.array_names) for name, block in zip(reader.read()[0].keys(), reader.read()[0], strict=True)
+    }
+    assert "plastic" in first["S" if kind == "interface" else "layer"]
+    reader.set_active_time_value(1.0)
+    found = reader.read()[0]
+    assert {name: set(block.array_names) for name, block in zip(found.keys(), found, strict=True)} == first
+
+
 def test_all_times_are_there(written, tmp_path):
     structure, stress, _ = uniform()
     written(march(structure.interface(ThinLayer(K, EPS)), [0.4, 0.7, 1.0]))

@@ -10,7 +10,7 @@ from geometry import sandwich
 from tests.dry_walls import dry_wall
 from tests.fields_run import BODY, EPS, K
 from tests.test_fields import last
-from thinlayer import ContactReport, Structure, ThermalExpansion, ThinLayer, fields, march, solve
+from thinlayer import ContactReport, ModelError, Structure, Surface, ThermalExpansion, ThinLayer, fields, march, solve
 
 L, M, NU = BODY.lmbda, BODY.mu, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))
 ROLLERS = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
@@ -102,3 +102,26 @@ def test_contact_on_several_seams(written):
 def test_bonded_bodies_have_no_s(written):
     structure = Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.3)})
     assert written(solve(structure.bonded())).keys() == ["bodies"]
+
+
+def test_s_of_a_meshed_layer(tmp_path):
+    """Brought to the S of an interface model: tractions and jumps as `Surface` has them; nothing of its laws there."""
+    structure = Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.3)})
+    full, limit = solve(structure.full(ThinLayer(K, EPS))), structure.interface(ThinLayer(K, EPS))
+    surface = Surface(limit)
+    fields.write(full, tmp_path / "a.pvd", surface=surface)
+    found = last(tmp_path / "a.pvd")
+    assert found.keys() == ["bodies", "layer", "S"]
+    on_s = found["S"]
+    x, t = surface.profile(surface.traction(full))
+    at = [np.linalg.norm(on_s.points[:, :2] - place, axis=1).argmin() for place in x]
+    assert on_s["traction"][at, :2] == pytest.approx(t, rel=1e-9)
+    force = on_s.integrate_data()["traction"][0, :2]
+    assert force == pytest.approx([0.2, -0.6], rel=1e-9)
+    assert list(on_s.cell_data) == ["seam"]
+    other = Surface(Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}).interface(ThinLayer(K, EPS)))
+    for wrong, path in ((other, "a.pvd"), (surface, "a.bp")):
+        with pytest.raises(ModelError, match=r"for \.pvd files, and of an interface model of the same joint"):
+            fields.write(full, tmp_path / path, surface=wrong)
+    with pytest.raises(ModelError, match="give Surface"):
+        fields.write(full, tmp_path / "a.pvd", surface=limit)

@@ -14,11 +14,12 @@ from petsc4py import PETSc
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
-from forms.laws import Anisotropic, Incompressible, LawError, LinearElastic, Stack
+from forms.laws import Anisotropic, Incompressible, LawError, LinearElastic, Stack, VonMises
 from forms.work import work
 from geometry import GeometryError, Joint, block, ring, sandwich
 from studies.problems import FOURIER_BODY, fourier
 from tests import reference
+from tests.test_marching import StiffeningSolid
 from tests.test_tips import partly
 from thinlayer import (
     Model,
@@ -398,3 +399,16 @@ def test_not_a_limit_of_springs_without_shear():
     other = solve(Structure(joint, **setup).interface(ThinLayer(Anisotropic.springs(1e6, MU), 0.1)))
     for field in (surface.jump, surface.traction):
         assert surface.norm(field(other) - field(state)) < 5e-3 * surface.norm(field(state))
+
+
+def test_beside_bodies_that_are_not_linear():
+    """Bodies whose laws are next to linear, in forms and at points, give what linear ones give."""
+    joint, layer = sandwich(1.0, 0.5, 0.5, 0.25, structured=True), ThinLayer(Incompressible(30.0), 0.1)
+    data = dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, tractions={"TOP": (0.3, 1.0)})
+    elastic, stiffening = LinearElastic(0.0, 60.0), StiffeningSolid(60.0, 1e-6)
+    found = [
+        solve(Structure(joint, body=body, **data).interface(layer)).energies()
+        for body in (elastic, stiffening, VonMises(0.0, 60.0, strength=1e3))
+    ]
+    assert found[1]["layer"] == pytest.approx(found[0]["layer"], rel=1e-6)
+    assert found[2] == pytest.approx(found[0], rel=1e-6)

@@ -158,6 +158,9 @@ def test_lines_are_drawn():
     assert len(picture.axes) == 4  # traction and jump of two seams
     t_N = surface.along(surface.frame(surface.traction(state))[1])[0]
     drawn = [line.get_xydata() for line in picture.axes[0].lines]
+    solid = Surface(uniform(3)[0].interface(LAYER))
+    cut = plotting.along(solid, solve(solid.model), plane=((1.0, 0, 0.3), (0.2, 0.1, 1.0)))
+    assert [len(axes.lines) for axes in cut.axes] == [3, 3]  # a normal and two tangential components
     assert any(len(xy) == len(t_N.s) and np.allclose(xy, np.column_stack([t_N.s, t_N.values])) for xy in drawn)
 
 

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
+from dolfinx.mesh import create_unit_square
+from mpi4py import MPI
 
 from forms import (
     Anisotropic,
@@ -19,13 +22,14 @@ from forms import (
     NonMonotone,
     Stack,
     VonMises,
+    work,
 )
 from geometry import block, sandwich
 from studies.problems import fourier
 from tests.columns_in_time import column
 from tests.columns_in_time import joint as one_cell
 from tests.own_laws import Slipping
-from thinlayer import ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, drive, march, solve
+from thinlayer import ModelError, RangeWarning, StepProblem, Structure, Surface, ThinLayer, compare, drive, march, solve
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25, structured=True)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
@@ -223,3 +227,31 @@ def test_ranges_are_those_of_the_extreme_values():
         solve(structure().interface(ThinLayer(hard, 0.1)))
     locking = LinearElastic.young(90.0, lambda x: 0.3 + 0.199 * x[0])
     assert np.isfinite(solve(structure().interface(ThinLayer(locking, 0.01, order=1))).energies()["layer"])
+
+
+def test_a_range_is_missed_nowhere():
+    """One place of many where a ratio is out of range."""
+    x = np.linspace(0.0, 1.0, 100_001)[None].repeat(2, axis=0)
+    law = LinearElastic(lambda x: np.where(abs(x[0] - 0.00777) < 1e-9, -39.0, -20.0), lambda x: 58.0 + 1e-3 * x[0])
+    with pytest.raises(LawError, match=r"lmbda is -39.0; allowed: > -2 mu/3 = -38.6667, at x = \(0.00777"):
+        law.check_at(x)
+
+
+def test_a_script_of_ones_own():
+    """Terms of `forms.work` in a `StepProblem`: evaluated at points, and checked there."""
+    mesh = create_unit_square(MPI.COMM_WORLD, 2, 2)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    nothing, energies = fem.Constant(mesh, 0.0) * ufl.inner(u, v) * ufl.dx, []
+    for law in (LinearElastic.young(lambda x: 100 + 0 * x[0], 0.3), BODY):
+        problem = StepProblem(nothing, u, terms=[work.body(law, ufl.dx(domain=mesh))])
+        u.interpolate(lambda x: (0.01 * x[0], 0.02 * x[1] * x[0]))
+        x, out = u.x.petsc_vec, u.x.petsc_vec.duplicate()
+        problem.begin(0.0)
+        problem.residual(None, x, out)
+        energies.append(x.dot(out))
+        problem.destroy()
+    assert energies[0] == pytest.approx(energies[1], rel=1e-12)
+    wrong = work.body(LinearElastic.young(lambda x: 100 - 200 * x[0], 0.3), ufl.dx(domain=mesh))
+    with pytest.raises(LawError, match=r"E is .* at x"):
+        StepProblem(nothing, u, terms=[wrong])

@@ -239,6 +239,8 @@ def test_laws_with_a_closed_form_are_the_same():
 
 
 def test_what_has_no_plane_stress():
+    with pytest.raises(LawError, match="dimension of the model is 3; allowed: 2"):
+        drive(LAWS["Maxwell"].plane_stress(), [{"w_T1": 0.0, "w_T2": 0.0, "w_N": 0.01}], n=(0, 1, 0), dt=0.1)
     assert isinstance(PlaneStress(LAWS["Maxwell"]).plane_stress(), PlaneStress)
     with pytest.raises(SolveError, match="the law failed"):
         drive(Pressed(M).plane_stress(), [{"w_T": 0.0, "w_N": 0.01}])

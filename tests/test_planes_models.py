@@ -29,9 +29,8 @@ from tests.planes_run import numbers
 from tests.ranks import mpirun
 from tests.taylor import observed_orders
 from tests.test_plane_stress import Pressed, Stiffening
-from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.output.probe import Probe
-from thinlayer.running.cli import main
 from thinlayer.solving.solvers import Solver
 
 L, M, EPS = 6.0, 4.0, 0.05
@@ -124,20 +123,6 @@ def test_traction_of_a_sheet():
         assert surface.profile(surface.jump(state))[1][:, 1] == pytest.approx(0.7 / stiffness, rel=EXACT)
 
 
-# ---------------------------------------------------------------- the interface law against the band
-@pytest.mark.parametrize("name", ["Maxwell", "Mohr-Coulomb"])
-def test_the_layer_of_a_sheet_tends_to_its_law_at_rate_1(name):
-    mesh, setup = fourier(1 / 8, cell="quadrilateral")
-    errors = []
-    for eps in (0.02, 0.01):
-        layer = ThinLayer(LAWS[name], eps)
-        structure = Structure(mesh, **setup, plane="stress")
-        full, limit = (march(model, [0.2, 0.5]) for model in (structure.full(layer), structure.interface(layer)))
-        errors.append(compare(full, limit))
-    for key in ("error_traction", "error_jump"):
-        assert np.log2(errors[0][key] / errors[1][key]) == pytest.approx(1.0, abs=0.12), key
-
-
 def test_tangents_of_models_are_those_of_the_residual():
     mesh, setup = fourier(1 / 2)
     structure = Structure(mesh, **setup | {"body": Stiffening(3.0)}, plane="stress")
@@ -206,11 +191,3 @@ def test_the_same_numbers_on_two_ranks():
     done = mpirun(2, "-m", "tests.planes_run")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == pytest.approx(numbers(), rel=1e-9)
-
-
-# ---------------------------------------------------------------- studies
-@pytest.mark.parametrize(("name", "checks"), [("tubes", 6), ("plane_stress", 4)])
-def test_studies_of_planes(tmp_path, capsys, name, checks):
-    assert main(["run", name, "--quick", "--out", str(tmp_path / "out")]) == 0
-    assert capsys.readouterr().out.count("ok   ") == checks
-    assert list((tmp_path / "out").glob("*.png"))

@@ -21,7 +21,15 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.discretisation.reactions import Resultant
     from thinlayer.discretisation.state import State
     from thinlayer.discretisation.structure import Structure
-    from thinlayer.errors import LimitLoad, LooseBody, ModelError, RangeWarning, SolveError, ThinlayerError
+    from thinlayer.errors import (
+        LimitLoad,
+        LooseBody,
+        ModelError,
+        RangeWarning,
+        SolveError,
+        ThinlayerError,
+        TurningPoint,
+    )
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
@@ -42,7 +50,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.solving.step_problem import StepProblem
     from thinlayer.time.arc_length import ArcLength
     from thinlayer.time.history import History
-    from thinlayer.time.marching import march
+    from thinlayer.time.marching import follow, march
     from thinlayer.time.plan import Adaptive
 
 __version__ = "0.1.0"
@@ -56,7 +64,7 @@ _NAMES = {
     "discretisation.reactions": ["Resultant"],
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
-    "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError"],
+    "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError", "TurningPoint"],
     "files.table": ["Table"],
     "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],
@@ -77,7 +85,7 @@ _NAMES = {
     "solving.step_problem": ["StepProblem"],
     "time.arc_length": ["ArcLength"],
     "time.history": ["History"],
-    "time.marching": ["march"],
+    "time.marching": ["follow", "march"],
     "time.plan": ["Adaptive"],
 }  # module -> its public names
 _HOME = {name: module for module, names in _NAMES.items() for name in names}

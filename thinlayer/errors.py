@@ -60,6 +60,25 @@ class LooseBody(SolveError):
         self.motion = motion
 
 
+class TurningPoint(SolveError):
+    """A march in time has come to where the equilibria of a softening layer lead back in time: loads have a maximum there.
+
+    Neither growing loads nor growing displacements of supports can be followed farther; a path can, by arc length.
+
+    Attributes:
+        t: time of the last equilibrium before.
+        history: the accepted steps.
+    """
+
+    def __init__(self, t: float, history: Any) -> None:
+        super().__init__(
+            f"the equilibria turn back at t = {t:.10g}: what is prescribed there cannot grow further",
+            history,
+            advice="follow them with ArcLength, follow(error.history, ArcLength(end=..., first=...))",
+        )
+        self.t = t
+
+
 class NoEquilibrium(SolveError):
     """A step without an equilibrium: its displacements run away as weak springs soften, see `thinlayer.solving.restraint`.
 

@@ -29,7 +29,7 @@ from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.eigenstrains import Matter, given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
-from thinlayer.discretisation.given import added
+from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
@@ -65,7 +65,7 @@ class Model(ABC):
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
         dx, ds: measures of the mesh with its tags, for your own terms beside the model's: the residual at u is
-            `work(model.terms, u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal laws.
+            `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal laws.
             Compile it with `model.form`: by itself DOLFINx 0.9 loses integrals over overlapping tags whose quadratures
             differ, as of a body and of its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
@@ -346,6 +346,10 @@ class Model(ABC):
     def terms(self) -> list[forms.Term]:
         """All terms of the model."""
         return self.bodies + self.layer_terms
+
+    def terms_at(self, t: float) -> list[forms.Term]:
+        """All terms of the model, with the strains that are given at a time, such as minus the eigenstrain."""
+        return at_time(self.terms, t)
 
     @property
     def contacts(self) -> dict[str, ContactLaw]:

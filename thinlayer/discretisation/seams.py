@@ -113,8 +113,6 @@ class SeamLayer:
         if self.thin:
             if self.thin.order == 1:
                 self._check_order_1()
-            if self.thin.law.traits.constrained and self.thin.eigenstrain is not None:
-                raise ModelError(f"{type(self.thin.law).__name__} keeps its volume; {self} takes no eigenstrain")
             if self.thin.law.traits.constrained and element not in ("P2", "Q2"):
                 raise ModelError(
                     f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"

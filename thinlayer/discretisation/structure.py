@@ -25,10 +25,10 @@ class Structure(Setup):
             is called "S"): the weight of a layer, which acts on its cells or, in the interface model, times the thickness
             and in halves on both sides of S; half of it goes to a rigid base directly. It is of order eps.
         loads: `PointLoad`, `LineLoad`.
-        plane: "strain", "stress" or "axisymmetric", of a joint in 2D. In plane stress bodies take laws with a closed form
-            (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of revolution, y the place
-            along it, there is no twist; u_x = 0 holds on the axis by itself, and all integrals (energies, loads, forces,
-            over S) are over the whole revolution.
+        plane: "strain", "stress" or "axisymmetric", of a joint in 2D. In plane stress laws find the strains out of the
+            plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of revolution,
+            y the place along it, there is no twist; u_x = 0 holds on the axis by itself, and all integrals (energies,
+            loads, forces, over S) are over the whole revolution.
         element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
         parts: additions to the balance of forces: `Springs`, `UflPart`, or your own `Addition`.
         strain: mean strain of a periodic joint, (d, d) symmetric numbers, or a function (x, t) of the time alone that

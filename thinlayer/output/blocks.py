@@ -31,11 +31,16 @@ STRESS, VON_MISES = "stress", "von Mises"
 TAKEN = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")  # no names of internal variables
 
 
-def blocks(state: State) -> pyvista.MultiBlock | None:
-    """The blocks "bodies", "layer" (a full model) and "S" (an interface model); None on other ranks. Collective."""
+def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
+    """The blocks "bodies", "layer" (a full model) and "S" (if a model is given); None on other ranks. Collective.
+
+    Args:
+        state: the state.
+        model: the interface model, of the same joint, to whose S tractions and jumps are brought.
+    """
     of_cells, of_facets = _cell_data(state)
     grid = gather(state)
-    on_s = surface_block(state, of_facets) if isinstance(state.model, InterfaceModel) else None
+    on_s = None if model is None else surface_block(state, model, of_facets)
     if state.model.comm.rank:
         return None
     whole = _volume(state.model.domain.joint, grid, of_cells)

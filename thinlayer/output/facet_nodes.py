@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import basix
 import basix.ufl
 import numpy as np
@@ -41,28 +39,24 @@ class FacetNodes:
         mesh, self._maps = self._region.mesh, surface.entity_maps
         self._count = mesh.topology.index_map(mesh.topology.dim).size_local
         self.rows: IntArray = model.domain.numbers(self._region.dim, self._region.parent)[: self._count]
-        self._points = np.array(lagrange(self.kind, self.degree).points)  # writable, as DOLFINx wants it
-        self._weights = np.full(len(self._points), 1.0)
-        rule = {"quadrature_rule": "custom", "quadrature_points": self._points, "quadrature_weights": self._weights}
-        self._measure = sides.measure(metadata=rule)
+        points, _ = basix.make_quadrature(basix.CellType[self.kind], 2 * self.degree)
+        # from values at the points of quadrature to those at the nodes: exact for polynomials of this degree
+        self._to_nodes = np.linalg.pinv(lagrange(self.kind, self.degree).tabulate(0, points)[0, :, :, 0])
+        self._measure = sides.measure(metadata={"quadrature_degree": 2 * self.degree})
         self._sizes = self._integrated(ufl.as_vector([fem.Constant(model.domain.mesh, 1.0)]))
 
     def values(self, f: Expr) -> Array:
         """Values (facets, nodes, m) of a vector expression (m,) on S. Collective."""
         if isinstance(f, Zero):
-            return np.zeros((self._count, len(self._points), *f.ufl_shape))
-        return self._integrated(f) / self._sizes
+            return np.zeros((self._count, len(self._to_nodes), *f.ufl_shape))
+        return np.asarray(np.einsum("nq,fqm->fnm", self._to_nodes, self._integrated(f) / self._sizes))
 
     def _integrated(self, f: Expr) -> Array:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Applying str", UserWarning)  # UFL's, of arrays of points
-            return self._assembled(f)
-
-    def _assembled(self, f: Expr) -> Array:
-        element = basix.ufl.quadrature_element(
-            basix.CellType[self.kind], value_shape=f.ufl_shape, points=self._points, weights=self._weights
+        """Values (facets, points of quadrature, m) times the quadrature weights."""
+        kind, degree = basix.CellType[self.kind], 2 * self.degree
+        W = fem.functionspace(
+            self._region.mesh, basix.ufl.quadrature_element(kind, value_shape=f.ufl_shape, degree=degree)
         )
-        W = fem.functionspace(self._region.mesh, element)
         q = self._region.side(ufl.TestFunction(W))
         form = fem.form(ufl.inner(f, q) * self._measure, entity_maps=joined_maps(self._region.maps, self._maps))
         found = np.asarray(fem.assemble_vector(form).array.reshape(-1, *f.ufl_shape))

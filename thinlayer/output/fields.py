@@ -14,10 +14,12 @@ import dolfinx
 import pyvista
 
 from geometry.parallel import on_root, world
+from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.blocks import blocks
 from thinlayer.output.grid import nodal_displacement
+from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import History
 
@@ -26,7 +28,7 @@ BYTES = {".bp": (128, 24), ".pvd": (0, 200)}
 VTX, VTK = ".bp", ".pvd"
 
 
-def write(solution: State | History, path: str | Path) -> None:
+def write(solution: State | History, path: str | Path, *, surface: Surface | None = None) -> None:
     """Write a state, or all states that a history keeps with their times, for ParaView. Collective.
 
     A path that ends in .pvd: all that is known. Rank 0 gathers it and writes "run.pvd" and the folder "run_pvd". Blocks:
@@ -34,22 +36,28 @@ def write(solution: State | History, path: str | Path) -> None:
     - "bodies": "u" at the nodes (those on S are double, so that jumps are kept); means over each cell: "stress",
       "von Mises", the internal variables of laws by their names; "region", its position in the field "regions".
     - "layer", of a full model: the same, and "seam", its position in the field "seams".
-    - "S", of an interface model, facets whose nodes are their own. At the nodes: "traction", "jump", "normal", "u_upper",
-      "u_lower", "u" (their mean, to warp S by), "t_N", "w_N", "t_T", "w_T" (in 2D the component along (n_2, -n_1), in 3D
-      the vector in S); under contact laws "contact" (the field "contact codes" says what is what) and "slip". On facets:
-      "seam", "status" (see `LayerReport` and the field "status codes"), means of the layer's internal variables, such as
-      "phase".
+    - "S", of an interface model, or if a surface is given, facets whose nodes are their own. At the nodes: "traction",
+      "jump", "normal", "u_upper", "u_lower", "u" (their mean, to warp S by), "t_N", "w_N", "t_T", "w_T" (in 2D the
+      component along (n_2, -n_1), in 3D the vector in S); under contact laws "contact" (the field "contact codes" says
+      what is what) and "slip". On facets: "seam", "status" (see `LayerReport` and the field "status codes"), means of the
+      layer's internal variables, such as "phase".
 
     Vectors have three components, stresses and other tensors six: XX, YY, ZZ, XY, YZ, XZ. "von Mises" is that of the mean
     stress of a cell. Internal variables that a cell's law does not have are NaN there; where there are several points
     through the thickness on S (sublayers, order 1) they are numbered from below: "plastic 1", "plastic 2". In a periodic
     cell u is beside the motion by the mean strain (`State.mean_strain`); stresses are whole.
 
-    A path that ends in .bp: the displacements, written in parallel by ADIOS2's VTX; for meshes that rank 0 cannot hold.
+    A path that ends in .bp: displacements alone, written in parallel by ADIOS2's VTX; for meshes that rank 0 cannot hold.
+
+    Args:
+        solution: what to write.
+        path: file.
+        surface: S of an interface model of the same joint, to which a full model's traction and jump are brought, where
+            S was before it was inflated; its layer's status and internal variables are in the block "layer".
 
     Raises:
-        ModelError: no state, no name of a file, or another ending.
-        RuntimeError: this DOLFINx has no ADIOS2, which VTX needs.
+        ModelError: no state, no name of a file, or another ending; a surface of another joint, or beside a .bp file.
+        ModelError: this DOLFINx has no ADIOS2, which VTX needs.
         OSError: the files could not be written; on all ranks.
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else world()
@@ -62,11 +70,19 @@ def write(solution: State | History, path: str | Path) -> None:
             raise ModelError(f"cannot write {str(path)!r}; allowed endings: .pvd (VTK, all fields), .bp (VTX, u)")
         if path.suffix == VTX and not dolfinx.has_adios2:
             raise ModelError("VTX needs a DOLFINx with ADIOS2; write a .pvd file instead")
+        if surface is not None and not isinstance(surface, Surface):
+            raise ModelError(f"surface is {surface!r:.80}; give Surface(limit.model)")
+        if surface is not None and (path.suffix == VTX or surface.model.joint is not states[0].model.joint):
+            raise ModelError("a surface is for .pvd files, and of an interface model of the same joint as the states")
     require_same(comm, models=states[0].model.mark, states=[state.t for state in states], path=str(path))
     nodes = states[0].u.function_space.dofmap.index_map.size_global
     once, each = BYTES[path.suffix]
     on_root(comm, lambda: _make_room(path, nodes * (once + each * len(states))))
-    (_write_vtx if path.suffix == VTX else _write_vtk)(states, path)
+    if path.suffix == VTX:
+        _write_vtx(states, path)
+        return
+    own = states[0].model
+    _write_vtk(states, path, surface.model if surface else own if isinstance(own, InterfaceModel) else None)
 
 
 def _states(solution: State | History) -> list[State]:
@@ -108,13 +124,13 @@ def _write_vtx(states: list[State], path: Path) -> None:
 
 
 # ---------------------------------------------------------------- all fields, gathered
-def _write_vtk(states: list[State], path: Path) -> None:
+def _write_vtk(states: list[State], path: Path, model: InterfaceModel | None) -> None:
     comm, folder = states[0].model.comm, path.with_name(f"{path.stem}_pvd")
     on_root(comm, lambda: _clear(folder))
     digits = max(4, len(str(len(states))))
     names = [folder / f"{number:0{digits}}.vtm" for number in range(len(states))]
     for state, name in zip(states, names, strict=True):
-        found = blocks(state)
+        found = blocks(state, model)
         on_root(comm, _saving(found, name))
     times = {name.relative_to(path.parent): state.t for name, state in zip(names, states, strict=True)}
     on_root(comm, lambda: _list(path, times))

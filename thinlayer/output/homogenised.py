@@ -70,6 +70,10 @@ def _check(model: Model) -> None:
         raise ModelError(
             f"homogenised_stiffness needs a model of a periodic joint, not {model!r}; see geometry.periodic"
         )
+    if not model.kinematics.turns:
+        raise ModelError(
+            f"homogenised_stiffness is not for plane={model.plane!r}: a body of revolution has no mean strain"
+        )
     model.require_order_zero()
     for law in (p.law for p in model.terms if not p.proportional):
         raise ModelError(

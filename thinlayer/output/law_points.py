@@ -98,10 +98,11 @@ class LawPoints:
 
     def internal(self) -> list[dict[str, Array]]:
         """Internal variables by name, (points, *shape), of each sublayer from the lower to the upper face of the layer."""
-        memory = self.state.memory.get(self.key)
-        if memory is None:
-            return [{}]
         sublayers = [law for _, law in self.term.law.sublayers]
+        if not self.key:
+            return [{} for _ in sublayers]
+        at_rest = np.zeros((self.quadrature.count, self.term.law.memory))
+        memory = self.state.memory.get(self.key, at_rest)
         start, found = self.term.law.memory - sum(law.memory for law in sublayers), []
         for law in sublayers:
             found.append(unpacked(law, memory[:, start : start + law.memory]))

@@ -87,12 +87,14 @@ class LayerReport:
 
     @cached_property
     def sizes(self) -> Array:
-        """(n,) areas of the facets, of straight cells between their vertices (2D: lengths)."""
-        joint = self.state.model.joint
+        """(n,) areas of the facets, of straight cells between their vertices (2D: lengths, or areas of revolution)."""
+        joint, kinematics = self.state.model.joint, self.state.model.kinematics
         x = joint.points[joint.table.vertices[self.rows]]
         sides = x[:, 1:3] - x[:, :1]
         area = np.sqrt(np.linalg.det(sides @ sides.swapaxes(1, 2)))
-        return np.asarray(area / 2 if joint.cell_type == "tetrahedron" else area)
+        area = area / 2 if joint.cell_type == "tetrahedron" else area
+        k = x.shape[1]
+        return np.asarray(kinematics.node_areas(x, np.repeat(area[:, None] / k, k, axis=1)).sum(axis=1))
 
     @property
     def shares(self) -> dict[str, float]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
@@ -120,6 +120,38 @@ class Segments:
         )
         kept = moved | jumps
         return Line(seam, along[kept], x[kept], values[kept], here == start and len(at[start]) == 2)
+
+
+def lines_on(
+    joint: Joint, of_facets: Mapping[str, IntArray], numbers: IntArray, values: Array, plane: Plane | None
+) -> list[Line]:
+    """The lines of seams, one seam after the other.
+
+    Args:
+        joint: the joint.
+        of_facets: name of a seam -> (m, k) numbers of the nodes at the vertices of its facets, of the table's rows.
+        numbers: (n,) numbers of the nodes.
+        values: (n,) or (n, components) there.
+        plane: in 3D the plane that cuts S.
+
+    Raises:
+        ModelError: a plane in 2D, none in 3D, one that does not cut S.
+    """
+    if (plane is None) != (joint.dim == 2):
+        hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
+        raise ModelError(f"plane is {plane!r}; {hint}")
+    order = np.argsort(numbers)
+    found: list[Line] = []
+    for name, here in of_facets.items():
+        at = order[np.minimum(np.searchsorted(numbers[order], here), len(order) - 1)]
+        assert (numbers[at] == here).all(), "all vertices of S are nodes"
+        rows, nodal = joint.rows_of(name), values[at].reshape(*here.shape, -1)
+        cut = seam_segments(joint, rows, nodal) if plane is None else cut_segments(joint, rows, nodal, plane)
+        lines = cut.lines(name, float(np.ptp(joint.points, axis=0).max()))
+        found += [replace(one, values=one.values if values.ndim == 2 else one.values[:, 0]) for one in lines]
+    if not found:
+        raise ModelError(f"the plane {plane!r} does not cut S")
+    return found
 
 
 def seam_segments(joint: Joint, rows: IntArray, values: Array) -> Segments:

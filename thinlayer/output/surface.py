@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
@@ -27,7 +27,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
 from thinlayer.output.junction_tractions import JunctionTractions
-from thinlayer.output.lines import Line, Plane, cut_segments, seam_segments
+from thinlayer.output.lines import Line, Plane, lines_on
 from thinlayer.output.surface_mass import SurfaceMass, contact_forces, nodal_forces, reaction
 
 Array = npt.NDArray[np.float64]
@@ -257,28 +257,11 @@ class Surface:
         Raises:
             ModelError: a plane in 2D, none in 3D, one that does not cut S; expressions that are none on S.
         """
-        joint = self.model.joint
-        if (plane is None) != (joint.dim == 2):
-            hint = (
-                "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
-            )
-            raise ModelError(f"plane is {plane!r}; {hint}")
+        joint, pairs = self.model.joint, self.model.pairs
         numbers, _, values = self._at_nodes(f)
-        order = np.argsort(numbers)
-        found: list[Line] = []
-        for name in self._seams:
-            rows = joint.rows_of(name)
-            at = np.searchsorted(joint.surface_rows, rows)
-            here = self.model.pairs.of_facets[at] if self.model.pairs else joint.masters[joint.table.vertices[rows]]
-            at_nodes = order[np.minimum(np.searchsorted(numbers[order], here), len(order) - 1)]
-            assert (numbers[at_nodes] == here).all(), "all vertices of S are nodes"
-            nodal = values[at_nodes].reshape(*here.shape, -1)
-            cut = seam_segments(joint, rows, nodal) if plane is None else cut_segments(joint, rows, nodal, plane)
-            lines = cut.lines(name, float(np.ptp(joint.points, axis=0).max()))
-            found += [replace(one, values=one.values if values.ndim == 2 else one.values[:, 0]) for one in lines]
-        if not found:
-            raise ModelError(f"the plane {plane!r} does not cut S")
-        return found
+        of_rows = pairs.of_facets if pairs else joint.masters[joint.table.vertices[joint.surface_rows]]
+        rows = {name: np.searchsorted(joint.surface_rows, joint.rows_of(name)) for name in self._seams}
+        return lines_on(joint, {name: of_rows[at] for name, at in rows.items()}, numbers, values, plane)
 
     def _at_nodes(self, f: Expr) -> tuple[IntArray, Array, Array]:
         """Numbers, places (n, d) and values of an expression's projection at the nodes of all ranks. Collective.

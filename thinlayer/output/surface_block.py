@@ -30,8 +30,10 @@ STATUS_CODES = {name: code for code, name in enumerate(STATUSES)}
 FIELDS = ("x", "n", "traction", "upper", "lower")
 
 
-def surface_block(state: State, of_facets: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
-    """The facets of S of an interface model, in the joint's order; None on other ranks. Collective.
+def surface_block(
+    state: State, model: InterfaceModel, of_facets: Mapping[str, Array]
+) -> pyvista.UnstructuredGrid | None:
+    """The facets of S, in the joint's order; None on other ranks. Collective.
 
     Each facet has nodes of its own. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
     warp S by), "t_N", "w_N", and "t_T", "w_T": in 2D the component along (n_2, -n_1), in 3D the vector in S; with contact
@@ -39,11 +41,10 @@ def surface_block(state: State, of_facets: Mapping[str, Array]) -> pyvista.Unstr
     position in the field "seams"), "status" (`STATUS_CODES`), and means of internal variables.
 
     Args:
-        state: the state.
+        state: a state of the model, or of another one of the same joint, of whose laws nothing is told.
+        model: an interface model.
         of_facets: name -> means (n_S, components), on rank 0.
     """
-    model = state.model
-    assert isinstance(model, InterfaceModel)
     joint, d = model.joint, model.joint.dim
     mixed = 0 < len(joint.base_seams) < len(joint.seams)
     pieces = []
@@ -54,8 +55,9 @@ def surface_block(state: State, of_facets: Mapping[str, Array]) -> pyvista.Unstr
         fields = (x, sides.n, surface.traction(state), sides.upper(u), sides.lower(u))
         found = [nodes.values(one) for one in fields]
         pieces += model.comm.gather((nodes.rows, *found), root=0) or []
-    contacts = {name: ContactReport(state, name) for name in model.contacts}
-    status = {name: LayerReport(state, name).status for name in joint.seams if name not in contacts}
+    own = state.model is model
+    contacts = {name: ContactReport(state, name) for name in model.contacts if own}
+    status = {name: LayerReport(state, name).status for name in joint.seams if own and name not in contacts}
     if model.comm.rank:
         return None
     rows, *found = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
@@ -103,7 +105,8 @@ def _in_space(values: Array) -> Array:
 
 def _of_nodes(at: Mapping[str, Array], d: int) -> dict[str, Array]:
     """Point data from values (facets, nodes, d)."""
-    n, t, upper, lower = at["n"], at["traction"], at["upper"], at["lower"]
+    t, upper, lower = at["traction"], at["upper"], at["lower"]
+    n = at["n"] / np.linalg.norm(at["n"], axis=2, keepdims=True)
     jump = upper - lower
     data = {"traction": t, "jump": jump, "normal": n, "u": (upper + lower) / 2, "u_upper": upper, "u_lower": lower}
     found = {name: _in_space(values) for name, values in data.items()}

@@ -46,6 +46,7 @@ class CompiledPart(Part):
         self.comm = self.points.comm
         self.law = law = term.law
         self._t, self._in_body = 0.0, term.n is None
+        self._tangent: PETSc.Mat | None = None
         self.stress_width = len(self.points.slots)
         self.traits = PartTraits(
             uses_dt=not law.traits.switches,
@@ -57,6 +58,8 @@ class CompiledPart(Part):
 
     def destroy(self) -> None:
         self.points.destroy()
+        if self._tangent is not None:
+            self._tangent.destroy()
 
     @property
     def comms(self) -> list[MPI.Intracomm]:
@@ -105,7 +108,8 @@ class CompiledPart(Part):
         """As in `Part`. LawError: a law declares a symmetric tangent and has another; half of it would be lost."""
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:
             raise LawError(NOT_SYMMETRIC.format(type(self.law).__name__, skew))
-        return [Block(self.points.stiffness(self._response.tangent, relative_residual))]
+        self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
+        return [Block(self._tangent, kept=True)]
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> Outcome:

@@ -117,6 +117,19 @@ class LawForms(FormPart):
     def resists_rigid(self) -> bool:
         return self._in_layer
 
+    def largest_at_rest(self) -> float:
+        """Largest diagonal entry of the tangent at rest of laws that are not linear; 1 if it has no number. Collective."""
+        self._u.x.array[:] = 0.0
+        found = 0.0
+        for form in self._J:
+            A = dolfinx.fem.petsc.assemble_matrix(form)
+            A.assemble()
+            diagonal = A.getDiagonal()
+            found = max(found, float(diagonal.max()[1]))
+            diagonal.destroy()
+            A.destroy()
+        return found if 0 < found < np.inf else 1.0
+
     @property
     def unchecked(self) -> Sequence[str]:
         return [type(p.law).__name__ for p in self._others]

@@ -49,7 +49,9 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         diagonal = diagonal_at_rest(bodies)
         largest = float(diagonal.max()[1])
         diagonal.destroy()
-        parts += [PressurePart(model.V, term, largest, model.origin, key) for key, term in pressures.items()]
+        if not largest:  # no law of the bodies is linear, or compiled
+            largest = max(part.largest_at_rest() for part in bodies if isinstance(part, LawForms))
+        parts += [PressurePart(model.V, p, largest, model.origin, key, some) for key, (p, some) in pressures.items()]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts
@@ -72,15 +74,15 @@ def diagonal_at_rest(parts: Sequence[Part]) -> PETSc.Vec:
     return first
 
 
-def _constrained(terms: Iterable[Term]) -> dict[str, Term]:
-    """The terms of laws with a pressure, by its key: meshed layers share one, on S each seam has its own."""
+def _constrained(terms: Iterable[Term]) -> dict[str, tuple[Term, list[Term]]]:
+    """Terms of laws with a pressure, in one and one by one, by its key: meshed layers share it, on S each seam has one."""
     found: dict[object, list[Term]] = {}
     for p in terms:
         if p.law.traits.constrained:
             found.setdefault(p.strain, []).append(p)
-    keys: dict[str, Term] = {}
+    keys: dict[str, tuple[Term, list[Term]]] = {}
     for some in found.values():
         tags = tuple(tag for p in some for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
         whole = replace(some[0], measure=some[0].measure.reconstruct(subdomain_id=tags)) if len(some) > 1 else some[0]
-        keys[PRESSURE + whole.key.removeprefix(LAYER) if len(found) > 1 else PRESSURE] = whole
+        keys[PRESSURE + whole.key.removeprefix(LAYER) if len(found) > 1 else PRESSURE] = whole, some
     return keys

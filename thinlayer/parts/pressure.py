@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import dolfinx.fem.petsc
 import numpy as np
 import ufl
@@ -9,13 +11,16 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.work import Term
+from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.state import PRESSURE, Configuration
-from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Outcome, Part, PartTraits
+from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.quadrature import Origin, Region
 
 
 class PressurePart(Part):
-    """int q tr e(u) = 0 for all pressures q, continuous of degree 1, beside displacements of degree 2.
+    """int q tr e = 0 for all pressures q, continuous of degree 1, beside displacements of degree 2.
+
+    The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room.
 
     In the meshed layer this is the pair of Taylor and Hood. On S a multiplier of degree 1 meets jumps of degree 2.
 
@@ -26,6 +31,7 @@ class PressurePart(Part):
             residuals of both kinds have one unit.
         origin: original numbers of the cells of the mesh, for files.
         key: of the pressure, among the fields of states.
+        parts: terms with given strains, of which `term` is made up; by default the term alone.
 
     Attributes:
         region: the cells of the meshed layer, or S.
@@ -37,7 +43,13 @@ class PressurePart(Part):
     hint = "S has too few cells for the pressures of its layer"
 
     def __init__(
-        self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None, key: str = PRESSURE
+        self,
+        V: fem.FunctionSpace,
+        term: Term,
+        stiffness: float,
+        origin: Origin | None = None,
+        key: str = PRESSURE,
+        parts: Sequence[Term] | None = None,
     ) -> None:
         self.key, self._origin = key, origin
         self.region = region = Region(V.mesh, term.measure)
@@ -49,9 +61,30 @@ class PressurePart(Part):
         self.G.assemble()
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
         self.G.scale(self.unit)
+        strained = [p for p in parts or [term] if p.given is not None]
+        self._over = OverStep(V.mesh, strained)
+        room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
+        self._room = fem.form(room, entity_maps=region.maps) if strained else None
         self._turned = PETSc.Mat()
         self.G.transpose(self._turned)
         self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        old = interval.old
+        self._given, before = self._of_given(interval.t), self._of_given(old.t, at_rest=old.at_rest)
+        self._growth = self._given - before
+
+    def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
+        """What given strains add to `own_residual`, at a time or at rest."""
+        if self._room is None:
+            return np.zeros(self.own_size)
+        self._over.look_at(t, at_rest=at_rest)
+        b = dolfinx.fem.petsc.assemble_vector(self._room)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        found = self.unit * b.array_r
+        b.destroy()
+        return np.asarray(found)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self.G.mult(u.x.petsc_vec, self._volume)
@@ -62,7 +95,7 @@ class PressurePart(Part):
         return 0.0
 
     def own_residual(self) -> Array:
-        return np.asarray(self._volume.array_r)
+        return np.asarray(self._volume.array_r + self._given)
 
     def tangents(self, relative_residual: float) -> list[Block]:
         return [
@@ -71,8 +104,9 @@ class PressurePart(Part):
         ]
 
     def commit(self) -> Outcome:
-        """As in `Part`; the pressure of a constraint does no work."""
-        return Outcome(kept=False)
+        """As in `Part`; the pressure of a constraint does no work but in given strains, which displacements follow."""
+        self._volume.array[:] = self._growth
+        return Outcome(kept=False, supplied=float(self._volume.dot(self._p.x.petsc_vec)))
 
     def own_start(self, old: Configuration) -> Array:
         p = old.fields.get(self.key)

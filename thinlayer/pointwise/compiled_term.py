@@ -196,7 +196,7 @@ class CompiledTerm(Quadrature):
         weighted.destroy()
         return self._forces
 
-    def stiffness(self, tangent: Array, relative_residual: float = 0.0) -> PETSc.Mat:
+    def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.
 
         If the tangent may be singular (`Traits.singular`), a small share of the tangent at rest is added, which grows with
@@ -206,6 +206,7 @@ class CompiledTerm(Quadrature):
         Args:
             tangent: (points, m, m).
             relative_residual: residual of the balance of forces over the force scale.
+            into: an earlier result, which is overwritten: its nonzero pattern need not be found again.
         """
         m, rows = len(self.slots), self.count * len(self.slots)
         first = self.B.getOwnershipRange()[0]
@@ -215,7 +216,7 @@ class CompiledTerm(Quadrature):
         values = (self._regular(tangent, relative_residual) * self.weights[:, None, None]).ravel()
         size = (self.B.getSizes()[0], self.B.getSizes()[0])
         D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.comm)
-        A = D.ptap(self.B)
+        A = D.ptap(self.B, result=into)
         D.destroy()
         return A
 

@@ -12,6 +12,7 @@ import scipy.sparse.linalg
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray
+from thinlayer.discretisation.axis import on_axis
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
@@ -26,9 +27,13 @@ LATE_OPENING = 0.5  # least opening of the last state that is tested, relative t
 
 
 def free_rim(model: Model, sheet: Sheet) -> Rim:
-    """The part of the rim of a seam where the layer's side is free: no support of the whole side holds it along S."""
+    """The part of the rim of a seam where the layer's side is free: no support of the whole side holds it along S.
+
+    Where S meets an axis of revolution it does not end.
+    """
     rim, supports = sheet.rim, model.supports
     held = np.zeros(rim.outward.shape)
+    held[on_axis(model.kinematics, sheet.joint)[rim.vertices].all(axis=1)] = 1.0
     for place, components in supports.entries:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
         if name in (S, *model.joint.seams) or name not in model.joint.facets:  # a vertex, or the side of one body

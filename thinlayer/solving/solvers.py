@@ -101,7 +101,7 @@ def require_hardening(model: Model, what: str) -> None:
         if law.traits.softens:
             raise ModelError(
                 f"{what}: the stress of {law!r} falls as jumps grow, and an equilibrium may be one of several; "
-                "follow them from rest with march(model, ArcLength(...))"
+                "follow them from rest with march(model, times), or march(model, ArcLength(...))"
             )
 
 

@@ -64,19 +64,23 @@ class PathFollowing:
                     raise ModelError(
                         f"the march in {self._journal.out} is at t = {self._history.last.t:g}; the path is to end before"
                     )
-            else:
+            elif not len(self._history):
                 self._begin()
-            while self.plan.lowest(self.start) <= self._history.last.t < self.plan.end - self._near:
-                self._go_on()
+            self._travel()
         finally:
             self._path.close()
+        return self._history
+
+    def _travel(self) -> None:
+        """Make steps until the path ends."""
+        while self.plan.lowest(self.start) <= self._history.last.t < self.plan.end - self._near:
+            self._go_on()
         if self._history.last.t < self.plan.end - self._near and self.plan.back is None:
             raise SolveError(
                 f"the path has come back to t = {self._history.last.t:g} and has not reached end = {self.plan.end:g}",
                 self._history,
                 advice="give back=, a time < start at which it may end too",
             )
-        return self._history
 
     def _begin(self) -> None:
         try:

@@ -93,6 +93,11 @@ class Journal:
                 self.history.states = {last: states[last]}
         return True
 
+    def start(self, before: State | None, last: State) -> None:
+        """Start from a state that another march has found, and from the one before it, which tells the direction."""
+        self.note(last)
+        self.before = before
+
     def accept(self, states: list[State]) -> None:
         """Add states to the history and write them."""
         for state in states:

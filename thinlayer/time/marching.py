@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import owned
 from thinlayer.parallel.agreement import on_all, require_same
@@ -18,6 +19,7 @@ from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import Solver, comm_of, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
 from thinlayer.time.checkpoint import Pace
+from thinlayer.time.controlled import PathInTime, last_of
 from thinlayer.time.following import PathFollowing
 from thinlayer.time.history import History
 from thinlayer.time.journal import Journal, Observe, columns
@@ -45,6 +47,10 @@ def march(
     state is this response, at `start`. With a law that has a rate (Kelvin-Voigt, Norton, a stack with one of them) the
     first state is at rest, and the response to sudden loads is in the first step. A step that fails is halved. If the
     layer's law has a memory, steps also end at the breaks of `piecewise` data, and the table has rows for them.
+
+    A layer whose stress falls as jumps grow (`softens`) is followed along its path, in steps that are as short as the path
+    needs, as long as the path leads on in time: so displacements of supports take it beyond the largest load. Where it
+    turns back the march ends with a `TurningPoint`, and `follow` goes on.
 
     A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy until one of its columns has
     a phase that is not the one of lowest energy. The march stops there. It keeps two states at the same t: before and after
@@ -82,6 +88,7 @@ def march(
             cannot be written, or that another march uses.
         OSError: a file could not be written; on all ranks.
         SolveError: the shortest step fails, too; accepted states are in `out` and in the error's `history`.
+        TurningPoint: a layer softens, and the equilibria lead back in time.
         LimitLoad: the same for a layer that yields, if loads change and displacements run away as weak springs at all
             nodes are softened; the error has the last loads with an equilibrium.
     """
@@ -92,7 +99,9 @@ def march(
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
     require_same(model.comm, times=plan, **choices, observe={*(observe or {})})
     if isinstance(plan, ArcLength):
-        return _follow(model, plan, start, theta, observe, keep, out, resume, options, method)
+        return _on_path(model, plan, start, theta, observe, keep, out, resume, options)
+    if model_softens(model):
+        return _on_path(model, plan, start, theta, observe, keep, out, resume, options)
     adaptive, folder = plan.adaptive, Path(out) if out else None
     pace = Pace(adaptive.first if adaptive else None)
     choices = {"start": start, "theta": theta, "tolerance": adaptive and adaptive.tolerance}
@@ -106,19 +115,67 @@ def march(
     return history
 
 
-def _follow(
-    model: Model, path: ArcLength, start: float, theta: float, observe: Observe | None, keep: str,
-    out: str | Path | None, resume: bool, options: Mapping[str, OptionValue] | None, method: str | None,
+def follow(
+    begun: History | State,
+    path: ArcLength,
+    *,
+    observe: Observe | None = None,
+    keep: str = "all",
+    options: Mapping[str, OptionValue] | None = None,
+) -> History:
+    """Follow the equilibria of a model on by arc length, from the last state of a march, or from a state. Collective.
+
+    Where a march of a softening layer has ended with a `TurningPoint`, the path leads on, back in time at first.
+
+    Args:
+        begun: a history, such as `error.history`, which keeps its last state; or a state that a solve or a march has found.
+        path: the path's end, after the time of the state, and the change of t in its first step.
+        observe, keep, options: as in `march`.
+
+    Returns:
+        The states of the path, and the one that it begins with.
+
+    Raises:
+        ModelError: neither a history nor a state; laws whose paths cannot be followed, see `march`; `path` out of range.
+        SolveError: as in `march`.
+    """
+    if not isinstance(begun, (History, State)) or not isinstance(path, ArcLength):
+        raise ModelError(
+            f"follow takes a history or a state, and an ArcLength(...), not {begun!r:.80} and {path!r:.80}"
+        )
+    before, last = last_of(begun)
+    model = last.model
+    with on_all(model.comm):
+        _check(model, 1.0, keep, None, False, observe)
+        path.check(last.t)
+        require_path(model, 1.0, None)
+    require_same(model.comm, times=path, start=last.t, keep=keep, observe={*(observe or {})})
+    return _on_path(model, path, last.t, 1.0, observe, keep, None, False, options, begun=(before, last))
+
+
+def _on_path(
+    model: Model, path: ArcLength | Plan, start: float, theta: float, observe: Observe | None, keep: str,
+    out: str | Path | None, resume: bool, options: Mapping[str, OptionValue] | None,
+    begun: tuple[State | None, State] | None = None,
 ) -> History:  # fmt: skip
-    """Run a march along a path."""
-    choices = {"start": start, "theta": theta, "tolerance": None, "first": path.first}
+    """Run a march along a path, to its end, or to given times."""
+    ends = [path.end] if isinstance(path, ArcLength) else path.targets
+    first = path.first if isinstance(path, ArcLength) else ends[0] - start
+    choices = {"start": start, "theta": theta, "tolerance": None, "first": first}
     folder = Path(out) if out else None
     with _folder(folder, model), Solver(model, options=options) as solver:
-        solver.equations.check_times([start, path.end])
+        solver.equations.check_times([start, *ends])
         require_no_time(solver.equations)
         journal = Journal(solver.equations, Pace(None), dict(observe or {}), keep, folder, choices, directed=True)
         warn_of_model(model)
-        history = PathFollowing(solver, journal, path, start, options).run(resume)
+        if begun:
+            journal.start(*begun)
+        following = (
+            PathFollowing(solver, journal, path, start, options)
+            if isinstance(path, ArcLength)
+            else PathInTime(solver, journal, path.targets, start, options)
+        )
+        history = following.run(resume)
     warn_of_states(list(history))
     return history
 
@@ -129,10 +186,27 @@ def _planned(model: Model, times: Any, start: float, theta: float, method: Any) 
         times.check(start)
         require_path(model, theta, method)
         return times
-    require_hardening(model, "march in time")
-    plan = Plan.of(times, start, model.break_times if remembers(model) or isinstance(times, Adaptive) else set())
+    if model_softens(model):
+        _require_path_in_time(model, times, theta, method)
+    ends_at_breaks = remembers(model) or isinstance(times, Adaptive) or model_softens(model)
+    plan = Plan.of(times, start, model.break_times if ends_at_breaks else set())
     _check_switching(model, plan)
     return plan
+
+
+def model_softens(model: Model) -> bool:
+    """Whether the stress of a layer falls as jumps grow."""
+    return any(law.traits.softens for law in model.layer_laws)
+
+
+def _require_path_in_time(model: Model, times: Any, theta: float, method: str | None) -> None:
+    """Raise ModelError unless a march of a softening layer can go along its path."""
+    if isinstance(times, Adaptive):
+        require_hardening(model, "march with Adaptive")
+    try:
+        require_path(model, theta, method)
+    except ModelError as error:
+        raise ModelError(f"the stress of a layer falls, and equilibria in time must be on its path: {error}") from error
 
 
 def _number(name: str, value: Any) -> float:

@@ -59,6 +59,11 @@ class EquilibriumPath:
             vector.destroy()
         self.balance.close()
 
+    @property
+    def leads_on(self) -> bool:
+        """Whether t increases along the direction of the path."""
+        return self._slope > 0
+
     def ahead(self, last: State, length: float) -> float:
         """Time at the predictor of a step of this length."""
         return last.t + length * self._slope

@@ -31,6 +31,7 @@ class PathEquations:
         options: PETSc options of the linear solver, which override our defaults; options of SNES are ignored.
 
     Attributes:
+        middle: the argument; it may be changed.
         x: unknowns; set them before `residual`, which sets the held ones.
         r: residual R, zero at held displacements.
         step: after `linearise` the Newton step at fixed t, -K^-1 R.
@@ -40,7 +41,7 @@ class PathEquations:
     def __init__(
         self, equations: Equations, unit: float, middle: float, options: Mapping[str, OptionValue] | None
     ) -> None:
-        self.equations, self._middle, self._short = equations, middle, QUOTIENT_STEP * unit
+        self.equations, self.middle, self._short = equations, middle, QUOTIENT_STEP * unit
         self._ours = direct_solver(equations.model)
         self._given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
         self._ksp: PETSc.KSP | None = None
@@ -89,7 +90,7 @@ class PathEquations:
             SolveError: as in `residual`; or the matrix cannot be factorised.
         """
         equations, held = self.equations, self.equations.held
-        prescribed, short = equations.prescribed, math.copysign(self._short, self._middle - t)
+        prescribed, short = equations.prescribed, math.copysign(self._short, self.middle - t)
         self._begin(last, t + short)
         equations.residual(self.x, self._dR)
         self._require_law()

@@ -1,0 +1,116 @@
+"""Softening layers under displacement control: marches end where the path turns back, and it is followed from there."""
+
+import json
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from tests.arc_length_run import Damage, bar
+from tests.ranks import mpirun
+from tests.snapping_bars import FAR, C, openings, sigma
+from tests.turning_run import STEEP, turned
+from thinlayer import (
+    Adaptive,
+    ArcLength,
+    ModelError,
+    TurningPoint,
+    follow,
+    march,
+    piecewise,
+    solve,
+)
+
+TURN = STEEP.w_1 + C * sigma(STEEP, STEEP.w_1)
+GENTLE = replace(STEEP, fall=0.5 / C)  # displacements of the bar's end grow all along its path
+
+
+@pytest.mark.parametrize("n", [2, 3, 12])
+def test_displacement_control_ends_where_the_path_turns_back(n):
+    """However long the steps: none leads beyond the loop. Then the path leads back, and on to the end."""
+    error, path = turned(n)
+    assert "follow(error.history, ArcLength" in str(error)
+    before = error.history
+    assert before.last.t == error.t
+    assert 0 <= TURN - error.t < 2e-3 * FAR / n
+    for history in (before, path):
+        w = openings(history)
+        assert history.t == pytest.approx(w + C * sigma(STEEP, w), abs=1e-11)
+        assert (np.diff(w) > 0).all()
+        assert np.abs(history.table["imbalance"]).max() < 1e-9
+    assert path.t[0] == error.t
+    assert path.t.min() == pytest.approx(STEEP.w_2 + C * sigma(STEEP, STEEP.w_2), abs=0.03)
+    assert path.last.t == FAR
+    assert (np.diff(before.t) > 0).all()
+
+
+def test_a_state_by_itself_is_followed_too():
+    error, path = turned()
+    again = follow(error.history.last, ArcLength(end=FAR, first=0.05), keep="last", observe={"w": lambda s: s.t})
+    assert len(again) == len(path)
+    assert again.table["w"] == pytest.approx(again.t)
+    assert np.abs(again.last.u.x.array - path.last.u.x.array).max() < 1e-10
+
+
+def test_a_peak_that_the_support_can_pass():
+    """The tension test of a softening surface: the load falls while the support goes on, to the times asked for."""
+    times = [0.3, 0.6, 0.9, 1.2, FAR]
+    history = march(bar(GENTLE), times)
+    w = openings(history)
+    assert history.t == pytest.approx(w + C * sigma(GENTLE, w), abs=1e-11)
+    assert set(times) <= set(history.t)
+    load = sigma(GENTLE, w)
+    assert (np.diff(load) < 0).any()
+    with pytest.raises(TurningPoint) as caught:  # the same under a load, which has its maximum at the peak
+        march(bar(GENTLE, traction=lambda x, t: (0.0, t)), [0.5, 1.0])
+    assert caught.value.t == pytest.approx(GENTLE.k * GENTLE.w_1, abs=2e-3)
+
+
+@dataclass(frozen=True)
+class Damaged(Damage):
+    """Damage that says that its stress falls."""
+
+    softens: ClassVar = True
+
+
+def test_damage_is_loaded_and_unloaded():
+    """A support that goes forth, back and forth again: the path begins anew at the breaks, and unloading is elastic."""
+    law = Damaged(k=5.0, w_0=0.1, k_T=1.9)
+    ends = piecewise({0: 0.0, 1: 0.4, 2: 0.1, 3: 0.6})
+    history = march(bar(law, ends), [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+    w, t = openings(history), history.t
+    stiffness = law.k * np.exp(-np.maximum.accumulate(w) / law.w_0)
+    assert np.interp(t, [0, 1, 2, 3], [0.0, 0.4, 0.1, 0.6]) == pytest.approx(w * (1 + C * stiffness), abs=1e-10)
+    assert {0.5, 1.0, 1.5, 2.0, 2.5, 3.0} <= set(t)
+    assert w.max() > 3 * law.w_0  # far beyond the largest load
+
+
+def test_a_march_in_time_goes_on_where_it_was_cut(tmp_path):
+    times = [0.3, 0.6, 0.9, 1.2, FAR]
+    whole = march(bar(GENTLE), times)
+    march(bar(GENTLE), times[:3], out=tmp_path / "run")
+    again = march(bar(GENTLE), times, out=tmp_path / "run", resume=True)
+    assert again.t == pytest.approx(whole.t, abs=1e-9)
+    assert np.abs(again.last.u.x.array - whole.last.u.x.array).max() < 1e-10
+
+
+def test_same_on_two_ranks():
+    found, alone = (json.loads(mpirun(n, "-m", "tests.turning_run").stdout) for n in (2, 1))
+    assert found == pytest.approx(alone, rel=1e-9)
+
+
+def test_refused():
+    with pytest.raises(ModelError, match="march with Adaptive: the stress of"):
+        march(bar(STEEP), Adaptive(end=1.0, first=0.1))
+    with pytest.raises(ModelError, match="theta = 1"):
+        march(bar(STEEP), [0.5], theta=0.5)
+    with pytest.raises(ModelError, match="follow takes a history or a state"):
+        follow(bar(STEEP), ArcLength(end=1.0, first=0.1))
+    with pytest.raises(ModelError, match="follow takes a history or a state"):
+        follow(turned()[1], [1.0])
+    state = march(bar(GENTLE), [0.3]).last
+    with pytest.raises(ModelError, match="it must come after start"):
+        follow(state, ArcLength(end=0.2, first=0.1))
+    with pytest.raises(ModelError, match="solve: the stress of"):
+        solve(bar(STEEP))
