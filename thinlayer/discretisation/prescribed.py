@@ -35,6 +35,25 @@ class _Source:
     expression: fem.Expression | None
 
 
+@dataclass(frozen=True)
+class Released:
+    """Conditions that are left out.
+
+    Attributes:
+        source, dof: the component and the degree of freedom that has its value.
+        entry: number of the support.
+    """
+
+    prescribed: Prescribed
+    source: npt.NDArray[np.int64]
+    dof: npt.NDArray[np.int64]
+    entry: npt.NDArray[np.int64]
+
+    def values(self) -> Array:
+        """Their values (n,) at the time of the last `Prescribed.at`."""
+        return self.prescribed.values_of(self.source, self.dof)
+
+
 class Prescribed:
     """Conditions of supports on a space, direction . u = value at a node; the library solves for other unknowns y, u = Q y.
 
@@ -56,6 +75,7 @@ class Prescribed:
         frames: Q of this rank, (m, m) sparse and orthogonal; None: the identity.
         entry: (k,) for each condition the number of its support in `supports.entries`; -1: an anchor, or the axis.
         blocks: (k,) local number of its node.
+        released: key of a part -> conditions at its nodes that are left out, and its motions' displacements along them.
         conditions: (k, m) sparse, the conditions on the displacements of this rank.
 
     Raises:
@@ -67,6 +87,7 @@ class Prescribed:
         self._moment = supports.at.moment(0.0)
         self._bs = V.dofmap.bs
         self._size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        self.released: dict[str, tuple[Released, Array]] = {}
         self._extent = float(np.ptp(supports.domain.joint.points, axis=0).max())
         self._sources = [
             self._source(number, place, axis, value)
@@ -157,6 +178,23 @@ class Prescribed:
             return np.empty(0), np.empty(0), np.empty((0, d))
         return np.array([s for s, _, _ in rows]), np.array([b * d for _, b, _ in rows]), np.array([n for *_, n in rows])
 
+    @property
+    def directions(self) -> Array:
+        """(k, d) unit direction of each condition."""
+        return self._direction
+
+    def release(self, rows: npt.NDArray[np.int64]) -> Released:
+        """Leave out conditions of this rank, given by their rows, that something else meets. Collective."""
+        found = Released(self, self._source_of[rows], self._dof[rows], self.entry[rows])
+        kept = np.setdiff1d(np.arange(len(self.entry)), rows)
+        self.entry, self._source_of, self._dof, self._direction, self.blocks = (
+            array[kept] for array in (self.entry, self._source_of, self._dof, self._direction, self.blocks)
+        )
+        self.conditions = self.conditions[kept]
+        self._resolve()
+        self.__dict__.pop("_constant", None)
+        return found
+
     # ---------------------------------------------------------------- unknowns
     def _resolve(self) -> None:
         """Find the held unknowns y, as sums of the values, and how their forces are shared among the conditions."""
@@ -167,10 +205,14 @@ class Prescribed:
     # ---------------------------------------------------------------- values
     def _numbers(self) -> Array:
         """Values of the conditions, of the last interpolation."""
-        values = np.zeros(len(self.entry))
+        return self.values_of(self._source_of, self._dof)
+
+    def values_of(self, source: npt.NDArray[np.int64], dof: npt.NDArray[np.int64]) -> Array:
+        """Values of components at degrees of freedom, of the last interpolation."""
+        values = np.zeros(len(source))
         for number, one in enumerate(self._sources):
-            here = self._source_of == number
-            values[here] = one.value.x.array[self._dof[here]]
+            here = source == number
+            values[here] = one.value.x.array[dof[here]]
         return values
 
     @cached_property

@@ -111,7 +111,7 @@ class Equations(PartSum):
         numbers: list[npt.NDArray[Any]] = [self.history.held, tied]
         values, first = [of_supports, np.zeros(len(tied))], self.n_displacements
         for part in self._with_own:
-            own, held = part.own_held(0.0 if t is None else t)
+            own, held = part.own_held(t)
             numbers.append(first + own)
             values.append(held)
             first += self._layout.sizes[part.key]
