@@ -52,8 +52,11 @@ class Resolution:
         ]
         share: list[tuple[Numbers, Numbers, Numbers]] = [(plain, dofs[inverse], sense[plain] / times[inverse])]
         frame: list[tuple[Numbers, Array]] = []
-        for block in np.unique(blocks[turned]):
-            rows = np.flatnonzero(blocks == block)
+        others = np.flatnonzero(turned)
+        others = others[np.argsort(blocks[others], kind="stable")]
+        ends = np.flatnonzero(np.diff(blocks[others])) + 1
+        for rows in np.split(others, ends) if len(others) else []:
+            block = blocks[rows[0]]
             N = direction[rows]
             _, sizes, right = np.linalg.svd(N)
             rank = int((sizes > INDEPENDENT).sum())
