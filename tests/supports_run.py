@@ -115,6 +115,10 @@ def numbers() -> dict[str, float]:
     keep("plate", state)
     motion = top.motion_in(state)
     found |= {"turned": float(motion.rotation), "moved": float(motion.translation[0])}
+    level = RigidPlate("TOP", force=(0.0, -1.0), motion={"x": 0.0, "rotation": 0.0})
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
+    half = Structure(sandwich(1.0, 0.5, 0.6, 0.25), body=BODY, supports=rollers, parts=[level])
+    keep("half", solve(model(half, "interface")))
     keep("creep", march(on_base(CREEP), [0.1, 0.2], theta=0.5).last)
     keep("contact", solve(on_base(CONTACT, contact=True)))
     return found

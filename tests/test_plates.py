@@ -250,7 +250,7 @@ def test_a_body_that_is_loose_beside_a_plate():
         (dict(place="TOP", motion={"x": 0.0}, force=(1.0, 0.0)), "the motion 'x' is prescribed, and 1 is given"),
         (dict(place="TOP", force=lambda x, t: (x[0], 0.0)), "depends on the place"),
         (dict(place="TOP", about=(1.0, 2.0, 3.0)), "a point of 2 finite coordinates"),
-        (dict(place="LEFT"), r"support on 'BOTTOM' acts on a node of the rigid plate on 'LEFT', at \(0, -0.5\)"),
+        (dict(place="LEFT"), r"support on 'BOTTOM' acts on a node of the rigid plate on 'LEFT', at \(0, -0.5\), and"),
     ],
 )
 def test_refused(given, message):
@@ -259,6 +259,25 @@ def test_refused(given, message):
     )
     with pytest.raises(ValueError, match=message):
         solve(structure.interface(ThinLayer(GLUE, EPS)))
+
+
+def test_a_plate_at_a_plane_of_symmetry():
+    """Half of a symmetric structure: the rollers hold a node of the plate too, as its prescribed motions do."""
+    half, whole = (sandwich(width, 0.5, 0.6, 0.5, cell="quadrilateral", structured=True) for width in (1.0, 2.0))
+    level = RigidPlate("TOP", force=(0.0, -1.0), motion={"x": 0.0, "rotation": 0.0})
+    rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
+    one = solve(model(Structure(half, body=BODY, supports=rollers, parts=[level]), "interface"))
+    top = RigidPlate("TOP", force=(0.0, -2.0), motion={"x": 0.0, "rotation": 0.0})
+    held = {"BOTTOM": {"y": 0.0}, (1.0, -0.5): {"x": 0.0}}
+    other = solve(model(Structure(whole, body=BODY, supports=held, parts=[top]), "interface"))
+    assert level.motion_in(one).translation[1] == pytest.approx(top.motion_in(other).translation[1], rel=1e-9)
+    assert 2 * one.energies()["layer"] == pytest.approx(other.energies()["layer"], rel=1e-9)
+    assert out_of_balance(one) < 1e-10
+    moved = RigidPlate("TOP", motion={"x": lambda x, t: t, "rotation": 0.0})
+    made = model(Structure(half, body=BODY, supports=rollers, parts=[moved]), "interface")
+    solve(made, t=0.0)
+    with pytest.raises(ModelError, match=r"contradictory at t = 1: the support on 'LEFT' prescribes 0 where .* is 1"):
+        solve(made, t=1.0)
 
 
 def test_plates_that_share_a_node():

@@ -110,6 +110,10 @@ class Addition(ABC):
         """
         return []
 
+    def release(self, model: Host) -> int:
+        """Take conditions of supports out of the model that the part meets by itself; their number here. Collective."""
+        return 0
+
     def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
 

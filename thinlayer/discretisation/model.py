@@ -136,6 +136,8 @@ class Model(ABC):
         if not on_layers:
             conditions = self.prescribed.conditions
             require_support(self.comm, self.V, self.joint, conditions, resistances, self.kinematics)
+        for part in self.parts:
+            part.release(self)
         self.made_from = self._data()
         self._laws_read = self._laws()
 

@@ -13,16 +13,15 @@ from dolfinx import fem
 
 from geometry.errors import place as at_place
 from thinlayer.compiling.compat import interpolation_points
+from thinlayer.discretisation.conditions import INDEPENDENT, Resolution
 from thinlayer.discretisation.normals import node_normals, smooth
 from thinlayer.discretisation.supports import NORMAL, Place, Supports, Value
 from thinlayer.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
-Sparse = Any  # scipy.sparse.csr_matrix, which has no types
 AGREE = 1e-9  # difference of two values of one displacement, at most, over the largest prescribed displacement
 ROUNDING = 1e-13  # a difference that counts as rounding, over the size of the structure
-INDEPENDENT = 1e-6  # least singular value of directions at a node that are independent of each other
 
 
 @dataclass
@@ -34,6 +33,25 @@ class _Source:
     axis: str
     value: fem.Function
     expression: fem.Expression | None
+
+
+@dataclass(frozen=True)
+class Released:
+    """Conditions that are left out.
+
+    Attributes:
+        source, dof: the component and the degree of freedom that has its value.
+        entry: number of the support.
+    """
+
+    prescribed: Prescribed
+    source: npt.NDArray[np.int64]
+    dof: npt.NDArray[np.int64]
+    entry: npt.NDArray[np.int64]
+
+    def values(self) -> Array:
+        """Their values (n,) at the time of the last `Prescribed.at`."""
+        return self.prescribed.values_of(self.source, self.dof)
 
 
 class Prescribed:
@@ -57,6 +75,7 @@ class Prescribed:
         frames: Q of this rank, (m, m) sparse and orthogonal; None: the identity.
         entry: (k,) for each condition the number of its support in `supports.entries`; -1: an anchor, or the axis.
         blocks: (k,) local number of its node.
+        released: key of a part -> conditions at its nodes that are left out, and its motions' displacements along them.
         conditions: (k, m) sparse, the conditions on the displacements of this rank.
 
     Raises:
@@ -68,12 +87,15 @@ class Prescribed:
         self._moment = supports.at.moment(0.0)
         self._bs = V.dofmap.bs
         self._size = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+        self.released: dict[str, tuple[Released, Array]] = {}
         self._extent = float(np.ptp(supports.domain.joint.points, axis=0).max())
         self._sources = [
             self._source(number, place, axis, value)
             for number, (place, components) in enumerate(supports.entries)
             for axis, value in components.items()
         ]
+        if any(one.axis == NORMAL for one in self._sources) and not self._nodal:
+            raise ModelError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()
         self._resolve()
         self._require_agreement(self._numbers(), self._constant)
@@ -156,67 +178,41 @@ class Prescribed:
             return np.empty(0), np.empty(0), np.empty((0, d))
         return np.array([s for s, _, _ in rows]), np.array([b * d for _, b, _ in rows]), np.array([n for *_, n in rows])
 
+    @property
+    def directions(self) -> Array:
+        """(k, d) unit direction of each condition."""
+        return self._direction
+
+    def release(self, rows: npt.NDArray[np.int64]) -> Released:
+        """Leave out conditions of this rank, given by their rows, that something else meets. Collective."""
+        found = Released(self, self._source_of[rows], self._dof[rows], self.entry[rows])
+        kept = np.setdiff1d(np.arange(len(self.entry)), rows)
+        self.entry, self._source_of, self._dof, self._direction, self.blocks = (
+            array[kept] for array in (self.entry, self._source_of, self._dof, self._direction, self.blocks)
+        )
+        self.conditions = self.conditions[kept]
+        self._resolve()
+        self.__dict__.pop("_constant", None)
+        return found
+
     # ---------------------------------------------------------------- unknowns
     def _resolve(self) -> None:
         """Find the held unknowns y, as sums of the values, and how their forces are shared among the conditions."""
-        d, count = self._bs, len(self.entry)
-        axis = np.abs(self._direction).argmax(axis=1) if count else np.empty(0, np.int64)
-        along = (np.abs(self._direction) == 1.0).any(axis=1)
-        sense = np.sign(self._direction[np.arange(count), axis])  # of a condition along an axis
-        turned = np.isin(self.blocks, self.blocks[~along])
-        plain = np.flatnonzero(~turned)
-        dofs, first, inverse, times = np.unique(
-            self.blocks[plain] * d + axis[plain], return_index=True, return_inverse=True, return_counts=True
-        )
-        held: list[Numbers] = [dofs]
-        value = [
-            scipy.sparse.csr_matrix((sense[plain[first]], (np.arange(len(dofs)), plain[first])), (len(dofs), count))
-        ]
-        # entries of three matrices: what the values at a node say of each value, and shares of forces
-        same: list[tuple[Numbers, Numbers, Numbers]] = [
-            (plain, plain[first][inverse], sense[plain] * sense[plain[first][inverse]])
-        ]
-        share: list[tuple[Numbers, Numbers, Numbers]] = [(plain, dofs[inverse], sense[plain] / times[inverse])]
-        frame: list[tuple[Numbers, Array]] = []
-        for block in np.unique(self.blocks[turned]):
-            rows = np.flatnonzero(self.blocks == block)
-            N = self._direction[rows]
-            _, sizes, right = np.linalg.svd(N)
-            rank = int((sizes > INDEPENDENT).sum())
-            if rank == d:
-                right = np.eye(d)
-            solve = np.linalg.pinv(N @ right[:rank].T, rcond=INDEPENDENT)  # values of the conditions -> held unknowns
-            own = block * d + np.arange(d)
-            held.append(own[:rank])
-            value.append(_at(solve, np.arange(rank), rows, (rank, count)))
-            same.append(_triplets(N @ right[:rank].T @ solve, rows, rows))
-            share.append(_triplets(np.linalg.pinv(N.T, rcond=INDEPENDENT), rows, own))
-            if rank < d:
-                frame.append((own, right))
-        dofs, order = np.unique(np.concatenate(held), return_index=True)
-        self.held = dofs.astype(np.int32)
-        self._solve = scipy.sparse.vstack(value).tocsr()[order]
-        self._same, self._share = _sum_of(same, (count, count)), _sum_of(share, (count, self._size))
-        inclined = self.comm.allreduce(len(frame))
-        self.frames = self._frames(frame) if inclined else None
-
-    def _frames(self, frame: list[tuple[Numbers, Array]]) -> Sparse:
-        """Q: at each turned node the columns are the directions of y."""
-        others = np.ones(self._size, bool)
-        for own, _ in frame:
-            others[own] = False
-        same = np.flatnonzero(others)
-        return _sum_of(
-            [(same, same, np.ones(len(same))), *(_triplets(B.T, own, own) for own, B in frame)], (self._size,) * 2
-        )
+        found = Resolution(self._direction, self.blocks, self._bs, self._size)
+        self.held, self._solve, self._same, self._share = found.held, found.solve, found.same, found.share
+        self.frames = found.frames if self.comm.allreduce(int(found.turned)) else None
 
     # ---------------------------------------------------------------- values
     def _numbers(self) -> Array:
         """Values of the conditions, of the last interpolation."""
-        values = np.zeros(len(self.entry))
+        return self.values_of(self._source_of, self._dof)
+
+    def values_of(self, source: npt.NDArray[np.int64], dof: npt.NDArray[np.int64]) -> Array:
+        """Values of components at degrees of freedom, of the last interpolation."""
+        values = np.zeros(len(source))
         for number, one in enumerate(self._sources):
-            here = self._source_of == number
-            values[here] = one.value.x.array[self._dof[here]]
+            here = source == number
+            values[here] = one.value.x.array[dof[here]]
         return values
 
     @cached_property
@@ -286,18 +282,3 @@ class Prescribed:
         out = np.zeros((len(self.supports.entries) + 1, motions.shape[1]))
         np.add.at(out, self.entry, (self._share @ r)[:, None] * (self.conditions @ motions))
         return out[:-1]
-
-
-def _triplets(block: Array, rows: Numbers, columns: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """A dense block as (rows, columns, values)."""
-    i, j = np.meshgrid(rows, columns, indexing="ij")
-    return i.ravel(), j.ravel(), np.asarray(block).ravel()
-
-
-def _at(block: Array, rows: Numbers, columns: Numbers, shape: tuple[int, int]) -> Sparse:
-    return _sum_of([_triplets(block, rows, columns)], shape)
-
-
-def _sum_of(triplets: list[tuple[Numbers, Numbers, Numbers]], shape: tuple[int, int]) -> Sparse:
-    rows, columns, values = (np.concatenate(some) for some in zip(*triplets, strict=True))
-    return scipy.sparse.csr_matrix((values, (rows.astype(np.int64), columns.astype(np.int64))), shape)

@@ -261,8 +261,8 @@ class Part(ABC):
         """Own unknowns on this rank at the start of a step from `old`."""
         return np.zeros(self.own_size)
 
-    def own_held(self, t: float) -> tuple[npt.NDArray[np.int64], Array]:
-        """Own unknowns of this rank that are prescribed at time t: their numbers, always the same ones, and values."""
+    def own_held(self, t: float | None) -> tuple[npt.NDArray[np.int64], Array]:
+        """Own unknowns of this rank that are prescribed: their numbers, and values at time t, or 0 without a time."""
         return np.empty(0, np.int64), np.empty(0)
 
     def own_result(self) -> fem.Function:

@@ -11,13 +11,10 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from geometry.errors import place as at_place
 from thinlayer.discretisation.addition import Host
 from thinlayer.discretisation.broken import Keys, broken_space
-from thinlayer.discretisation.prescribed import ROUNDING
 from thinlayer.discretisation.reactions import Array, count
 from thinlayer.discretisation.state import Configuration
-from thinlayer.errors import ModelError
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part
 
 if TYPE_CHECKING:
@@ -37,25 +34,7 @@ class PlatePart(Part):
         self._scale = np.ones(count(self._dim))
         self._scale[self._dim :] = given.size(model)
         self.tie = given.tie(model, given.point(model), given.size(model))
-        self._require_free_nodes(model, given.size(model))
         self._load: Array = np.zeros(0)
-
-    def _require_free_nodes(self, model: Host, size: float) -> None:
-        """Raise ModelError if supports act on nodes of the plate."""
-        tied = np.flatnonzero(np.diff(self.tie.indptr)) // self._dim
-        prescribed = model.prescribed
-        rows = np.flatnonzero(np.isin(prescribed.blocks, tied) & (prescribed.entry >= 0))
-        message = ""
-        if len(rows):
-            place, _ = model.supports.entries[prescribed.entry[rows[0]]]
-            x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows[0]], : self._dim]
-            x = np.where(np.abs(x) > ROUNDING * size, x, 0.0)
-            message = (
-                f"the support on {place!r} acts on a node of the rigid plate on {self._given.place!r}, at {at_place(x)}; "
-                f"prescribe the plate's motion instead, RigidPlate({self._given.place!r}, motion={{...}})"
-            )
-        if messages := [one for one in model.comm.allgather(message) if one]:
-            raise ModelError(messages[0])
 
     # ---------------------------------------------------------------- a step
     def at_time(self, t: float) -> None:
@@ -102,10 +81,15 @@ class PlatePart(Part):
         return False
 
     # ---------------------------------------------------------------- own unknowns
-    def own_held(self, t: float) -> tuple[npt.NDArray[np.int64], Array]:
-        held = sorted(self._given.motions(self._model, t).items()) if self.own_size else []
-        numbers = np.array([k for k, _ in held], np.int64)
-        return numbers, np.array([value for _, value in held]) * self._scale[numbers]
+    def own_held(self, t: float | None) -> tuple[npt.NDArray[np.int64], Array]:
+        numbers = np.array(self._given.motions_held(self._model), np.int64)
+        values = np.zeros(len(numbers))
+        if t is not None:
+            motions = self._given.motions(self._model, t)
+            values[:] = [motions[k] for k in numbers]
+            self._given.require_agreement(self._model, motions, t)
+        first = self.own_size if not self.own_size else len(numbers)
+        return numbers[:first], (values * self._scale[numbers])[:first]
 
     def own_start(self, old: Configuration) -> Array:
         q = old.fields.get(self.key)

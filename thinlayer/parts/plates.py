@@ -16,9 +16,11 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.base import is_number
 from forms.kinematics import Expr
+from geometry.errors import place as at_place
 from geometry.errors import unknown
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.loads import AXES, Coordinates, called, refuse_periodic, refuse_seam
+from thinlayer.discretisation.prescribed import AGREE, ROUNDING
 from thinlayer.discretisation.reactions import (
     Array,
     balanced_motions,
@@ -34,6 +36,7 @@ from thinlayer.parts.plate_part import PlatePart
 
 Number = float | Callable[[Expr, Any], Any]
 Vector = Sequence[float] | Callable[[Expr, Any], Sequence[Any]]
+FOLLOWS = 1e-9  # share of a free motion in a displacement that counts as rounding
 ROTATIONS = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z")}
 
 
@@ -63,7 +66,8 @@ class RigidPlate(Addition):
 
     Its nodes move as a rigid body, with small rotations. For each of its 3 motions (in 3D 6) either the force or moment is
     given, by default zero, or the motion is prescribed. All values may be functions (x, t) of the time alone, or
-    `piecewise`. The plate holds its nodes whole: supports at the same nodes are refused; prescribe the plate's motion.
+    `piecewise`. The plate holds its nodes whole: a support at one of them must follow from the plate's prescribed motions,
+    as that of a plane of symmetry does.
 
     Attributes:
         place: name of a facet set on the outer boundary.
@@ -209,6 +213,53 @@ class RigidPlate(Addition):
         rows = np.repeat(blocks[:, None] * d + np.arange(d), k)
         columns = np.tile(np.arange(k), len(blocks) * d)
         return scipy.sparse.csr_matrix((values.ravel(), (rows, columns)), (owned * d, k))
+
+    def release(self, model: Host) -> int:
+        """Take out conditions of supports at nodes of the plate that follow from its prescribed motions; their number.
+
+        Raises:
+            ModelError: a support at a node of the plate prescribes what does not.
+        """
+        about, size, d = self.point(model), self.size(model), model.joint.dim
+        tied = np.flatnonzero(np.diff(self.tie(model, about, size).indptr)) // d
+        prescribed = model.prescribed
+        rows = np.flatnonzero(np.isin(prescribed.blocks, tied) & (prescribed.entry >= 0))
+        x = model.V.tabulate_dof_coordinates()[prescribed.blocks[rows], :d]
+        directions = prescribed.directions[rows]
+        ways = np.einsum("nd,ndk->nk", directions, rigid(x, about))
+        free = np.setdiff1d(np.arange(ways.shape[1]), self.motions_held(model))
+        scaled = np.where(np.arange(ways.shape[1]) < d, ways, ways / size)
+        wrong = np.abs(scaled[:, free]).max(axis=1, initial=0.0) > FOLLOWS
+        message = ""
+        if wrong.any():
+            place, _ = model.supports.entries[prescribed.entry[rows[wrong][0]]]
+            where = np.where(np.abs(x[wrong][0]) > ROUNDING * size, x[wrong][0], 0.0)
+            message = (
+                f"the support on {place!r} acts on a node of the rigid plate on {self.place!r}, at {at_place(where)}, and "
+                f"does not follow from its prescribed motions; prescribe them, RigidPlate({self.place!r}, motion={{...}})"
+            )
+        if messages := [one for one in model.comm.allgather(message) if one]:
+            raise ModelError(messages[0])
+        prescribed.released[self.key] = prescribed.release(rows), ways
+        return len(rows)
+
+    def require_agreement(self, model: Host, motions: Mapping[int, float], t: float) -> None:
+        """Raise ModelError if supports at nodes of the plate prescribe other values than its motions. Collective."""
+        released, ways = model.prescribed.released[self.key]
+        q = np.array([motions.get(k, 0.0) for k in range(ways.shape[1])])
+        values, by_plate = released.values(), ways @ q
+        apart = np.abs(values - by_plate)
+        largest = max(np.abs(values).max(initial=0.0), np.abs(by_plate).max(initial=0.0))
+        message = ""
+        if apart.max(initial=0.0) > max(AGREE * largest, ROUNDING * self.size(model)):
+            k = int(apart.argmax())
+            place, _ = model.supports.entries[released.entry[k]]
+            message = (
+                f"contradictory at t = {t:g}: the support on {place!r} prescribes {values[k]:.6g} where the motion of the "
+                f"rigid plate on {self.place!r} is {by_plate[k]:.6g}"
+            )
+        if messages := [one for one in model.comm.allgather(message) if one]:
+            raise ModelError(messages[0])
 
     def held(self, model: Host, V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """As in `Addition`: all displacements of the plate's nodes."""

@@ -13,12 +13,10 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.load_history import LoadHistory, linear_in_time
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.reactions import rigid_values
 from thinlayer.discretisation.rigid import rigid_motions
-from thinlayer.discretisation.state import PRESSURE, Audit, Configuration, Report, State
+from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
@@ -28,6 +26,7 @@ from thinlayer.solving.kept import Kept
 from thinlayer.solving.layout import Layout
 from thinlayer.solving.linear_solvers import orthonormal, rigid_modes
 from thinlayer.solving.part_sum import PartSum
+from thinlayer.solving.reaction_sums import ReactionSums
 from thinlayer.solving.substitution import Substitution
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
@@ -112,7 +111,7 @@ class Equations(PartSum):
         numbers: list[npt.NDArray[Any]] = [self.history.held, tied]
         values, first = [of_supports, np.zeros(len(tied))], self.n_displacements
         for part in self._with_own:
-            own, held = part.own_held(0.0 if t is None else t)
+            own, held = part.own_held(t)
             numbers.append(first + own)
             values.append(held)
             first += self._layout.sizes[part.key]
@@ -149,6 +148,10 @@ class Equations(PartSum):
             self.substitution.start(values)
             found.append(x)
         return orthonormal(found)
+
+    @cached_property
+    def _reactions(self) -> ReactionSums:
+        return ReactionSums(self.model, self.parts, self.substitution)
 
     # ---------------------------------------------------------------- uniqueness
     @cached_property
@@ -308,7 +311,7 @@ class Equations(PartSum):
         change.destroy()
         found, end = self.end_parts(self.u, self.interval.t)
         every = found.values()
-        end = replace(end, reactions=self._reactions())
+        end = replace(end, reactions=self._reactions.at_end(self._forces, self.interval, self.history.loads_at))
         audit = Audit(
             supplied + sum(one.supplied for one in every),
             sum(one.after - one.before for one in every),
@@ -318,55 +321,6 @@ class Equations(PartSum):
         )
         dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
         return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
-
-    # ---------------------------------------------------------------- reactions
-    @cached_property
-    def _motions(self) -> npt.NDArray[np.float64]:
-        return rigid_values(self.model.V, self.model.centre)
-
-    def _reactions(self) -> npt.NDArray[np.float64]:
-        """Forces and moments of `Model.holders` at the end of the step, for the last residual.
-
-        They are linear in the forces of the step: what balances within it is the mean of the step's two ends.
-        """
-        now, theta, old = self._resultants(self._forces), self.interval.theta, self.interval.old
-        if theta == 1:
-            return now
-        before = old.reactions
-        if before is None:  # at rest there are no stresses
-            loads = self.history.loads_at(old.t)
-            loads.scale(-1.0)
-            before = self._resultants(loads, layers=False)
-            loads.destroy()
-        return np.asarray((now - (1 - theta) * before) / theta)
-
-    def _resultants(self, r: PETSc.Vec, *, layers: bool = True) -> npt.NDArray[np.float64]:
-        """Forces and moments of `Model.holders`, for nodal forces r less loads; of layers on bases if asked for."""
-        rows = [self.model.prescribed.resultants(r.array_r, self._motions)]
-        for R in self.substitution.ties.values() if self.substitution else ():
-            tied = np.diff(R.indptr) > 0
-            rows.append((r.array_r[tied] @ self._motions[tied])[None])
-        first = len(self.model.supports.entries) + len(rows) - 1
-        for name in self.model.holders[first:]:
-            on_base = r.duplicate()
-            on_base.set(0.0)
-            if layers:
-                keys = self._keys_of(self.model.layers[str(name)].key)
-                for part in self.parts:
-                    part.add_layer_forces(keys, on_base)
-            rows.append(-(on_base.array_r @ self._motions)[None])
-            on_base.destroy()
-        return np.asarray(self.comm.allreduce(np.concatenate(rows)))
-
-    def _keys_of(self, key: str) -> set[str]:
-        """Keys of the terms and parts of a layer, sublayers and pressure included."""
-        pressure = PRESSURE + key.removeprefix(LAYER)
-        alone = len(self.model.joint.seams) == 1
-        keys = {key, pressure, PRESSURE} if alone else {key, pressure}
-        for one in [*(part.key for part in self.parts), *(p.key for p in self.model.layer_terms)]:
-            if one.startswith(f"{key}/") or (alone and one.startswith(f"{key} ")):
-                keys.add(one)
-        return keys
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""

@@ -1,0 +1,86 @@
+"""Forces and moments by which supports, plates and rigid bases hold a model, from the residual of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.reactions import rigid_values
+from thinlayer.discretisation.state import PRESSURE
+from thinlayer.parts.part import Interval, Part
+from thinlayer.solving.substitution import Substitution
+
+Array = npt.NDArray[np.float64]
+
+
+class ReactionSums:
+    """Resultants of the forces of `Model.holders`. All methods are collective.
+
+    Args:
+        model: the model.
+        parts: the parts of its balance.
+        substitution: the unknowns in place of displacements, if there are others.
+    """
+
+    def __init__(self, model: Model, parts: Sequence[Part], substitution: Substitution | None) -> None:
+        self.model, self.parts, self.substitution = model, parts, substitution
+
+    @cached_property
+    def _motions(self) -> Array:
+        return rigid_values(self.model.V, self.model.centre)
+
+    def at_end(self, r: PETSc.Vec, interval: Interval, loads_at: Callable[[float], PETSc.Vec]) -> Array:
+        """Forces and moments (n, k) at the end of a step, about `Model.centre`.
+
+        They are linear in the forces of the step: what balances within it is the mean of the step's two ends.
+
+        Args:
+            r: nodal forces of the last evaluation of the parts, less loads.
+            interval: the step.
+            loads_at: nodal forces of the loads at a time, a vector to destroy.
+        """
+        now, theta, old = self._resultants(r), interval.theta, interval.old
+        if theta == 1:
+            return now
+        before = old.reactions
+        if before is None:  # at rest there are no stresses
+            loads = loads_at(old.t)
+            loads.scale(-1.0)
+            before = self._resultants(loads, layers=False)
+            loads.destroy()
+        return np.asarray((now - (1 - theta) * before) / theta)
+
+    def _resultants(self, r: PETSc.Vec, *, layers: bool = True) -> Array:
+        """Forces and moments for nodal forces r less loads; of layers on bases if asked for."""
+        model = self.model
+        rows = [model.prescribed.resultants(r.array_r, self._motions)]
+        for R in self.substitution.ties.values() if self.substitution else ():
+            tied = np.diff(R.indptr) > 0
+            rows.append((r.array_r[tied] @ self._motions[tied])[None])
+        first = len(model.supports.entries) + len(rows) - 1
+        for name in model.holders[first:]:
+            on_base = r.duplicate()
+            on_base.set(0.0)
+            if layers:
+                keys = self._keys_of(model.layers[str(name)].key)
+                for part in self.parts:
+                    part.add_layer_forces(keys, on_base)
+            rows.append(-(on_base.array_r @ self._motions)[None])
+            on_base.destroy()
+        return np.asarray(model.comm.allreduce(np.concatenate(rows)))
+
+    def _keys_of(self, key: str) -> set[str]:
+        """Keys of the terms and parts of a layer, sublayers and pressure included."""
+        pressure = PRESSURE + key.removeprefix(LAYER)
+        alone = len(self.model.joint.seams) == 1
+        keys = {key, pressure, PRESSURE} if alone else {key, pressure}
+        for one in [*(part.key for part in self.parts), *(p.key for p in self.model.layer_terms)]:
+            if one.startswith(f"{key}/") or (alone and one.startswith(f"{key} ")):
+                keys.add(one)
+        return keys
