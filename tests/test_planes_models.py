@@ -190,4 +190,4 @@ def test_a_thick_plastic_cylinder_of_revolution():
 def test_the_same_numbers_on_two_ranks():
     done = mpirun(2, "-m", "tests.planes_run")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == pytest.approx(numbers(), rel=1e-9)
+    assert json.loads(done.stdout) == pytest.approx(numbers(), rel=1e-10)
