@@ -41,7 +41,7 @@ def nodal_difference(state) -> float:
     model = state.model
     recovery, u = JunctionTractions(model, model.pairs), fem.Function(model.space(1))
     u.interpolate(state.u)
-    by_laws = sum(recovery._by_law(one, u).x.array * recovery._on(name) for name, one in model.layers.items())
+    by_laws = sum(recovery._by_law(one, u, 0.0).x.array * recovery._on(name) for name, one in model.layers.items())
     return float(np.linalg.norm(recovery.recovered(state).x.array - by_laws) / np.linalg.norm(by_laws))
 
 

@@ -340,8 +340,6 @@ def test_refused(kind):
             make(Structure(solid(), **setup), layer)
         with pytest.raises(LawError, match=r"shape of chi is \(3, 3\); allowed: \(2, 2\) in a model of dimension 2"):
             make(Structure(joint(), **setup), ThinLayer(deep, 0.1))
-        with pytest.raises(LawError, match=f"plane stress is not defined for {kind.__name__}; use plane='strain'"):
-            make(Structure(joint(), plane="stress", **setup), layer)
         with pytest.raises(
             ModelError, match=f"{kind.__name__} is for layers: its phases are those of a layer's columns"
         ):
