@@ -25,10 +25,11 @@ from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, gaps_of, real_law
+from thinlayer.discretisation.loads import Load
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.placed import known_at
-from thinlayer.discretisation.seams import SeamLayer, seam_entities
+from thinlayer.discretisation.seams import SeamLayer, loads_of_layers, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -73,6 +74,9 @@ class LayeredModel(Model):
         new.made_from = new._data()
         new.laws_were_read()
         return new
+
+    def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:
+        return loads_of_layers(structure.body_force, self.joint, self.layers)
 
     @abstractmethod
     def _check_beside(self, other: Self) -> None:

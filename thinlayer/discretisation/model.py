@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, Self, TypeVar
 
-import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -21,11 +20,9 @@ from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.seam import S
 from geometry.splitting import Splitting
 from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
-from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
@@ -44,6 +41,7 @@ from thinlayer.discretisation.reactions import on_centre
 from thinlayer.discretisation.rigid import free_translations, require_support
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import Given, Place, Supports
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -189,26 +187,13 @@ class Model(ABC):
 
         given = structure.tractions, structure.body_force, self.coordinates, structure.loads
         forces = Forces(self.domain, *given, forms, self.kinematics)
-        for name, load in self._layer_loads(structure).items():
+        for name, load in self._loads_of_layers(structure).items():
             forces.add_layer(name, load, self._places_of(self.layers[name]))
         return forces
 
-    def _layer_loads(self, structure: Setup) -> dict[str, Load]:
+    def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:
         """Name of a seam -> force per volume of its layer."""
-        given = structure.body_force
-        found: dict[str, Load] = {}
-        for name, load in given.items() if isinstance(given, Mapping) else ():
-            if name not in (S, *self.joint.seams):
-                continue
-            for seam in self.joint.seams if name == S else (name,):
-                layer = self.layers.get(seam)
-                if self.name != "bonded" and (layer is None or not layer.thin):
-                    raise ModelError(
-                        f"body force in the layer {seam!r}: it is no layer with a thickness; its weight is not known"
-                    )
-                if layer is not None:
-                    found[seam] = load
-        return found
+        return {}
 
     @abstractmethod
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
@@ -311,23 +296,8 @@ class Model(ABC):
             family: basix family (default: Lagrange).
             broken_at_faces: whether functions also jump between the meshed layer and the bodies, or across S.
         """
-        mesh, dim = self.domain.mesh, self.joint.dim
-        element = basix.ufl.element(family or "Lagrange", mesh.basix_cell(), degree, shape=(dim,))
-        cut = self._cut_at_faces() if broken_at_faces else self.splitting
-        if self.joint.periods:
-            of_entities = [self.domain.on_cells(of_dim) for of_dim in cut.keys]
-            return broken_space(self.comm, Keys.of_entities(self.comm, mesh, element, of_entities))
-        used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
-        none = np.empty((0, 0), np.int64)
-        components = [self.domain.on_cells(cut.components(k)) if used[k] else none for k in range(dim)]
-        return broken_space(self.comm, Keys.of_components(self.comm, mesh, element, components))
-
-    def _cut_at_faces(self) -> Splitting:
-        joint = self.domain.joint
-        if joint.band is None:
-            return joint.splitting
-        facets = [joint.facets[name] for name in joint.band.faces]
-        return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))
+        cut = cut_at_faces(self.domain.joint) if broken_at_faces else self.splitting
+        return vector_space(self.domain, cut, degree, family or "Lagrange")
 
     # ---------------------------------------------------------------- where laws act
     def _rule(self, measure: ufl.Measure) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +15,8 @@ from forms.kinematics import Expr
 from forms.law import Law
 from geometry.domain import Domain
 from geometry.errors import place
+from geometry.joint import Joint
+from geometry.seam import S
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
 from thinlayer.compiling.compat import interior_facet_entities
@@ -21,7 +24,7 @@ from thinlayer.discretisation.at_rest import AtRest
 from thinlayer.discretisation.axis import is_across
 from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.layer import CONTACT, LAYER, LawOnS, Layer, ThinLayer, real_law
-from thinlayer.discretisation.loads import Coordinates
+from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
@@ -180,6 +183,26 @@ class SeamLayer:
             "profile": None if shape is None else described(shape),
             **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
+
+
+def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer]) -> dict[str, Load]:
+    """Name of a seam -> force per volume of its layer, among the body forces as given.
+
+    Raises:
+        ModelError: a load of a seam without a layer that has a thickness.
+    """
+    found: dict[str, Load] = {}
+    for name, load in given.items() if isinstance(given, Mapping) else ():
+        if name not in (S, *joint.seams):
+            continue
+        for seam in joint.seams if name == S else (name,):
+            layer = layers.get(seam)
+            if layer is None or not layer.thin:
+                raise ModelError(
+                    f"body force in the layer {seam!r}: it is no layer with a thickness; its weight is not known"
+                )
+            found[seam] = load
+    return found
 
 
 def seam_entities(domain: Domain, name: str) -> npt.NDArray[np.int32]:
