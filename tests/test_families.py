@@ -8,7 +8,7 @@ import pytest
 from forms import LinearElastic, MohrCoulomb
 from forms.laws import HolonomicCoulomb, Incompressible, KelvinVoigt, Norton
 from geometry import sandwich
-from thinlayer import ModelError, Springs, Structure, ThinLayer, march, solve
+from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, march, piecewise, solve
 from thinlayer.solving.solvers import Solver
 
 JOINT = sandwich(width=2.0, lower=0.5, upper=0.7, h=0.25, structured=True)
@@ -122,3 +122,19 @@ def test_supports_keep_their_places():
         first.with_loads(supports={"BOTTOM": 0, "TOP": {"y": 0.003}})
     with pytest.raises(ModelError, match="traction on 'TOP' is"):
         first.with_loads(tractions={"TOP": (1.0,)})
+
+
+def test_break_times_are_those_of_ones_own_loads():
+    first = joined().interface(ThinLayer(KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5), 0.01))
+    broken = first.with_loads(tractions={"TOP": piecewise({0: (0.0, 0.1), 0.35: (0.0, -0.6), 1: (0.0, 0.0)})})
+    assert broken.break_times == {0.0, 0.35, 1.0}
+    assert broken.with_loads(tractions=OTHER).break_times == first.break_times == set()
+    assert [len(march(model, [0.5, 1.0])) for model in (first, broken)] == [3, 4]
+
+
+def test_other_motions_of_supports_beside_a_plate():
+    cap, moved = RigidPlate("TOP", force=(0.2, -0.8)), {"BOTTOM": {"x": 0.0, "y": 0.002}}
+    data = {"parts": (cap,), "tractions": {}}
+    first = joined(supports={"BOTTOM": 0}, **data).interface(GLUE)
+    solve(first)
+    assert apart(solve(first.with_loads(supports=moved)), solve(joined(supports=moved, **data).interface(GLUE))) < 1e-11

@@ -235,3 +235,33 @@ def test_layers_without_a_weight():
             structure.interface(layer)
     with pytest.raises(ModelError, match="did you mean 'UPPER'"):
         Structure(sandwich(2.0, 0.5, 0.6, 0.5), **given | {"body_force": {"UPER": (0.0, 0.0)}}).bonded()
+
+
+@pytest.mark.parametrize("place", [(2.0, 0.6), (2.0, -0.5)])
+@pytest.mark.parametrize("weighed", [("UPPER",), ("LOWER",), ("LOWER", "UPPER")])
+def test_a_load_at_a_point_beside_weights(place, weighed):
+    """Integrals over some cells with unlike rules: each load is there once, in reactions and in `applied`."""
+    plates = sandwich(width=2.0, lower=0.5, upper=0.6, h=0.3)
+    weights, heights = {"LOWER": (0.04, -0.3), "UPPER": (0.01, -0.2)}, {"LOWER": (-0.5, 0.0), "UPPER": (0.0, 0.6)}
+    force = (0.03, -0.4)
+    structure = Structure(
+        plates,
+        body=LinearElastic.young(E=90.0, nu=0.3),
+        supports={"BOTTOM": 0},
+        body_force={name: weights[name] for name in weighed},
+        loads=[PointLoad(place, force)],
+    )
+    state = solve(structure.interface(ThinLayer(LinearElastic(60.0, 40.0), 0.01)))
+    total, moment = np.array(force), place[0] * force[1] - place[1] * force[0]
+    for name in weighed:
+        low, high = heights[name]
+        weight = 2.0 * (high - low) * np.array(weights[name])
+        total, moment = total + weight, moment + weight[1] - (low + high) / 2 * weight[0]
+    found, reaction = state.applied(about=(0, 0)), state.reaction("BOTTOM", about=(0, 0))
+    np.testing.assert_allclose([*found.force, found.moment], [*total, moment], rtol=1e-12)
+    np.testing.assert_allclose([*reaction.force, reaction.moment], [*-total, -moment], rtol=1e-10)
+    above = np.array([0.0, 0.0]) if place[1] < 0 else np.array(force)
+    above = above + (2.0 * 0.6 * np.array(weights["UPPER"]) if "UPPER" in weighed else 0.0)
+    surface = Surface(state.model)
+    t = surface.traction(state)
+    assert [surface.integral(t[k]) for k in range(2)] == pytest.approx(above, rel=1e-9, abs=1e-12)

@@ -126,7 +126,15 @@ class Prestress(Eigenstrain):
         hint = "; give its eigenstrain instead"
         if len(matter.law.sublayers) > 1:
             raise ModelError(f"the prestress of {matter.name}: its sublayers have stiffnesses of their own{hint}")
-        C = tangent_at_rest(matter.law, matter.n)
+        try:
+            C = tangent_at_rest(matter.law, matter.n)
+        except TypeError as error:
+            if not matter.law.fields:
+                raise
+            varying = ", ".join(matter.law.fields)
+            raise ModelError(
+                f"the prestress of {matter.name}: its stiffness varies from place to place ({varying}){hint}"
+            ) from error
         if C is None or not np.isfinite(C).all():
             raise ModelError(
                 f"the prestress of {matter.name}: the stiffness of {type(matter.law).__name__} is not known at rest{hint}"

@@ -27,7 +27,7 @@ class LoadHistory:
 
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
-        self._moment = model.coordinates.moment(0.0)
+        self._moment = model.forces.at.moment(0.0)
         self._work = compiled(model.forces.work(ufl.TestFunction(model.V), self._moment))
         self._prescribed = model.prescribed
         self._strains = GivenInTime(model.domain.mesh, model.terms)

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.algorithms import estimate_total_polynomial_degree
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from forms.kinematics import Expr
 from thinlayer.errors import ModelError
@@ -32,6 +35,31 @@ def compiled(form: Expr) -> fem.Form:
 def compiled_summands(form: Expr) -> list[fem.Form]:
     """Compiled forms whose sum is a form, in which measures of one kind may have any sets of tags."""
     return [fem.form(one) for one in _with_one_set_of_tags(form)]
+
+
+def compiled_scalars(form: Expr) -> list[fem.Form]:
+    """Compiled forms whose sum is a form without arguments, each with one rule of quadrature.
+
+    In a form without arguments FFCx takes the places of one rule for those of another where both are in its integrand.
+
+    Raises:
+        ModelError: measures of one kind with two sets of tags.
+    """
+    by_rule: dict[str, list[Any]] = {}
+    for integral in form.integrals():
+        rule = f"{sorted(integral.metadata().items())} {_degree(integral)}"
+        by_rule.setdefault(rule, []).append(integral)
+    return [compiled(ufl.Form(integrals)) for integrals in by_rule.values()]
+
+
+def _degree(integral: Any) -> Any:
+    """Degree of quadrature that UFL estimates; the integrand itself where it cannot."""
+    if "quadrature_degree" in integral.metadata():
+        return ""
+    try:
+        return estimate_total_polynomial_degree(apply_algebra_lowering(apply_derivatives(integral.integrand())))
+    except Exception:  # UFL's, whatever a user's form contains: then each integrand by itself
+        return integral.integrand()
 
 
 def _with_one_set_of_tags(form: Expr) -> list[ufl.Form]:
@@ -66,11 +94,8 @@ def _apart(integrals: Sequence[Any]) -> list[Any]:
     mixed = {number for numbers in found.values() if len({rules[k] for k in numbers}) > 1 for number in numbers}
     if not mixed:
         return list(integrals)
-    parts: dict[tuple[str, frozenset[str]], int] = {}  # of the tags of a kind of measure: those with the same rules
-    part_of = {
-        key: parts.setdefault((key[0], frozenset(rules[k] for k in numbers)), len(parts))
-        for key, numbers in found.items()
-    }
+    parts: dict[tuple[str, frozenset[int]], int] = {}  # of the tags of a kind of measure: those with the same integrals
+    part_of = {key: parts.setdefault((key[0], frozenset(numbers)), len(parts)) for key, numbers in found.items()}
     out = []
     for one, own in zip(integrals, tags, strict=True):
         by_part: dict[int, list[Any]] = {}

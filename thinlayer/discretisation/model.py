@@ -80,7 +80,7 @@ class Model(ABC):
         parts: additions to the balance of forces beside bodies, layer and loads.
         origin: numbers, places and columns in the joint, for compiled laws.
         kinematics: strains of displacements on the mesh, and the factor of all measures.
-        coordinates: place and time as arguments of loads.
+        coordinates: place and time as arguments of given strains; loads and supports have their own.
         centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
         mark: hash of the data, equal on all ranks.
@@ -134,8 +134,7 @@ class Model(ABC):
         if not on_layers:
             conditions = self.prescribed.conditions
             require_support(self.comm, self.V, self.joint, conditions, resistances, self.kinematics)
-        for part in self.parts:
-            part.release(self)
+        self._release()
         self.made_from = self._data()
         self._laws_read = self._laws()
 
@@ -178,14 +177,16 @@ class Model(ABC):
         return [placed(term, self.V, self.origin) for term in self._layer_terms()]
 
     def _supports(self, given: Given) -> Supports:
-        return Supports(self.domain, given, self.coordinates, self._clamped, self.kinematics)
+        return Supports(self.domain, given, Coordinates.of(self.domain), self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     def _forces(self, structure: Setup) -> Forces:
-        def forms() -> ConcentratedForms:
-            return ConcentratedForms(self.domain, self.joint, structure.degree, self.coordinates)
+        at = Coordinates.of(self.domain)  # of these loads alone, whose break times are not those of others
 
-        given = structure.tractions, structure.body_force, self.coordinates, structure.loads
+        def forms() -> ConcentratedForms:
+            return ConcentratedForms(self.domain, self.joint, structure.degree, at)
+
+        given = structure.tractions, structure.body_force, at, structure.loads
         forces = Forces(self.domain, *given, forms, self.kinematics)
         for name, load in self._loads_of_layers(structure).items():
             forces.add_layer(name, load, self._places_of(self.layers[name]))
@@ -270,8 +271,15 @@ class Model(ABC):
                         f"supports hold {places[1]}, those of the model {places[0]}; build another structure"
                     )
             new.forces = new._forces(structure)
+        if supports is not None:
+            new._release()
         new.made_from = new._data()
         return new
+
+    def _release(self) -> None:
+        """Leave out the conditions of supports at nodes of plates, whose motions they follow. Collective."""
+        for part in self.parts:
+            part.release(self)
 
     def _derived(self) -> Self:
         """A copy that shares all that this model has."""
@@ -392,11 +400,12 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """The break times of all loads, supports and temperatures of the model."""
-        return self.coordinates.t.breaks.union(*(p.law.break_times for p in self.terms))
+        clocks = (self.coordinates.t, self.forces.at.t, self.supports.at.t)
+        return set().union(*(clock.breaks for clock in clocks), *(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
-        return self.forces.work(v, self.coordinates.moment(t))
+        return self.forces.work(v, self.forces.at.moment(t))
 
     @staticmethod
     def form(form: Expr) -> fem.Form:

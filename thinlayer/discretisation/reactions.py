@@ -19,7 +19,7 @@ from geometry.domain import Domain
 from geometry.errors import place as at_place
 from geometry.joint import Joint
 from geometry.seam import BASE, S
-from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.measures import compiled, compiled_scalars
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 
@@ -199,10 +199,10 @@ def centroid(domain: Domain, name: str) -> Array:
 
 def work_in_motions(comm: MPI.Intracomm, work: Expr, motion: fem.Constant) -> Array:
     """Work (k,) of forces in rigid motions, from its UFL form in `rigid_expression(mesh, motion, ...)`. Collective."""
-    form, values = compiled(work), np.zeros(len(motion.value))
+    forms, values = compiled_scalars(work), np.zeros(len(motion.value))
     for k in range(len(values)):
         motion.value[:] = np.eye(len(values))[k]
-        values[k] = comm.allreduce(fem.assemble_scalar(form))
+        values[k] = comm.allreduce(sum(map(fem.assemble_scalar, forms)))
     return values
 
 

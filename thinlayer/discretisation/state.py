@@ -18,7 +18,7 @@ from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, LAYER
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
-from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.measures import compiled, compiled_scalars
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
 from thinlayer.discretisation.stresses import stressed
@@ -152,7 +152,7 @@ class State(Configuration):
         """
         if isinstance(form, ufl.Form) and not all(has_finite_numbers(part.integrand()) for part in form.integrals()):
             raise ModelError(f"a form has a number that is not finite, or not real: {str(form)[:80]}")
-        return float(self.model.comm.allreduce(fem.assemble_scalar(compiled(form))))
+        return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
         """Stored energy of the bodies, of the layer, and of what was added to the model by its key; the work of the loads.

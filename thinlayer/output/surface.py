@@ -28,7 +28,7 @@ from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
 from thinlayer.output.junction_tractions import JunctionTractions
 from thinlayer.output.lines import Line, Plane, lines_on
-from thinlayer.output.surface_mass import SurfaceMass, contact_forces, nodal_forces, reaction
+from thinlayer.output.surface_mass import SurfaceMass, assembled, contact_forces, nodal_forces, reaction
 
 Array = npt.NDArray[np.float64]
 NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
@@ -359,7 +359,7 @@ class Surface:
         """
         values, form = self._exchange
         values.x.array[:] = f.x.array
-        return np.asarray(nodal_forces(self.trace_space, form).x.array)
+        return np.asarray(assembled(self.trace_space, form).x.array)
 
     @cached_property
     def _exchange(self) -> tuple[fem.Function, fem.Form]:

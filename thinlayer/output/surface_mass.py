@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from forms.kinematics import Expr
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
+from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 
@@ -39,7 +40,12 @@ def reaction(state: State) -> fem.Function:
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr, maps: Any = None) -> fem.Function:
     """Values of a linear form on the basis functions of a space, ghosts included; `maps`: for `fem.form`. Collective."""
-    vector = fem.assemble_vector(fem.form(form, entity_maps=maps))
+    return assembled(V, fem.form(form, entity_maps=maps) if maps else compiled(form))
+
+
+def assembled(V: fem.FunctionSpace, form: fem.Form) -> fem.Function:
+    """Values of a compiled linear form on the basis functions of a space, ghosts included. Collective."""
+    vector = fem.assemble_vector(form)
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     vector.scatter_forward()
     values = fem.Function(V)
