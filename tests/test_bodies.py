@@ -271,3 +271,21 @@ def test_reactions_and_loads_of_a_wall_that_yields_add_up():
     state = march(model, [1.0]).last
     assert state.dissipated["bodies"] > 0
     assert state.reaction("BOTTOM").force == pytest.approx(-state.applied().force, abs=1e-9)
+
+
+def test_adaptive_steps_see_stresses_that_no_displacement_shows():
+    """A bar that relaxes between supports: its displacements are those of the supports, whatever the steps."""
+    way = piecewise({0: 0.0, 2: -0.01, 6: -0.01})
+    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "TOP": {"y": way}}
+    bar = Structure(joint(), body=Maxwell(60.0, MU, 3.0), supports=supports).bonded()
+    pushed = lambda history: np.array([state.reaction("TOP").force[1] for state in history])
+    exact = march(bar, np.linspace(0, 6, 241)[1:])
+    errors, steps = [], []
+    for tolerance in (1e-2, 1e-3):
+        history = march(bar, Adaptive(end=6, first=0.05, tolerance=tolerance))
+        apart = pushed(history) - np.interp(history.t, exact.t, pushed(exact))
+        errors.append(np.abs(apart).max() / np.abs(pushed(exact)).max())
+        steps.append(len(history))
+    assert errors[0] < 0.03
+    assert errors[1] < errors[0] / 2  # the error of a step falls with its square, and there are more of them
+    assert steps[1] > 2 * steps[0]

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from forms.law import LawError
 from forms.symmetry import NOT_SYMMETRIC
 from forms.work import Term
+from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.given_at_points import GivenAtPoints
 from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part, PartTraits, may_weaken
 from thinlayer.parts.softening import may_soften
@@ -184,7 +185,11 @@ class CompiledPart(Part):
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
         return not_linear_at_once(self.points, times)
 
-    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+    def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
+        if self._in_body:
+            out.axpy(1.0, self.points.forces(state.stresses[self.key]))
+
+    def error_measure(self, u: fem.Function) -> Array:
         return (self.points.strain(u.x.petsc_vec) * np.sqrt(np.abs(self.points.weights))[:, None]).ravel()
 
     def unit_jump_measure(self) -> float:

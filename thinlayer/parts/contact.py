@@ -86,7 +86,7 @@ class ContactPart(Part):
         memory = law.slip_after(w, self.slip)
         return Outcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))
 
-    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+    def error_measure(self, u: fem.Function) -> Array:
         return (self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]).ravel()
 
     def unit_jump_measure(self) -> float:

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from forms.kinematics import Expr
 from thinlayer.discretisation.measures import compiled, compiled_summands
+from thinlayer.discretisation.state import Configuration
 from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.part import Array, Block, Interval, Outcome, Part
 
@@ -110,11 +111,10 @@ class FormPart(Part):
             found.append(Block(J, theta, kept=True))
         return found
 
-    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
+    def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         if self._F or self._g:
-            self._take(u.x.petsc_vec)
-        self._add(u.x.petsc_vec, forces)
-        return super().error_measure(u, forces)
+            self._take(state.u.x.petsc_vec)
+        self._add(state.u.x.petsc_vec, out)
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> Outcome:

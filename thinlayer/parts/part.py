@@ -316,12 +316,12 @@ class Part(ABC):
         """
         return None
 
-    def error_measure(self, u: fem.Function, forces: PETSc.Vec) -> Array:
-        """Strains or jumps (n,) at u, from which the error of a step is estimated; the sum of their squares is an integral.
-
-        A part without strains or jumps adds its nodal forces at u to `forces` instead.
-        """
+    def error_measure(self, u: fem.Function) -> Array:
+        """Strains or jumps (n,) at u, for the error of a step; the sum of their squares is an integral."""
         return np.empty(0)
+
+    def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
+        """Add the nodal forces of bodies' stresses in a state, from which the error of a step is estimated, too."""
 
     def unit_jump_measure(self) -> float:
         """Estimate of the sum of squares of `error_measure` for a unit jump across the layer."""

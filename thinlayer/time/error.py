@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 from petsc4py import PETSc
 
 from thinlayer.discretisation.state import State
@@ -44,7 +43,7 @@ class ErrorEstimate:
             order: order of the time scheme.
             largest: norms of the three quantities to which errors are relative, at least.
         """
-        ends = [self._quantities(state.u) for state in (whole, halves)]
+        ends = [self._quantities(state) for state in (whole, halves)]
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(halves.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
@@ -55,13 +54,16 @@ class ErrorEstimate:
 
     def sizes(self, state: State) -> Array:
         """Norms of the three quantities in a state."""
-        return self._norms(self._quantities(state.u))
+        return self._norms(self._quantities(state))
 
-    def _quantities(self, u: fem.Function) -> list[Array]:
-        """The three quantities for displacements u, on this rank."""
+    def _quantities(self, state: State) -> list[Array]:
+        """The three quantities in a state, on this rank."""
+        u = state.u
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
-        jumps = [part.error_measure(u, forces) for part in self._equations.parts]
+        jumps = [part.error_measure(u) for part in self._equations.parts]
+        for part in self._equations.parts:
+            part.add_forces_in(state, forces)
         of_forces = forces.array_r.copy()
         forces.destroy()
         return [u.x.petsc_vec.array_r.copy(), np.concatenate(jumps), of_forces]
