@@ -289,3 +289,16 @@ def test_adaptive_steps_see_stresses_that_no_displacement_shows():
     assert errors[0] < 0.03
     assert errors[1] < errors[0] / 2  # the error of a step falls with its square, and there are more of them
     assert steps[1] > 2 * steps[0]
+
+
+def test_short_steps_of_a_body_with_a_rate_moved_by_its_supports():
+    """Forces are those of the rate, a thousand times the elastic ones."""
+    rate, dt, theta = -0.3, 0.002, 2.0
+    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"y": lambda x, t: rate * t}}
+    body = KelvinVoigt(60.0, MU, theta_lmbda=theta, theta_mu=theta)
+    plates = joint()
+    width, height = np.ptp(plates.points, axis=0)
+    history = march(Structure(plates, body=body, supports=supports).bonded(), [dt, 2 * dt])
+    stress = [(60.0 + 2 * MU) * rate / height * (t + theta) for t in history.t[1:]]
+    found = [state.reaction("TOP").force[1] / width for state in list(history)[1:]]
+    assert found == pytest.approx(stress, rel=1e-9)

@@ -102,8 +102,9 @@ class CompiledPart(Part):
         return f"the law of {self.key!r} failed at {self.failed} points: {first}"
 
     def add_forces(self, out: PETSc.Vec) -> float:
-        out.axpy(1.0, self.points.forces(self._response.stress))
-        return 0.0
+        forces = self.points.forces(self._response.stress)
+        out.axpy(1.0, forces)
+        return float(forces.norm()) if self._in_body else 0.0
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. LawError: a law declares a symmetric tangent and has another; half of it would be lost."""
