@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from tests import ensemble_run
-from tests.ranks import mpirun
+from tests.ranks import CLONE, mpirun
 from thinlayer import ModelError, SolveError, Table, ensemble
 
 CASES = [{"E": 1.5 + k, "name": f"n{k}"} for k in range(5)]
@@ -94,6 +95,19 @@ def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
     assert ensemble(scaled, CASES, out, resume=True)["scaled"][0] == 4.5
     assert ensemble(doubled, CASES[:2], out)["double"].tolist() == [3.0, 5.0]  # another one moves it away
     assert (tmp_path / "previous-1" / "t.csv").exists()
+
+
+def test_the_script_of_the_page(tmp_path, monkeypatch):
+    """As printed, with three of its two hundred cases; a softer and thicker layer opens more."""
+    page = (CLONE / "studies" / "ensembles.md").read_text()
+    script = re.search(r"```python\n(.*?)```", page, re.DOTALL)[1]
+    assert "range(200)" in script
+    monkeypatch.chdir(tmp_path)
+    exec(script.replace("range(200)", "range(3)"), {})
+    table = Table.load("glue.csv")
+    assert table.columns == ["run", "E", "eps", "traction", "jump"]
+    assert np.argsort(table["jump"]).tolist() == np.argsort(table["eps"] / table["E"]).tolist()
+    assert np.ptp(table["traction"]) < 0.1 * table["traction"].min()
 
 
 @pytest.mark.parametrize(
