@@ -132,6 +132,17 @@ def test_break_times_are_those_of_ones_own_loads():
     assert [len(march(model, [0.5, 1.0])) for model in (first, broken)] == [3, 4]
 
 
+def test_supports_of_a_derived_model_that_contradict_a_plate():
+    cap = RigidPlate("TOP", motion={"x": 0, "y": -0.001, "rotation": 0})
+    data = {"parts": (cap,), "tractions": {}}
+    supports = [{"BOTTOM": 0, "LEFT/UPPER": {"x": value}} for value in (0.0, 0.002)]
+    first = joined(supports=supports[0], **data).interface(GLUE)
+    solve(first.with_loads(body_force=(0.0, -0.1)))
+    for model in (first.with_loads(supports=supports[1]), joined(supports=supports[1], **data).interface(GLUE)):
+        with pytest.raises(ModelError, match=r"'LEFT/UPPER' prescribes 0\.002 where the motion of the rigid plate"):
+            solve(model)
+
+
 def test_other_motions_of_supports_beside_a_plate():
     cap, moved = RigidPlate("TOP", force=(0.2, -0.8)), {"BOTTOM": {"x": 0.0, "y": 0.002}}
     data = {"parts": (cap,), "tractions": {}}

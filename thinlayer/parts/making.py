@@ -24,18 +24,18 @@ from thinlayer.parts.pressure import PressurePart
 
 
 def body_parts(model: Model) -> list[Part]:
-    """The parts of a model that depend neither on its layers nor on its loads, each with another key. Collective.
+    """The parts of a model that depend on its mesh and bodies alone, each with another key. Collective.
 
     The first has a matrix with the nonzero pattern of the bodies.
     """
     parts: list[Part] = [LawForms("forms", model.V, model.bodies), *_compiled(model, model.bodies)]
     if model.stress:
         parts.append(MeanStressPart(model.V, model.solids, model.stress, model.comm))
-    return parts + [addition.part(model) for addition in model.parts]
+    return parts
 
 
-def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
-    """The parts of a model's layers, each with another key. Collective.
+def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
+    """The parts of a model's layers and additions, each with another key. Collective.
 
     Args:
         model: the model.
@@ -54,7 +54,7 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         parts += [PressurePart(model.V, p, largest, model.origin, key, some) for key, (p, some) in pressures.items()]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
-    return parts
+    return parts + [addition.part(model) for addition in model.parts]
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:

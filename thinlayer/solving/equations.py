@@ -18,7 +18,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
+from thinlayer.parts.making import body_parts, diagonal_at_rest, other_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
@@ -60,8 +60,8 @@ class Equations(PartSum):
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
         self._kept = kept = Kept.of(model)
         kept.bodies = kept.bodies or body_parts(model)
-        self._of_layers = layer_parts(model, self.history.held, kept.bodies)
-        super().__init__([*kept.bodies, *self._of_layers])
+        self._own_parts = other_parts(model, self.history.held, kept.bodies)
+        super().__init__([*kept.bodies, *self._own_parts])
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
         self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **fields})
@@ -349,7 +349,7 @@ class Equations(PartSum):
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
         """Free the matrices."""
-        for thing in (*self._of_layers, self.substitution, self._forces, self.loads, self.external):
+        for thing in (*self._own_parts, self.substitution, self._forces, self.loads, self.external):
             if thing is not None:
                 thing.destroy()
         if "K" in vars(self):

@@ -18,7 +18,7 @@ class Kept:
     """Matrices of the equations of a model, which may serve other models of its family.
 
     Attributes:
-        bodies: parts that depend on mesh, bodies and additions alone; empty: they are yet to be made.
+        bodies: parts that depend on mesh and bodies alone; empty: they are yet to be made.
         matrix: the tangent; None: it is yet to be made.
         factor: of the tangent.
     """
