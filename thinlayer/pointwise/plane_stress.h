@@ -47,6 +47,11 @@ static int condense(sublayer *a, double size)
     for (int i = 0; i < IN; i++)
         for (int k = 0; k < IN && size > 0; k++)
             for (int j = 0; j < OUT; j++) C[6 * in_plane[i] + in_plane[k]] -= C[6 * in_plane[i] + out_of_plane[j]] * x[j * IN + k];
+    for (int i = 0; i < IN; i++)
+        for (int k = 0; k < i; k++) { /* far beyond yield only rounding of the large entries is left of the small ones */
+            double *one = &C[6 * in_plane[i] + in_plane[k]], *other = &C[6 * in_plane[k] + in_plane[i]];
+            if (fabs(*one - *other) <= 1e-14 * size) *one = *other = (*one + *other) / 2;
+        }
     for (int j = 0; j < OUT; j++) {
         a->out[out_of_plane[j]] = 0;
         for (int k = 0; k < 6; k++) C[6 * out_of_plane[j] + k] = C[6 * k + out_of_plane[j]] = 0;

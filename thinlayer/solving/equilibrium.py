@@ -10,14 +10,14 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.finder import Found
 from thinlayer.solving.force_scale import ALLOWED
-from thinlayer.solving.linear_solvers import mark
+from thinlayer.solving.linear_solvers import mark, solve_linear
 from thinlayer.solving.newton import newton, reason_name
 from thinlayer.solving.options import PREFIX
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
 WORTH_REFINING = {True: 1e-6, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
-UNDETERMINED = 1e-3  # first refinement, relative to the displacements, that shows a singular matrix
+UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
 OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
 UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
 
@@ -153,7 +153,7 @@ class Equilibrium:
     def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
         ksp = self._factor.ksp
         assert ksp is not None
-        ksp.solve(b, x)
+        solve_linear(ksp, b, x)
         return int(ksp.getIterationNumber())
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> float:
@@ -169,13 +169,12 @@ class Equilibrium:
         residual, first = self._relative(r), True
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
-            ksp.solve(r, d)
-            old = equations.interval.old.u.x.petsc_vec  # if loads end at zero, x itself is only rounding
-            size = max(x.norm(), old.norm())
-            if first and direct and d.norm() > UNDETERMINED * size:
+            self._solve_linear(r, d)
+            size, change = self._displacements_at_play(x), _largest(d)
+            if first and direct and change > UNDETERMINED * size:
+                share = f"by a share of {change / size:.1e}" if size else f"by {change:.1e}"
                 raise SolveError(
-                    "no unique solution: rounding of the forces changes the displacements by a share of "
-                    f"{d.norm() / max(size, 1e-300):.1e}",
+                    f"no unique solution: rounding of the forces changes the displacements {share}",
                     advice="does something resist every motion of the bodies, and every strain of the layer?",
                 )
             first = False
@@ -201,6 +200,17 @@ class Equilibrium:
             )
         return residual
 
+    def _displacements_at_play(self, x: PETSc.Vec) -> float:
+        """Largest displacement with which the rounding of a solution x is compared.
+
+        x itself may be only rounding: where loads end at zero, in a uniform cell under a mean strain, or where supports hold
+        all that strains on heating. Then the displacements count that are known before the step, and those that the forces
+        of the step cause against the mean stiffness.
+        """
+        scale, n = self.equations.scale, x.getSize()
+        of_forces = scale.forces / (self.equations.mean_stiffness * math.sqrt(n)) if self.equations.mean_stiffness else 0.0
+        return max(_largest(x), scale.displacement, of_forces)
+
     def _relative(self, r: PETSc.Vec) -> float:
         """Norm of the residual over the unknowns that are not held, relative to the force scale."""
         return self.equations.scale.relative(self._free_norm(r))
@@ -211,8 +221,12 @@ class Equilibrium:
 
     def _newton(self, x: PETSc.Vec, r: PETSc.Vec) -> Found:
         steps, residual = newton(
-            self.equations, x, r, own_test=self._own_test, stop_early=self._yields, advice=self._advice
+            self.equations, x, own_test=self._own_test, stop_early=self._yields, advice=self._advice
         )
         if not self.equations.traits.releases:
             self.equations.require_unique()
         return Found(x, steps + 1, residual)
+
+
+def _largest(x: PETSc.Vec) -> float:
+    return float(x.norm(PETSc.NormType.INFINITY))

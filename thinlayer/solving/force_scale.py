@@ -36,6 +36,7 @@ class ForceScale:
     Attributes:
         stiffness: the argument.
         forces: the forces of rules 1 and 2 for the last residual.
+        displacement: largest displacement that is known before the step: prescribed, or that of the state before.
     """
 
     def __init__(self, stiffness: float, cancelling: float = 0.0) -> None:
@@ -50,8 +51,8 @@ class ForceScale:
             prescribed: largest displacement that supports prescribe.
             moved: largest displacement of the state before.
         """
-        self._loads, self._unbalanced = loads, 0.0
-        self._least_forces = ROUNDING_SHARE / ALLOWED * self.stiffness * max(prescribed, moved)
+        self._loads, self._unbalanced, self.displacement = loads, 0.0, max(prescribed, moved)
+        self._least_forces = ROUNDING_SHARE / ALLOWED * self.stiffness * self.displacement
         self._support_rounding = EPSILON * self.stiffness * prescribed
         self.forces = self.least
 

@@ -57,17 +57,17 @@ def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, modes: Callable[[], list[PETSc.
         A.setNearNullSpace(PETSc.NullSpace().create(vectors=modes(), comm=A.comm))
 
 
-def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str]) -> None:
+def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str] | None = None) -> None:
     """Solve A x = b. Collective.
 
     Args:
         ksp: the solver.
         b: right-hand side.
         x: solution.
-        ours: names of the options that are our defaults.
+        ours: names of the options that are our defaults; None: the caller looks at PETSc's errors.
 
     Raises:
-        OptionError: PETSc does not accept the value of an option.
+        OptionError: PETSc does not accept the value of an option. PETSc.Error instead of both if `ours` is None.
         SolveError: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
             is unchanged.
     """
@@ -75,10 +75,41 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[st
     try:
         ksp.solve(right, x)
     except PETSc.Error as error:
+        if ours is None:
+            raise
         require_known_values(error, ours)
         raise failed_in_petsc(error) from error
     finally:
         right.destroy()
+
+
+def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec, *own: PETSc.Vec) -> None:
+    """Solve from x, in place, by an SNES. Collective.
+
+    After an error PETSc leaves vectors locked for ever: the solution's after one in a function that it has called, the
+    residual's after one in a linear solve. Therefore it gets a copy of x, and after an error the SNES and its vectors go.
+
+    Args:
+        snes: the solver.
+        x: unknowns; unchanged after an error.
+        own: vectors that only this SNES uses, as that of its function; destroyed after an error.
+
+    Raises:
+        Exception: what a function that PETSc has called raises. PETSc.Error: PETSc itself has failed.
+    """
+    inside = x.copy()
+    try:
+        snes.solve(None, inside)
+    except PETSc.Error as error:
+        for thing in (snes, *own):
+            thing.destroy()
+        if error.__cause__ is not None:
+            raise error.__cause__ from None
+        raise
+    else:
+        inside.copy(x)
+    finally:
+        inside.destroy()
 
 
 def failed_in_petsc(error: PETSc.Error) -> SolveError:

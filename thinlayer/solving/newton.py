@@ -11,7 +11,7 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.balance import aim
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.force_scale import ALLOWED
-from thinlayer.solving.linear_solvers import tell_multigrid
+from thinlayer.solving.linear_solvers import solve_nonlinear, tell_multigrid
 from thinlayer.solving.options import PREFIX, OptionError, OptionValue
 
 NEWTON: dict[str, OptionValue] = {
@@ -47,20 +47,19 @@ Reason = PETSc.SNES.ConvergedReason
 
 
 def newton(
-    equations: Equations, x: PETSc.Vec, r: PETSc.Vec, *, own_test: bool, stop_early: bool, advice: str
+    equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bool, advice: str
 ) -> tuple[int, float]:
     """Solve for x, from displacements that satisfy the supports; returns steps and relative residual. Collective.
 
     Args:
         equations: the equations of the step; their last residual was computed at x.
-        x: unknowns, overwritten.
-        r: a work vector.
+        x: unknowns, overwritten; unchanged if PETSc or one of the equations raises an error.
         own_test: True: the force scale says when to stop; False: PETSc options do.
         stop_early: stop if the residual stagnates or displacements run away, as for loads beyond the limit load.
         advice: further things to try, for the error.
 
     Raises:
-        SolveError: no convergence. OptionError: a method of PETSc's that does not use our convergence test.
+        SolveError: no convergence. PETSc.Error: PETSc has failed. What the equations raise, as a LawError. OptionError: a method of PETSc's that does not use our convergence test.
     """
     largest = RUN_AWAY * _largest(x)
     residuals: list[float] = []
@@ -92,19 +91,21 @@ def newton(
     A.zeroRowsColumns(equations.held_rows, 1.0)
     snes = PETSc.SNES().create(equations.comm)
     snes.setOptionsPrefix(PREFIX)
+    r = x.duplicate()
     snes.setFunction(function, r)
     snes.setJacobian(jacobian, A)
     if own_test:
         snes.setConvergenceTest(converged)
     snes.setFromOptions()
     tell_multigrid(snes.getKSP(), A, equations.near_null)
-    snes.solve(None, x)
+    solve_nonlinear(snes, x, r)
     reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
     if own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
         raise OptionError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
     last = equations.scale.relative(float(snes.getFunctionNorm()))
     ksp_reason = snes.getKSP().getConvergedReason()
     snes.destroy()
+    r.destroy()
     stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED  # rounding stops the line search
     stopped = own_test and reason >= 0 and not last < ALLOWED  # another test than ours ended the solve
     if stopped or (reason < 0 and not stalled):

@@ -98,7 +98,7 @@ class Condensed:
             sides.forces(system.H),
             problem.slip[sides.moving],
             sides.held_jumps,
-            max(problem.equations.scale.least, TINY),
+            max(problem.equations.scale.least, float(problem.loads.norm()), TINY),
         )
         steps = 0
         for law, w, few in self._trials(system, load, start):

@@ -47,7 +47,7 @@ class Load:
         g: (n, d) forces.
         slip: (n, d - 1) slip at the beginning of the step.
         held_jumps: (n, d) held components of the jump; zero for free components.
-        size: norm of the loads.
+        size: norm of the loads, those of given strains included: bodies may shrink until no other forces are left.
     """
 
     g: Array

@@ -18,7 +18,7 @@ from thinlayer.solving.contact.problem import ContactProblem
 from thinlayer.solving.contact.surface_stiffness import SurfaceStiffness
 from thinlayer.solving.contact.tangent import Tangent
 from thinlayer.solving.contact.turning import Sliding, sliding, turned
-from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
+from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID, solve_nonlinear
 from thinlayer.solving.options import PREFIX, OptionError, OptionValue, defaults, is_set
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
@@ -197,7 +197,7 @@ class _Newton:
             pc = snes.getKSP().getPC()
             pc.setType("python")
             pc.setPythonContext(self.tangent)
-            snes.solve(None, u)
+            solve_nonlinear(snes, u)
             return int(snes.getConvergedReason())
         finally:
             for item in (snes, J, f):

@@ -116,7 +116,8 @@ class NetworkFinder:
         b = equations.external.array_r - self._K[:, equations.held] @ equations.prescribed
         g = np.where(self._free, 0.0, system.stiffness.diagonal() * u)
         g[self._free] = condensation.condense(b)
-        u, residuals = system.solve(u if known else system.bonded(g), g, max(equations.scale.least, TINY))
+        size = max(equations.scale.least, free_norm(equations, equations.external), TINY)
+        u, residuals = system.solve(u if known else system.bonded(g), g, size)
         condensation.expand(b, u[self._free], x.array)
         equations.residual(x, self._r)
         relative = equations.scale.relative(free_norm(equations, self._r))

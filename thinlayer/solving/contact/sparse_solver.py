@@ -7,7 +7,7 @@ import scipy.sparse
 from petsc4py import PETSc
 
 from thinlayer.discretisation.contact_nodes import Array
-from thinlayer.solving.linear_solvers import DIRECT
+from thinlayer.solving.linear_solvers import DIRECT, solve_linear
 from thinlayer.solving.options import PREFIX, defaults
 
 
@@ -53,7 +53,7 @@ class SparseSolver:
         self._matrix.assemble()
         self._b.array[:] = b
         with defaults({**DIRECT, "pc_type": "lu"}):
-            self._ksp.solve(self._b, self._x)
+            solve_linear(self._ksp, self._b, self._x)
         if self._ksp.getConvergedReason() <= 0:
             return np.full(self._size, np.nan)
         return self._x.array_r.copy()
