@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from forms import HolonomicCoulomb, IncrementalCoulomb, KelvinVoigt, LawError, LinearElastic, Maxwell, VonMises
+from forms import (
+    Anisotropic,
+    HolonomicCoulomb,
+    IncrementalCoulomb,
+    KelvinVoigt,
+    LawError,
+    LinearElastic,
+    Maxwell,
+    VonMises,
+)
 from geometry import periodic, sandwich
 from tests.periodic_cases import laminate
-from thinlayer import Adaptive, SolveError, Structure, march, solve
+from thinlayer import Adaptive, ContactReport, SolveError, Structure, ThinLayer, march, solve
 from thinlayer.parts.compiled import CompiledPart
+from thinlayer.pointwise.material import Material
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.solvers import Solver
 
@@ -56,10 +66,13 @@ def test_a_body_that_is_held_all_around_and_heated(law):
     assert np.abs(state.u.x.array).max() < 1e-12 * 1e-3
 
 
-def test_a_cell_that_is_loose_is_still_told():
-    """Half the cell hangs on nothing: a layer without stiffness against sliding, beside the test of a mean strain."""
-    with pytest.raises((SolveError, LawError)):
-        solve(Structure(sandwich(2.0, 1.0, 0.5, 0.5), body=Maxwell(LMBDA, MU, TAU), supports={"LEFT": {"y": 0.0}}).bonded())
+def test_a_body_that_nothing_holds_is_still_told():
+    """A perfectly sliding layer, and a load along it."""
+    supports = {"BOTTOM": 0.0, "TOP": {"y": 0.0}}
+    structure = Structure(sandwich(2.0, 1.0, 0.5, 0.5), body=LinearElastic(LMBDA, MU), supports=supports,
+                          tractions={"TOP": (1.0, 0.0)})  # fmt: skip
+    with pytest.raises(SolveError, match="no unique solution"):
+        solve(structure.interface(ThinLayer(Anisotropic(np.diag([60.0, 60.0, 60.0, 0.0, 0.0, 0.0])), 0.1)))
 
 
 # ---------------------------------------------------------------- forces vanish
@@ -80,7 +93,7 @@ def test_bodies_that_shrink_away_from_each_other(kind, method, unit, initial):
     state = solve(structure.interface(law), method=method)
     largest = np.abs(state.u.x.array.reshape(-1, 2)[:, 1]).max()
     assert largest == pytest.approx((1 + NU) * 1e-3 * 6.0, rel=1e-8)  # of the upper side of S, from TOP
-    assert state.audit.total == pytest.approx(0.0, abs=1e-12 * 1e4 * unit * 1e-6 * 100)
+    assert np.abs(ContactReport(state).normal_force) < 1e-9 * 1e4 * unit * 1e-3 * 10.0
 
 
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton"])
@@ -106,12 +119,15 @@ def sheet(supports, law=IDEAL, grows=False):
 
 
 @pytest.mark.parametrize("grows", [False, True])
-@pytest.mark.parametrize("supports", [{"BOTTOM": 0.0}, {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}], ids=["clamped", "free"])
+@pytest.mark.parametrize(
+    "supports", [{"BOTTOM": 0.0}, {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}], ids=["clamped", "free"]
+)
 def test_a_first_step_far_beyond_yield(supports, grows):
     """In one step or in short ones: the loads are far from a limit, and the answer is nearly the same."""
     model = sheet(supports, grows=grows)
     once = march(model, [1.0]).last
-    assert once.audit.imbalance == pytest.approx(0.0, abs=1e-8)
+    audit, worked = once.audit, Y * 2e-3 * 60.0
+    assert abs(audit.supplied - audit.stored - audit.dissipated - audit.remainder) < 1e-8 * worked
     if grows:
         often = march(model, Adaptive(end=1.0, first=0.25, tolerance=1e-2)).last
         assert np.abs(once.u.x.array - often.u.x.array).max() < 0.05 * np.abs(once.u.x.array).max()
@@ -158,8 +174,6 @@ def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):
 
 def test_tangents_far_beyond_yield_are_symmetric():
     """What condensing leaves of the stiffness is symmetric to rounding of its own size, up to strains of 1e6."""
-    from thinlayer.pointwise.material import Material
-
     material = Material(MPI.COMM_SELF, IDEAL.plane_stress())
     random = np.random.default_rng(3)
     e = random.normal(size=(200, 3)) * 10.0 ** random.uniform(-4, 6, (200, 1))

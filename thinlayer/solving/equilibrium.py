@@ -203,12 +203,14 @@ class Equilibrium:
     def _displacements_at_play(self, x: PETSc.Vec) -> float:
         """Largest displacement with which the rounding of a solution x is compared.
 
-        x itself may be only rounding: where loads end at zero, in a uniform cell under a mean strain, or where supports hold
-        all that strains on heating. Then the displacements count that are known before the step, and those that the forces
+        x itself may be only rounding: where loads end at zero, in a uniform cell under a mean strain, or where supports
+        hold all that would expand. Then the displacements count that are known before the step, and those that the forces
         of the step cause against the mean stiffness.
         """
         scale, n = self.equations.scale, x.getSize()
-        of_forces = scale.forces / (self.equations.mean_stiffness * math.sqrt(n)) if self.equations.mean_stiffness else 0.0
+        of_forces = (
+            scale.forces / (self.equations.mean_stiffness * math.sqrt(n)) if self.equations.mean_stiffness else 0.0
+        )
         return max(_largest(x), scale.displacement, of_forces)
 
     def _relative(self, r: PETSc.Vec) -> float:

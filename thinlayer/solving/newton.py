@@ -46,9 +46,7 @@ RUN_AWAY = 1e6  # largest displacements, relative to those of the first step, fo
 Reason = PETSc.SNES.ConvergedReason
 
 
-def newton(
-    equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bool, advice: str
-) -> tuple[int, float]:
+def newton(equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bool, advice: str) -> tuple[int, float]:
     """Solve for x, from displacements that satisfy the supports; returns steps and relative residual. Collective.
 
     Args:
@@ -59,7 +57,8 @@ def newton(
         advice: further things to try, for the error.
 
     Raises:
-        SolveError: no convergence. PETSc.Error: PETSc has failed. What the equations raise, as a LawError. OptionError: a method of PETSc's that does not use our convergence test.
+        SolveError: no convergence. OptionError: a method of PETSc's that does not use our convergence test.
+        PETSc.Error: PETSc itself has failed. Errors of the equations, such as a LawError, as they were raised.
     """
     largest = RUN_AWAY * _largest(x)
     residuals: list[float] = []
