@@ -134,21 +134,26 @@ def test_a_first_step_far_beyond_yield(supports, grows):
 
 
 def test_a_step_that_fails_in_a_callback_leaves_all_usable(monkeypatch):
-    """The third evaluation of the tangent fails in every long step: these are halved, and vectors are not locked."""
-    calls = 0
-    tangents = CompiledPart.tangents
+    """Long steps fail from their third tangent on, which PETSc asks for: they are halved, and no vector is locked."""
+    calls, tangents, begin = 0, CompiledPart.tangents, CompiledPart.begin
+
+    def beginning(self, interval):
+        nonlocal calls
+        calls = 0
+        begin(self, interval)
 
     def failing(self, relative_residual):
         nonlocal calls
         calls += 1
-        if self.interval.dt > 0.3 and calls % 3 == 0:
+        if self.interval.dt > 0.3 and calls >= 3:
             raise SolveError("made to fail")
         return tangents(self, relative_residual)
 
+    monkeypatch.setattr(CompiledPart, "begin", beginning)
     monkeypatch.setattr(CompiledPart, "tangents", failing)
     history = march(sheet({"BOTTOM": 0.0}, grows=True), [1.0])
+    assert np.diff(history.t)[0] <= 0.3
     assert history.last.t == 1.0
-    assert len(history) > 3
 
 
 def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):

@@ -169,7 +169,7 @@ class Equilibrium:
         residual, first = self._relative(r), True
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
-            self._solve_linear(r, d)
+            solve_linear(ksp, r, d)
             size, change = self._displacements_at_play(x), _largest(d)
             if first and direct and change > UNDETERMINED * size:
                 share = f"by a share of {change / size:.1e}" if size else f"by {change:.1e}"
