@@ -1,4 +1,4 @@
-"""Bodies whose flow keeps volumes: limit loads in axisymmetry and on quadrilaterals, and strains that are no longer small."""
+"""Bodies whose flow keeps volumes: limit loads in axisymmetry and on quadrilaterals, and strains that are not small."""
 
 import math
 import warnings
