@@ -36,6 +36,7 @@ class Traits:
         constrained: the trace of the strain is zero, and the pressure is a separate unknown field.
         bounded: the stress is bounded in some direction, so there may be a limit load.
         singular: the tangent may be singular for some strains; Newton's method adds a Levenberg-Marquardt term.
+        isochoric: the law flows without a change of volume, which elements must not prevent.
         softens: the stress falls as strains grow, so strains in a meshed layer would localise.
         plateau: strains across the layer may grow at constant stress, so they may be non-uniform through the layer.
         varies: parameters vary along the layer or in time; the law's `at` gives their values.
@@ -61,6 +62,7 @@ class Traits:
     constrained: bool = trait(any)
     bounded: bool = trait(any)
     singular: bool = trait(any)
+    isochoric: bool = trait(any)
     softens: bool = trait(any)
     plateau: bool = trait(any)
     varies: bool = trait(any)

@@ -55,6 +55,7 @@ class VonMises(KernelLaw):
     isotropic: ClassVar = True
     quadratic: ClassVar = True
     bounded: ClassVar = True
+    isochoric: ClassVar = True
     source: ClassVar = Path(__file__).with_name("von_mises.c")
     stiffness = isotropic_stiffness
 

@@ -31,6 +31,8 @@ class Term:
             eigenstrain. An expression of place and time; None: none is.
         key: name of what the law remembers and stores, where several layers have names; "": by kind and order.
         kinematics: those of the strain.
+        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar), of
+            compiled laws over cells; None: it is that of the displacements.
     """
 
     law: BulkLaw
@@ -41,6 +43,7 @@ class Term:
     given: Expr | None = None
     key: str = ""
     kinematics: Kinematics = LIFTED
+    volume: int | None = None
 
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""
@@ -93,9 +96,9 @@ class Interface:
         return self.upper(v) - self.lower(v)
 
 
-def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED) -> Term:
-    """A law in the volume of a body; the law is that of these kinematics (`Kinematics.law`)."""
-    return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics)
+def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED, volume: int | None = None) -> Term:
+    """A law in the volume of a body; the law is that of these kinematics (`Kinematics.law`), `volume` as in `Term`."""
+    return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, volume=volume)
 
 
 def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = LIFTED) -> Term:

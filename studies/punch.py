@@ -38,7 +38,7 @@ def run(record: Record, *, eps: Sequence[float] = (1 / 16, 1 / 32, 1 / 64, 1 / 1
     """Three problems.
 
     punch.csv: a rough, rigid punch, half of it, is pushed into a block of ideally plastic metal: its mean pressure against
-    (2 + pi) k, by mesh refinement. Triangles of degree 2: on squares of degree 2 the error is twice as large.
+    (2 + pi) k, by mesh refinement.
     cylinder.csv: an incompressible (nu = 0.499) cylinder under pressure from inside, partly plastic, in plane strain and
     axisymmetric, against the closed form: displacements inside and outside, and the radial stress on S, a bond that is
     next to rigid.

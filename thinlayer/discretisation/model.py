@@ -17,7 +17,7 @@ from dolfinx import fem
 from forms import work as forms
 from forms.contact import ContactLaw
 from forms.kinematics import Expr
-from forms.law import Law
+from forms.law import BulkLaw, Law
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.splitting import Splitting
@@ -170,7 +170,10 @@ class Model(ABC):
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
-        each = [replace(forms.body(law, one, self.kinematics), key=key, given=given) for key, one in cells.items()]
+        volume = self._volume(law)
+        each = [
+            replace(forms.body(law, one, self.kinematics, volume), key=key, given=given) for key, one in cells.items()
+        ]
         return [placed(term, self.V, self.origin) for term in each]
 
     def _terms_of_layers(self) -> list[forms.Term]:
@@ -313,6 +316,15 @@ class Model(ABC):
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
+
+    def _volume(self, law: BulkLaw) -> int | None:
+        """Degree of the volume strain in each cell of a body that flows without a change of volume (`Term.volume`).
+
+        It is one below that of the displacements, as on straight triangles and tetrahedra in any case. Other elements have
+        more volume strains than that, which the flow would have to keep at zero: they lock (Sloan and Randolph 1982).
+        """
+        straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
+        return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
         """The terms of layers, of meshed ones with the mean strain of a periodic cell."""

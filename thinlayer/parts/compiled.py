@@ -128,7 +128,7 @@ class CompiledPart(Part):
             worked = float(self.points.forces(response.stress).dot(change)) + supplied
             remainder = worked - (after - before) - dissipated
             change.destroy()
-        stress = response.stress
+        stress = self.points.balanced(response.stress)
         if interval.theta < 1:  # forces balance within the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
         energies = before, float(after), float(dissipated), float(remainder)

@@ -19,6 +19,7 @@ from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.mean_volume import MeanVolume
 from thinlayer.pointwise.quadrature import Origin, Quadrature
 
 # Size of a tangent below which underflow may have cost digits.
@@ -65,21 +66,25 @@ class CompiledTerm(Quadrature):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
         super().__init__(V, term, origin)
-        self._strain_matrix(V)
-        self.B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
+        self.B = B = self._strain_matrix(V)
+        B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
+        self._volume = None if term.volume is None else MeanVolume(self, term.volume)
+        if self._volume:
+            self.B = self._volume.matrix(B)
+        self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = Material(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
         self._at_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
-    def _strain_matrix(self, V: fem.FunctionSpace) -> None:
-        """B: displacements -> strains at the points (m rows each); assembled once, as strains are linear."""
+    def _strain_matrix(self, V: fem.FunctionSpace) -> PETSc.Mat:
+        """B: displacements -> strains at the points (m rows each), unprojected; assembled once, as strains are linear."""
         W = self._space((len(self.slots),))
         du, q = ufl.TrialFunction(V), self.region.side(ufl.TestFunction(W))
         rows = _components(self.term.strain(du), self.slots)
         form = fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
-        self.B = dolfinx.fem.petsc.assemble_matrix(form)
-        self.B.assemble()
-        self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
+        B = dolfinx.fem.petsc.assemble_matrix(form)
+        B.assemble()
+        return B
 
     def form_of(self, strain: Expr) -> fem.Form:
         """A form from which `values_of` computes the values of a strain (3, 3) at the points."""
@@ -88,9 +93,14 @@ class CompiledTerm(Quadrature):
         return fem.form(ufl.inner(rows, q) * self.measure, entity_maps=self.region.maps)
 
     def values_of(self, form: fem.Form) -> Array:
-        """Values (points, m) of the strain of a form, with the present values of its constants."""
+        """Strains (points, m) of a form, with the present values of its constants, as the law gets them."""
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
-        return np.asarray(values / self._integrals[:, None])
+        strains = np.asarray(values / self._integrals[:, None])
+        return self._volume.projected(strains) if self._volume else strains
+
+    def balanced(self, stress: Array) -> Array:
+        """The stresses (points, m) that do the same work in the strains of displacements, unprojected, as `stress` here."""
+        return self._volume.projected(stress) if self._volume else stress
 
     def _vector(self, values: Array) -> PETSc.Vec:
         """A vector over the rows of B."""

@@ -25,6 +25,7 @@ from thinlayer.parallel.communicator import communicator
 from thinlayer.pointwise.columns import Columns
 
 Array = npt.NDArray[np.float64]
+DIAGONAL = (0, 1, 2)  # Mandel components whose sum is the trace
 KINDS = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
@@ -162,6 +163,8 @@ class Quadrature:
     def slots(self) -> list[int]:
         """Mandel components that strains may have here; the others are zero."""
         given, of_strains = self.term.given, self.term.kinematics.slots(self.dim)
+        if self.term.volume is not None:
+            of_strains = (*of_strains, *DIAGONAL)
         return [
             k
             for k, pair in enumerate(MANDEL)

@@ -14,6 +14,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.pressure import LEAST_ERROR, warn_of_free_ends, warn_of_pressure
+from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 
 LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
@@ -38,7 +39,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
-    """Warn of an interface model's results that lie outside the range of its law, once for all of them. Collective.
+    """Warn of results that lie outside the range of small strains or of interface laws, once for all. Collective.
 
     Args:
         states: of one model.
@@ -47,6 +48,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     if not states:
         return
     model = states[0].model
+    warn_of_strains(states)
     for one in _thin(model):
         found = [faces for faces in (Faces.of(state, one) for state in states) if faces]
         if not found:

@@ -63,7 +63,7 @@ def solve(
             thickness; it saves "condensed" and "multigrid" Newton steps, the other methods do not use it.
 
     Warns:
-        RangeWarning: an interface model, or its result, is outside the range of its law.
+        RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not small.
 
     Raises:
         SolveError: no convergence, or no unique solution; LooseBody if a body can be named that nothing holds.

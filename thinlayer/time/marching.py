@@ -11,10 +11,11 @@ import numpy as np
 
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.errors import ModelError
+from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import owned
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
+from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import Solver, comm_of, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
@@ -79,7 +80,8 @@ def march(
         options, method: of the solver, see `solve`.
 
     Warns:
-        RangeWarning: as in `solve`; for the states that are kept, once, at the end. Or a resumed march has passed one of
+        RangeWarning: as in `solve`; for the states that are kept, once, at the end, of strains of bodies also where the
+            march fails. Or a resumed march has passed one of
             the times without a step that ended there.
 
     Raises:
@@ -110,7 +112,11 @@ def march(
         require_time_scale(solver.equations, theta, [start, *plan.targets])
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
         warn_of_model(model, plan.lasting(start))
-        history = TimeStepping(solver, journal, plan, start, theta).run(resume)
+        try:
+            history = TimeStepping(solver, journal, plan, start, theta).run(resume)
+        except SolveError as error:
+            warn_of_strains(list(error.history or ()))
+            raise
     warn_of_states(list(history), start)
     return history
 
