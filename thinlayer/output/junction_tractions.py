@@ -24,6 +24,7 @@ from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State, transfer
+from thinlayer.output.seam_tractions import NO_JUMP
 from thinlayer.output.surface_mass import SurfaceMass, contact_forces, nodal_forces, reaction
 from thinlayer.parallel.exchange import ask
 
@@ -31,7 +32,6 @@ Mask = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance of the solver for the tractions whose forces are the reactions
 MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
-NO_JUMP = 1e-12  # jump, relative to the largest displacement, that counts as zero
 
 
 class JunctionTractions:
