@@ -18,7 +18,8 @@ class Incompressible(LinearLaw):
     """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
     As a layer's law: [u_N] = 0, t_N = p free, t_T = mu [u_T]. The paper gives only the constraint, Eqs. (25)-(29). It is
-    not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in the meshed layer and on S.
+    not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in the meshed layer and on S. The law of
+    order 1 is that of `Rubber` for lmbda to infinity: a slope of p squeezes the layer along S.
 
     Attributes:
         mu: shear modulus, stress (in a layer: stress per thickness); > 0.
@@ -30,6 +31,7 @@ class Incompressible(LinearLaw):
     mu: float
     powers: ClassVar = {"mu": 1}
     constrained: ClassVar = True
+    volume_compliance: ClassVar = 0.0
 
     def check(self) -> None:
         positive(self, "mu")
@@ -40,7 +42,7 @@ class Incompressible(LinearLaw):
 
     def plane_stress(self) -> LinearElastic:
         """Not constrained in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
-        return LinearElastic(2 * self.mu, self.mu)
+        return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return 2 * float(self.mu) * np.eye(6)

@@ -7,6 +7,7 @@ from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, LawError, Step, choice
 from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, MohrCoulombReturn
+from forms.rubber import Rubber
 from forms.series import Stack
 from forms.temperature import Tabulated
 from forms.traction import JumpStep, TractionLaw
@@ -33,6 +34,7 @@ __all__ = [
     "NonMonotone",
     "NonMonotoneUnrelaxed",
     "Norton",
+    "Rubber",
     "Stack",
     "Step",
     "Tabulated",

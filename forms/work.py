@@ -33,6 +33,7 @@ class Term:
         kinematics: those of the strain.
         volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar), of
             compiled laws over cells; None: it is that of the displacements.
+        flow: of a law with a pressure on S at order 1, eps^3/(12 mu): flux along S over the slope of the pressure; else 0.
     """
 
     law: BulkLaw
@@ -44,6 +45,7 @@ class Term:
     key: str = ""
     kinematics: Kinematics = LIFTED
     volume: int | None = None
+    flow: Any = 0
 
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""
@@ -133,6 +135,9 @@ def surface(
     e1 = `BulkLaw.gradient` of sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the
     thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
 
+    Laws with a pressure have at order 1 the strain e0 of weight eps, the strain sym(grad_S [u]) of weight eps/12 with their
+    law of plane stress, as the faces' difference does not change the tractions, and the pressure's flow along S.
+
     Args:
         law: the law, with real parameters.
         sides: the sides of S.
@@ -150,15 +155,27 @@ def surface(
     if order == 0:
         return [Term(law, jump_part, kinematics.factor * eps, sides.measure, sides.n, kinematics=kinematics)]
 
+    def along(u: Expr) -> tuple[Expr, Expr]:
+        upper, lower = (kinematics.along(u, side, sides.n) for side in (sides.upper, sides.lower))
+        return (upper + lower) / 2, upper - lower
+
+    def term(law: BulkLaw, strain: Callable[[Expr], Expr], share: float, flow: Any = 0) -> Term:
+        weight = kinematics.factor * eps * share
+        return Term(law, strain, weight, sides.measure, sides.n, kinematics=kinematics, flow=flow)
+
+    if law.traits.constrained:
+        flow = eps**3 / (12 * law.parameters()["mu"])
+        sheet = law.plane_stress()
+        return [term(law, lambda u: jump_part(u) + along(u)[0], 1, flow), term(sheet, lambda u: along(u)[1], 1 / 12)]
+
     def at(z: float) -> Callable[[Expr], Expr]:
         def point_strain(u: Expr) -> Expr:
-            upper, lower = (kinematics.along(u, side, sides.n) for side in (sides.upper, sides.lower))
-            return jump_part(u) + (upper + lower) / 2 + z * relaxed.gradient(upper - lower, sides.n)
+            mean, difference = along(u)
+            return jump_part(u) + mean + z * relaxed.gradient(difference, sides.n)
 
         return point_strain
 
-    weight = kinematics.factor * eps / 2
-    return [Term(law, at(z), weight, sides.measure, sides.n, kinematics=kinematics) for z in GAUSS]
+    return [term(law, at(z), 1 / 2) for z in GAUSS]
 
 
 def stress(term: Term, u: Expr) -> Expr:

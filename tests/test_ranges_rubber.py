@@ -11,7 +11,8 @@ from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, solve
-from thinlayer.ranges.pressure import free_rim, pressure_length
+from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.ranges.pressure import pressure_length
 from thinlayer.ranges.sublayers import Sublayer
 
 

@@ -62,7 +62,7 @@ class AtRest:
     def require_no_locking(self) -> None:
         """Raise ModelError for laws of order 1 that would lock because displacements are linear through the layer."""
         _, law, C = self.sublayers[0]
-        if law.traits.relaxes or C is None:
+        if law.traits.relaxes or law.traits.constrained or C is None:
             return
         lmbda, mu = average_lame(C)
         if lmbda > LOCKING * mu:

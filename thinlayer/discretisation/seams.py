@@ -128,6 +128,11 @@ class SeamLayer:
             one.at_rest.require_stable()
 
     def _check_order_1(self) -> None:
+        if self.thin and self.thin.law.traits.constrained and self.structure.plane == "stress":
+            raise ModelError(
+                f"order=1 of {type(self.thin.law).__name__} in plane stress: no pressure builds up in a sheet; use "
+                "LinearElastic or order=0"
+            )
         if self.structure.degree != 2:
             element = self.structure.element
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from forms.work import Term
 from thinlayer.discretisation.contact_nodes import ContactSurface
+from thinlayer.discretisation.free_rim import free_of_pressure
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms
@@ -20,7 +21,7 @@ from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
-from thinlayer.parts.pressure import PressurePart
+from thinlayer.parts.pressure import PressurePart, has_flow
 
 
 def body_parts(model: Model) -> list[Part]:
@@ -51,7 +52,8 @@ def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         diagonal.destroy()
         if not largest:  # no law of the bodies is linear, or compiled
             largest = max(part.largest_at_rest() for part in bodies if isinstance(part, LawForms))
-        parts += [PressurePart(model.V, p, largest, model.origin, key, some) for key, (p, some) in pressures.items()]
+        for key, (p, some) in pressures.items():
+            parts.append(PressurePart(model.V, p, largest, model.origin, key, some, _free(model, p)))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts + [addition.part(model) for addition in model.parts]
@@ -72,6 +74,14 @@ def diagonal_at_rest(parts: Sequence[Part]) -> PETSc.Vec:
         first.axpy(1.0, other)
         other.destroy()
     return first
+
+
+def _free(model: Model, term: Term) -> npt.NDArray[np.float64] | None:
+    """Vertices of S where the pressure of a layer of order 1 is zero; None for other terms."""
+    if not has_flow(term):
+        return None
+    one = next(one for one in model.layers.values() if one.key == term.key)
+    return model.domain.joint.points[np.unique(free_of_pressure(model, one).vertices)]
 
 
 def _constrained(terms: Iterable[Term]) -> dict[str, tuple[Term, list[Term]]]:

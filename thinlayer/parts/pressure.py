@@ -1,4 +1,4 @@
-"""The pressure of an incompressible layer: a field on the cells of the meshed layer, or on S."""
+"""The pressure of an incompressible or rubbery layer: a field on the cells of the meshed layer, or on S."""
 
 from __future__ import annotations
 
@@ -6,23 +6,32 @@ from collections.abc import Sequence
 
 import dolfinx.fem.petsc
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
+from scipy.spatial import cKDTree
+from ufl.algorithms.analysis import extract_constants
+from ufl.classes import Zero
 
+from forms.kinematics import Expr
 from forms.work import Term
 from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.state import PRESSURE, Configuration
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.quadrature import Origin, Region
 
+SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
+
 
 class PressurePart(Part):
-    """int q tr e = 0 for all pressures q, continuous of degree 1, beside displacements of degree 2.
+    """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all pressures q of degree 1, beside displacements of degree 2.
 
-    The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room.
+    The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room. c is the
+    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). On its free ends p is
+    then zero.
 
-    In the meshed layer this is the pair of Taylor and Hood. On S a multiplier of degree 1 meets jumps of degree 2.
+    In the meshed layer this is the pair of Taylor and Hood. On S a pressure of degree 1 meets jumps of degree 2.
 
     Args:
         V: space of the displacements.
@@ -31,12 +40,14 @@ class PressurePart(Part):
             residuals of both kinds have one unit.
         origin: original numbers of the cells of the mesh, for files.
         key: of the pressure, among the fields of states.
-        parts: terms with given strains, of which `term` is made up; by default the term alone.
+        parts: the terms of which `term` is made up, each with its law and given strains; by default the term alone.
+        free: (n, d) vertices of S where p is zero.
 
     Attributes:
         region: the cells of the meshed layer, or S.
         unit: factor of G; `field` is the pressure divided by it.
         G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
+        C: matrix of int c p q and int_S f grad_S p . grad_S q, times the square of `unit`; None: both are zero.
     """
 
     traits = PartTraits(saddle=True, weakens=True)
@@ -50,6 +61,7 @@ class PressurePart(Part):
         origin: Origin | None = None,
         key: str = PRESSURE,
         parts: Sequence[Term] | None = None,
+        free: Array | None = None,
     ) -> None:
         self.key, self._origin = key, origin
         self.region = region = Region(V.mesh, term.measure)
@@ -61,6 +73,8 @@ class PressurePart(Part):
         self.G.assemble()
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
         self.G.scale(self.unit)
+        self.C = self._compliance(space, parts or [term])
+        self._zero = _at_places(space, free) if free is not None and len(free) else np.empty(0, np.int64)
         strained = [p for p in parts or [term] if p.given is not None]
         self._over = OverStep(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
@@ -68,6 +82,47 @@ class PressurePart(Part):
         self._turned = PETSc.Mat()
         self.G.transpose(self._turned)
         self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
+        self._squeezed = self.G.createVecLeft()
+        self._filled: Array | None = None
+
+    def _compliance(self, space: fem.FunctionSpace, parts: Sequence[Term]) -> PETSc.Mat | None:
+        region, p, q = self.region, ufl.TrialFunction(space), ufl.TestFunction(space)
+        volumes, forms = [ufl.as_ufl(one.law.volume_compliance) for one in parts], []
+        if not all(isinstance(c, Zero) for c in volumes):
+            both = region.side(p) * region.side(q)
+            forms.append(sum(c * both * one.weight * one.measure for c, one in zip(volumes, parts, strict=True)))
+        if has_flow(parts[0]):  # on S, where there is one term: gradients of functions of its mesh are along S
+            flow = _on(region, parts[0].flow) * parts[0].kinematics.on(region.mesh).factor
+            forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
+        matrices = [dolfinx.fem.petsc.assemble_matrix(fem.form(one, entity_maps=region.maps)) for one in forms]
+        for matrix in matrices:
+            matrix.assemble()
+        if not matrices:
+            return None
+        C, *others = matrices
+        for other in others:
+            C.axpy(1.0, other)
+            other.destroy()
+        C.scale(self.unit**2)
+        return C
+
+    def _before(self) -> Array:
+        """Pressures of this rank before the step, in the units of `field`; zero at rest."""
+        return self.own_start(self.interval.old)
+
+    def _end(self) -> Array:
+        """Pressures of this rank at the end of the step, in the units of `field`."""
+        theta, p = self.interval.theta, self._p.x.array[: self.own_size]
+        return np.asarray(p if theta == 1 else (p - (1 - theta) * self._before()) / theta)
+
+    def _squeeze(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
+        """C p and p . C p, for pressures of this rank. Collective."""
+        v = self._squeezed.duplicate()
+        v.array[:] = p
+        C.mult(v, self._squeezed)
+        work = float(v.dot(self._squeezed))
+        v.destroy()
+        return self._squeezed.array_r.copy(), work
 
     def begin(self, interval: Interval) -> None:
         super().begin(interval)
@@ -88,6 +143,7 @@ class PressurePart(Part):
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self.G.mult(u.x.petsc_vec, self._volume)
+        self._filled = None if self.C is None else self._squeeze(self.C, self._end())[0]
 
     def add_forces(self, out: PETSc.Vec) -> float:
         self.G.multTranspose(self._p.x.petsc_vec, self._forces)
@@ -95,18 +151,32 @@ class PressurePart(Part):
         return 0.0
 
     def own_residual(self) -> Array:
-        return np.asarray(self._volume.array_r + self._given)
+        room = self._volume.array_r + self._given
+        return np.asarray(room if self._filled is None else room - self._filled)
+
+    def own_held(self, t: float | None) -> tuple[npt.NDArray[np.int64], Array]:
+        """At free ends the pressure of a law with flow is zero."""
+        return self._zero, np.zeros(len(self._zero))
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        return [
+        blocks = [
             Block(self._turned, row=DISPLACEMENTS, column=self.key, kept=True),
             Block(self.G, row=self.key, column=DISPLACEMENTS, kept=True),
         ]
+        if self.C is not None:
+            factor = -1 / self.interval.theta
+            blocks.append(Block(self.C, factor=factor, row=self.key, column=self.key, kept=True))
+        return blocks
 
     def commit(self) -> Outcome:
-        """As in `Part`; the pressure of a constraint does no work but in given strains, which displacements follow."""
+        """As in `Part`; the pressure does work in given strains, which displacements follow, and stores energy in C."""
         self._volume.array[:] = self._growth
-        return Outcome(kept=False, supplied=float(self._volume.dot(self._p.x.petsc_vec)))
+        supplied = float(self._volume.dot(self._p.x.petsc_vec))
+        if self.C is None:
+            return Outcome(kept=False, supplied=supplied)
+        new, old = self._end(), self._before()
+        before, after, lost = (self._squeeze(self.C, p)[1] / 2 for p in (old, new, new - old))
+        return Outcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
 
     def own_start(self, old: Configuration) -> Array:
         p = old.fields.get(self.key)
@@ -116,8 +186,9 @@ class PressurePart(Part):
         """The pressure at the end of the step; `field` is the one at old.t + theta dt."""
         p, old, theta = self._p.copy(), self.interval.old.fields.get(self.key), self.interval.theta
         p.x.array[:] *= self.unit
-        if theta < 1 and old is not None:
-            p.x.array[:] = (p.x.array - (1 - theta) * old.x.array) / theta
+        if theta < 1 and (old is not None or self.C is not None):
+            before = 0.0 if old is None else old.x.array
+            p.x.array[:] = (p.x.array - (1 - theta) * before) / theta
         return p
 
     @property
@@ -129,5 +200,26 @@ class PressurePart(Part):
         return FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
 
     def destroy(self) -> None:
-        for thing in (self.G, self._turned, self._volume, self._forces):
-            thing.destroy()
+        for thing in (self.G, self.C, self._turned, self._volume, self._forces, self._squeezed):
+            if thing is not None:
+                thing.destroy()
+
+
+def has_flow(term: Term) -> bool:
+    """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
+    return not isinstance(ufl.as_ufl(term.flow), Zero)
+
+
+def _on(region: Region, constant: Expr) -> Expr:
+    """An expression of constants of the parent mesh as one of constants of the region's mesh."""
+    known = {one: fem.Constant(region.mesh, one.value) for one in extract_constants(ufl.as_ufl(constant))}
+    return ufl.replace(constant, known)
+
+
+def _at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
+    """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d)."""
+    owned = space.dofmap.index_map.size_local
+    x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]
+    distance, _ = cKDTree(places).query(x)
+    size = float(np.ptp(places, axis=0).max(initial=0.0)) + float(np.abs(places).max(initial=0.0))
+    return np.flatnonzero(distance <= SAME_PLACE * max(size, 1e-300)).astype(np.int64)

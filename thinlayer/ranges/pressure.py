@@ -9,10 +9,8 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from geometry.seam import LAYER, S
-from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray
-from thinlayer.discretisation.axis import on_axis
+from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
@@ -24,25 +22,6 @@ LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter length, relative to eps, changes ju
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
 LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
-
-
-def free_rim(model: Model, sheet: Sheet) -> Rim:
-    """The part of the rim of a seam where the layer's side is free: no support of the whole side holds it along S.
-
-    Where S meets an axis of revolution it does not end.
-    """
-    rim, supports = sheet.rim, model.supports
-    held = np.zeros(rim.outward.shape)
-    held[on_axis(model.kinematics, sheet.joint)[rim.vertices].all(axis=1)] = 1.0
-    for place, components in supports.entries:
-        name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
-        if name in (S, *model.joint.seams) or name not in model.joint.facets:  # a vertex, or the side of one body
-            continue
-        axes = [supports.axes.index(axis) for axis in components if axis in supports.axes] or [
-            *range(len(supports.axes))
-        ]
-        held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
-    return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
 
 
 def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> None:

@@ -55,7 +55,7 @@ class Sublayer:
     def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Sublayer | None:
         """A sublayer from the tangent C at rest; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
-        if law.traits.constrained:
+        if law.traits.constrained and not law.parameters().get("lmbda"):
             held = np.outer(VOLUME, VOLUME) * np.abs(C).max() * BULK_MODULUS
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))

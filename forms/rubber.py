@@ -1,0 +1,62 @@
+"""Rubbery layers: nearly incompressible elasticity with a pressure field."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame
+from forms.kinematics import Expr
+from forms.law import Step, positive, require
+
+
+@dataclass(frozen=True)
+class Rubber(LinearLaw):
+    """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
+
+    The same material as `LinearElastic`, and no worse where lmbda/mu is large: the volume of the layer is held by a field p
+    of degree 1, in the meshed layer and on S. As an interface law of order 1 (`ThinLayer(order=1)`) p is a field in H1 on S,
+    which spreads along S over the length eps sqrt(lmbda/(12 mu)) as the layer is squeezed, and falls to zero at free ends:
+
+        (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = [u_N] + eps div_S <u>,
+
+    beside the shear of the layer (`forms.work.surface`). Its error is O(eps^2) for all Poisson's ratios in (0, 1/2).
+
+    Attributes:
+        lmbda: first Lame modulus, stress (in a layer: stress per thickness); > 0.
+        mu: shear modulus, likewise; > 0.
+
+    Raises:
+        LawError: a modulus out of range.
+    """
+
+    lmbda: float
+    mu: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1}
+    constrained: ClassVar = True
+    takes_fields: ClassVar = False
+    stiffness = isotropic_stiffness
+
+    @classmethod
+    def shear(cls, mu: float, nu: float) -> Rubber:
+        """The law with shear modulus mu > 0 (stress; in a layer per thickness) and Poisson's ratio 0 < nu < 1/2."""
+        return cls(LinearElastic.shear(mu, nu).lmbda, mu)
+
+    def check(self) -> None:
+        hint = "> 0 (for other layers there is LinearElastic)"
+        require(math.isfinite(self.lmbda) and self.lmbda > 0, self, "lmbda", self.lmbda, hint)
+        positive(self, "mu")
+
+    def stress(self, step: Step) -> Expr:
+        """The stress without p I."""
+        return lame(0, self.mu, step.mid)
+
+    @property
+    def volume_compliance(self) -> Expr:
+        return 1 / self.lmbda
+
+    def plane_stress(self) -> LinearElastic:
+        return LinearElastic(1.0, 1.0).with_parameters(
+            {"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu), "mu": self.mu}
+        )

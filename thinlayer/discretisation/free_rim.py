@@ -1,0 +1,51 @@
+"""Free ends of a layer: where its side is held by no support."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from geometry.seam import LAYER, S
+from geometry.sheet import Rim, Sheet
+from thinlayer.discretisation.axis import on_axis
+from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import SeamLayer
+
+
+def free_rim(model: Model, sheet: Sheet) -> Rim:
+    """The part of the rim of a seam where the layer's side is free: no support of the whole side holds it along S.
+
+    Where S meets an axis of revolution it does not end.
+    """
+    rim, supports = sheet.rim, model.supports
+    held = np.zeros(rim.outward.shape)
+    held[on_axis(model.kinematics, sheet.joint)[rim.vertices].all(axis=1)] = 1.0
+    for place, components in supports.entries:
+        name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
+        if name in (S, *model.joint.seams) or name not in model.joint.facets:  # a vertex, or the side of one body
+            continue
+        axes = [supports.axes.index(axis) for axis in components if axis in supports.axes] or [
+            *range(len(supports.axes))
+        ]
+        held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
+    return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
+
+
+def pressure_length(one: SeamLayer) -> float:
+    """Length eps sqrt(lmbda/(12 mu)) over which the pressure of a law with a pressure falls to zero at free ends."""
+    assert one.thin
+    law = real_law(one.layer, one.structure.kinematics)
+    compliance = 12 * law.parameters()["mu"] * law.volume_compliance
+    return float(one.thin.eps) / math.sqrt(compliance) if compliance else math.inf
+
+
+def free_of_pressure(model: Model, one: SeamLayer) -> Rim:
+    """The free ends where the pressure of a layer of order 1 is zero: those whose cells resolve its fall (`pressure_length`).
+
+    Where cells are larger the pressure has no flow across the end instead, as if it were held: set to zero there, it would
+    be wrong over a whole cell.
+    """
+    rim = free_rim(model, one.sheet)
+    return rim[rim.depth <= pressure_length(one)]
