@@ -15,9 +15,9 @@ from forms.law import Step, positive, require
 class Rubber(LinearLaw):
     """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
 
-    The same material as `LinearElastic`, and no worse where lmbda/mu is large: the volume of the layer is held by a field p
-    of degree 1, in the meshed layer and on S. As an interface law of order 1 (`ThinLayer(order=1)`) p is a field in H1 on S,
-    which spreads along S over the length eps sqrt(lmbda/(12 mu)) as the layer is squeezed, and falls to zero at free ends:
+    The same material as `LinearElastic`. Here a pressure of degree 1 controls the volume, in the meshed layer and on S, so
+    that nothing locks as lmbda/mu grows. In the interface law of order 1 (`ThinLayer(order=1)`) p is a continuous field on
+    S. Between stiff bodies it spreads over the length eps sqrt(lmbda/(12 mu)), and it is zero at free ends:
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = [u_N] + eps div_S <u>,
 

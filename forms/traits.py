@@ -33,7 +33,7 @@ class Traits:
         quadratic: the stored energy is a quadratic function of strain and internal variables.
         rate: the stress depends on the strain rate, so strains cannot jump in time. Without this trait a law responds to a
             sudden load at once.
-        constrained: the pressure p is a separate unknown field; tr e = p times the law's `volume_compliance`, which may be 0.
+        constrained: the pressure p is a separate unknown field; tr e is p times the law's `volume_compliance`, perhaps 0.
         bounded: the stress is bounded in some direction, so there may be a limit load.
         singular: the tangent may be singular for some strains; Newton's method adds a Levenberg-Marquardt term.
         isochoric: the law flows without a change of volume, which elements must not prevent.

@@ -33,7 +33,7 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
     return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
 
 
-def pressure_length(one: SeamLayer) -> float:
+def fall_of_pressure(one: SeamLayer) -> float:
     """Length eps sqrt(lmbda/(12 mu)) over which the pressure of a law with a pressure falls to zero at free ends."""
     assert one.thin
     law = real_law(one.layer, one.structure.kinematics)
@@ -42,10 +42,10 @@ def pressure_length(one: SeamLayer) -> float:
 
 
 def free_of_pressure(model: Model, one: SeamLayer) -> Rim:
-    """The free ends where the pressure of a layer of order 1 is zero: those whose cells resolve its fall (`pressure_length`).
+    """The free ends where the pressure of a layer of order 1 is zero: cells there resolve its fall (`fall_of_pressure`).
 
-    Where cells are larger the pressure has no flow across the end instead, as if it were held: set to zero there, it would
-    be wrong over a whole cell.
+    Where cells are larger there is no flow across the end instead, as if it were held: a pressure of zero at the end would
+    be too small over a whole cell.
     """
     rim = free_rim(model, one.sheet)
-    return rim[rim.depth <= pressure_length(one)]
+    return rim[rim.depth <= fall_of_pressure(one)]

@@ -25,7 +25,8 @@ from geometry.joint import Joint, Profile
 from thinlayer.discretisation.eigenstrains import Given
 from thinlayer.errors import ModelError
 
-LAYER, CONTACT, BODY = "layer", "contact", "body"  # keys of what laws remember and store, in states and in files
+# keys of what laws remember and store, in states and in files
+LAYER, CONTACT, BODY, PRESSURE = "layer", "contact", "body", "pressure"
 BODIES = "bodies"  # name of all bodies together, beside the names of seams
 LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 

@@ -23,7 +23,7 @@ from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.at_rest import AtRest
 from thinlayer.discretisation.axis import is_across
 from thinlayer.discretisation.eigenstrains import given_strain
-from thinlayer.discretisation.layer import CONTACT, LAYER, LawOnS, Layer, ThinLayer, real_law
+from thinlayer.discretisation.layer import CONTACT, LAYER, PRESSURE, LawOnS, Layer, ThinLayer, real_law
 from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.setup import Setup
@@ -54,6 +54,16 @@ class SeamLayer:
         """
         kind = CONTACT if self.contact else LAYER
         return f"{kind} {self.name}" if len(self.structure.joint.seams) > 1 else kind
+
+    @property
+    def pressure_key(self) -> str:
+        """Key of the layer's pressure, where several seams have one."""
+        return PRESSURE + self.key.removeprefix(LAYER)
+
+    @property
+    def flows(self) -> bool:
+        """Whether the interface law is that of order 1 of a law with a pressure, which flows along S."""
+        return self.thin is not None and self.thin.order == 1 and self.thin.law.traits.constrained
 
     @property
     def thin(self) -> ThinLayer | None:

@@ -15,7 +15,7 @@ from dolfinx import fem
 from forms.kinematics import Expr, lift
 from forms.work import Term, energy
 from thinlayer.discretisation.given import added, at_time
-from thinlayer.discretisation.layer import BODIES, LAYER
+from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
 from thinlayer.discretisation.measures import compiled, compiled_scalars
@@ -25,8 +25,6 @@ from thinlayer.discretisation.stresses import stressed
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
 from thinlayer.parallel.exchange import carry
-
-PRESSURE = "pressure"  # key of the pressure field of an incompressible layer
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from forms.kinematics import MANDEL, ROOT2, mandel
 from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.topology import IntArray
-from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms, quadratures
-from thinlayer.discretisation.state import PRESSURE, State
+from thinlayer.discretisation.state import State
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import Quadrature, Region
 

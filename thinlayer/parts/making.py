@@ -12,10 +12,10 @@ from petsc4py import PETSc
 from forms.work import Term
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.free_rim import free_of_pressure
-from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms
-from thinlayer.discretisation.state import PRESSURE
+from thinlayer.errors import ModelError
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
 from thinlayer.parts.law_forms import LawForms
@@ -93,6 +93,11 @@ def _constrained(terms: Iterable[Term]) -> dict[str, tuple[Term, list[Term]]]:
     keys: dict[str, tuple[Term, list[Term]]] = {}
     for some in found.values():
         tags = tuple(tag for p in some for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
+        if len(some) > 1 and len({p.key for p in some}) > 1 and any(p.law.volume_compliance for p in some):
+            raise ModelError(
+                "several meshed seams share one pressure, and one of their laws is Rubber, whose energy would be that of "
+                "all; take LinearElastic, or Rubber for one seam alone"
+            )
         whole = replace(some[0], measure=some[0].measure.reconstruct(subdomain_id=tags)) if len(some) > 1 else some[0]
         keys[PRESSURE + whole.key.removeprefix(LAYER) if len(found) > 1 else PRESSURE] = whole, some
     return keys

@@ -17,7 +17,8 @@ from ufl.classes import Zero
 from forms.kinematics import Expr
 from forms.work import Term
 from thinlayer.discretisation.given import OverStep
-from thinlayer.discretisation.state import PRESSURE, Configuration
+from thinlayer.discretisation.layer import PRESSURE
+from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.quadrature import Origin, Region
 
@@ -25,7 +26,7 @@ SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices 
 
 
 class PressurePart(Part):
-    """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all pressures q of degree 1, beside displacements of degree 2.
+    """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1, beside displacements of degree 2.
 
     The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room. c is the
     law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). On its free ends p is

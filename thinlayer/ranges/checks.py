@@ -13,7 +13,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.faces import Faces
-from thinlayer.ranges.pressure import LEAST_ERROR, warn_of_free_ends, warn_of_pressure
+from thinlayer.ranges.pressure import LEAST_ERROR, warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
 from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 
@@ -34,6 +34,9 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         if not acts_on_jumps(sublayers):
             _warn_of_thickness(model, one)
             _warn_of_hard_layer(model, one, sublayers)
+        if one.flows:
+            warn_of_coarse_ends(model, one)
+            continue
         at_once = [] if lasting and one.law.traits.rate else [sublayers]
         warn_of_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
 
@@ -55,7 +58,9 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
             continue
         if not (model.linear or acts_on_jumps(sublayers_of(one))):
             _warn_of_overlap(one, max(found, key=lambda faces: faces.mean_closing))
-        if one.law.traits.linear and not one.law.traits.phases:  # the strain of a phase brings about no pressure
+        if one.law.traits.linear and not (
+            one.law.traits.phases or one.flows
+        ):  # the strain of a phase brings about no pressure
             warn_of_pressure(model, one, found, start)
 
 

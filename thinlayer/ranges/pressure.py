@@ -10,7 +10,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from geometry.topology import FloatArray, IntArray
-from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.free_rim import fall_of_pressure, free_of_pressure, free_rim
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
@@ -45,8 +45,8 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
     if any(one.length == math.inf for sublayers in layers for one in sublayers):
         warn(
             f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
-            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; mesh the layer "
-            "(structure.full), or support its sides if they are held",
+            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; use order=1, mesh the "
+            "layer (structure.full), or support its sides if they are held",
             model.comm,
         )
         return
@@ -60,8 +60,21 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
         warn(
             f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
-            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; mesh the "
-            "layer (structure.full), or support its sides if they are held",
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; use forms.Rubber with "
+            "order=1, mesh the layer (structure.full), or support its sides if they are held",
+            model.comm,
+        )
+
+
+def warn_of_coarse_ends(model: Model, one: SeamLayer) -> None:
+    """Warn if cells at free ends are too large for the pressure of a law with flow to fall to zero there."""
+    free, zero = free_rim(model, one.sheet), free_of_pressure(model, one)
+    if len(zero.depth) < len(free.depth):
+        delta, largest = fall_of_pressure(one), float(free.depth.max())
+        warn(
+            f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up to "
+            f"{largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
+            f"shorter than {delta:.3g}",
             model.comm,
         )
 
@@ -115,8 +128,8 @@ def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start
         warn(
             f"{one} is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
             f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
-            "flow along S; the structure is off by less where the bodies are soft; mesh the layer (structure.full) to see "
-            "by how much",
+            "flow along S; the structure is off by less where the bodies are soft; use forms.Rubber "
+            "with order=1, or mesh the layer (structure.full)",
             model.comm,
         )
 

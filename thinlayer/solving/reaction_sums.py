@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import rigid_values
-from thinlayer.discretisation.state import PRESSURE
 from thinlayer.parts.part import Interval, Part
 from thinlayer.solving.substitution import Substitution
 
