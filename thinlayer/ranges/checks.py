@@ -58,9 +58,9 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
             continue
         if not (model.linear or acts_on_jumps(sublayers_of(one))):
             _warn_of_overlap(one, max(found, key=lambda faces: faces.mean_closing))
-        if one.law.traits.linear and not (
-            one.law.traits.phases or one.flows
-        ):  # the strain of a phase brings about no pressure
+        if one.flows or one.law.traits.phases:  # the strain of a phase brings about no pressure
+            continue
+        if one.law.traits.linear:
             warn_of_pressure(model, one, found, start)
 
 

@@ -45,8 +45,8 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
     if any(one.length == math.inf for sublayers in layers for one in sublayers):
         warn(
             f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
-            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; use order=1, mesh the "
-            "layer (structure.full), or support its sides if they are held",
+            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; use order=1, mesh "
+            "the layer (structure.full), or support its sides if they are held",
             model.comm,
         )
         return
@@ -60,8 +60,8 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
         warn(
             f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
-            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; use forms.Rubber with "
-            "order=1, mesh the layer (structure.full), or support its sides if they are held",
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; use forms.Rubber "
+            "with order=1, mesh the layer (structure.full), or support its sides if they are held",
             model.comm,
         )
 
@@ -72,8 +72,8 @@ def warn_of_coarse_ends(model: Model, one: SeamLayer) -> None:
     if len(zero.depth) < len(free.depth):
         delta, largest = fall_of_pressure(one), float(free.depth.max())
         warn(
-            f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up to "
-            f"{largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
+            f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up "
+            f"to {largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
             f"shorter than {delta:.3g}",
             model.comm,
         )
