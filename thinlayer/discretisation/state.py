@@ -94,8 +94,8 @@ class Configuration:
         at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
         reactions: (n, k) forces and moments about `Model.centre` by what holds the structure, in the order of
             `Model.holders`; None: not known.
-        stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, m): the Mandel
-            components that strains have here.
+        stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, 6) in
+            Mandel's order.
     """
 
     u: fem.Function
