@@ -241,7 +241,8 @@ class State(Configuration):
     def stress(self, term: Term) -> Expr:
         """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
 
-        That of a compiled law is known at the quadrature points of the term; integrate it as `work` does. On S see `Surface.traction`.
+        That of a compiled law is known at the quadrature points of the term; integrate it as `work` does. On S see
+        `Surface.traction`.
         """
         ((_, found, _),) = self._stressed([term])
         return found
