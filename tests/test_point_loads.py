@@ -9,7 +9,7 @@ import ufl
 from forms.contact import HolonomicCoulomb
 from forms.laws import LinearElastic
 from geometry import GeometryError, block, ring, sandwich
-from tests.supports_run import BODY, EPS, GLUE, KINDS, model, out_of_balance
+from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, model, out_of_balance
 from thinlayer import (
     Gap,
     LineLoad,
@@ -21,6 +21,7 @@ from thinlayer import (
     Surface,
     ThinLayer,
     compare,
+    march,
     piecewise,
     solve,
 )
@@ -211,19 +212,23 @@ def test_columns_with_heavy_layers(eps):
     assert jump / weightless == pytest.approx(1 + 3.0 * eps / 2 / 0.3, rel=1e-9)
 
 
-def test_the_weight_on_a_rigid_base():
-    """Half of it goes to the base directly."""
-    structure = Structure(
-        block(2.0, 0.6, 0.5),
-        body=BODY,
-        supports={"LEFT": {"x": 0.0}},
-        body_force={"S": (0.0, -3.0), "BODY": (0.0, -1.0)},
-    )
-    limit, full = (solve(made(ThinLayer(GLUE, EPS))) for made in (structure.interface, structure.full))
-    assert limit.applied().force[1] == pytest.approx(-1.2 - 0.3, rel=1e-10)
-    assert full.applied().force[1] == pytest.approx(-1.2 - 0.6, rel=1e-10)
-    assert limit.reaction("S").force[1] == pytest.approx(1.5, rel=1e-9)
-    assert full.reaction("S").force[1] == pytest.approx(1.8, rel=1e-9)
+@pytest.mark.parametrize("plane", ["strain", "axisymmetric"])
+def test_the_weight_on_a_rigid_base(plane):
+    """Half of it goes to the base directly: the loads and the reaction of the base are those of the meshed layer."""
+    g = lambda x, t: (0.0, -3.0 * t * (1 + x[0]))
+    supports = {"LEFT": {"x": 0.0}} if plane == "strain" else {}
+    given = dict(body=BODY, supports=supports, body_force={"S": g, "BODY": (0.0, -1.0)}, plane=plane)
+    structure = Structure(block(2.0, 0.6, 0.5), **given)
+    area, moment = {"strain": (2.0, 4.0), "axisymmetric": (4 * np.pi, 4 * np.pi + 16 * np.pi / 3)}[plane]
+    weight, own = 3.0 * 0.4 * EPS * moment, 0.6 * area
+    for made in (structure.interface, structure.full):
+        state = march(made(ThinLayer(CREEP, EPS)), [0.2, 0.4], theta=0.5).last
+        assert state.applied().force[1] == pytest.approx(-own - weight, rel=1e-9)
+        assert state.reaction("S").force[1] == pytest.approx(own + weight, rel=1e-9)
+        assert out_of_balance(state) < 1e-9
+        if plane == "strain":  # 3 t eps int x (1 + x), and the middle of the body
+            there = state.applied(about=(0.0, 0.0)).moment
+            assert there == pytest.approx(-own - 3.0 * 0.4 * EPS * (2 + 8 / 3), rel=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore", category=RangeWarning)

@@ -36,12 +36,14 @@ class Weighted:
         weight: factor of the measure: 1, or the thickness.
         value: how a function of place and time is taken there.
         mean: mean over the thickness of displacements there.
+        on_base: the part of this mean that is of a rigid base, for motions that move it as well; None: there is no base.
     """
 
     measure: ufl.Measure
     weight: Expr = 1
     value: Callable[[Expr], Expr] = lambda f: f
     mean: Callable[[Expr], Expr] = lambda v: v
+    on_base: Callable[[Expr], Expr] | None = None
 
 
 class Forces:
@@ -77,6 +79,7 @@ class Forces:
         self.given: dict[str, Any] = {}
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         self._in_layers: list[tuple[str, Expr, Weighted]] = []
+        self._seams: list[str] = []
         self._concentrated: list[tuple[str, Expr, ufl.Measure]] = []  # whole forces: their measures have no factor
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
@@ -113,6 +116,7 @@ class Forces:
         force = vector(load, self.at, self.domain.joint.dim, what)
         for one in places:
             self._in_layers.append((what, one.value(force) * one.weight, one))
+            self._seams.append(name)
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
         self.given[what] = load
@@ -213,6 +217,15 @@ class Forces:
         for _, load, one in self._in_layers:
             form += ufl.inner(load, one.mean(v)) * self._kinematics.factor * one.measure
         return moment.of(form)
+
+    def work_on_bases(self, v: Expr, moment: Moment) -> dict[str, Expr]:
+        """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam."""
+        found: dict[str, Expr] = {}
+        for name, (_, load, one) in zip(self._seams, self._in_layers, strict=True):
+            if one.on_base:
+                work = ufl.inner(load, one.on_base(v)) * self._kinematics.factor * one.measure
+                found[name] = found[name] + work if name in found else work
+        return {name: moment.of(form) for name, form in found.items()}
 
     def not_finite(self, t: float) -> list[str]:
         """The loads that are not finite at a time. Collective."""

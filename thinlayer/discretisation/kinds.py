@@ -312,7 +312,8 @@ class InterfaceModel(LayeredModel):
         sides = self.sides_of(one.name)
         assert one.thin is not None
         eps = self._thickness(one.name, one.thin, sides)
-        return [Weighted(sides.measure, eps, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2)]
+        on_base = (lambda v: sides.upper(v) / 2) if one.name in self.joint.base_seams else None
+        return [Weighted(sides.measure, eps, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, on_base)]
 
     def _relaxed(self, law: BulkLaw, one: SeamLayer) -> BulkLaw:
         """The law with parameters that are functions as expressions on S, linear between vertices, for `gradient`."""

@@ -421,6 +421,10 @@ class Model(ABC):
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
         return self.forces.work(v, self.forces.at.moment(t))
 
+    def work_on_bases(self, v: Expr, t: float) -> dict[str, Expr]:
+        """Likewise of the loads that go to rigid bases by themselves, for motions v of these bases, by seam."""
+        return self.forces.work_on_bases(v, self.forces.at.moment(t))
+
     @staticmethod
     def form(form: Expr) -> fem.Form:
         """Compile a form, in which plain dx, ds and dS may stand beside the model's measures, and tags overlap.

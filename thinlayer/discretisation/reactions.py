@@ -45,6 +45,9 @@ class Held(Protocol):
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads."""
 
+    def work_on_bases(self, v: Expr, t: float) -> dict[str, Expr]:
+        """Virtual work of the loads that go to rigid bases by themselves, by seam."""
+
 
 class Solved(Protocol):
     """The attributes of a `State` from which its reactions follow."""
@@ -213,7 +216,17 @@ def applied_to(state: Solved, about: Sequence[float] | None) -> Resultant:
     motion = fem.Constant(model.domain.mesh, np.zeros(count(len(point))))
     v = rigid_expression(model.domain.mesh, motion, model.centre)
     values = work_in_motions(model.comm, model.external_work(v, state.t), motion)
+    values += sum(_on_bases(state).values())
     return Resultant.of(values * balanced_motions(model.kinematics, len(point)), model.centre).at(point)
+
+
+def _on_bases(state: Solved) -> dict[str, Array]:
+    """Forces and moments (k,), about the centre, of the loads that go to rigid bases by themselves, by seam. Collective."""
+    model = state.model
+    motion = fem.Constant(model.domain.mesh, np.zeros(count(model.joint.dim)))
+    v = rigid_expression(model.domain.mesh, motion, model.centre)
+    works = model.work_on_bases(v, state.t)
+    return {name: work_in_motions(model.comm, work, motion) for name, work in works.items()}
 
 
 def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
@@ -222,6 +235,7 @@ def all_reactions(state: Solved, about: Sequence[float] | None = None) -> dict[P
     if state.reactions is None:
         raise ModelError("this state has no reactions: it is no equilibrium that was solved for")
     rows = list(zip(model.holders, state.reactions, strict=True))
+    rows += [(name, -values) for name, values in _on_bases(state).items()]
     for part in model.parts:
         rows += [(place, found) for place, found in part.reaction(model, state.u)]
     point = model.centre if about is None else require_point(about, model.joint.dim)
