@@ -1,10 +1,13 @@
 """Closed forms of rubber bearings: a thin layer between rigid plates, under the law of `Rubber` or `Incompressible`.
 
-The pressure p of the layer solves (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = w_N with p = 0 on the free ends: a layer
-between plates that part by w_N, which do not stretch. With delta = eps sqrt(lmbda/(12 mu)) the pressure is lmbda w_N/eps times
-one less the solution of delta^2 lap_S v = v that is one on the free ends. For lmbda to infinity this is Stefan's squeeze film,
-and the leading term of Gent and Lindley (Proc. Inst. Mech. Eng. 173, 1959), 4 mu S^2 of a strip and 6 mu S^2 of a disc,
-S the loaded over the free area. All moduli are real ones, not per thickness; lmbda = math.inf is an incompressible layer.
+Plates that do not stretch part by w_N. The pressure p of the layer between them is zero on the free ends, and solves
+
+    (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = w_N.
+
+With delta = eps sqrt(lmbda/(12 mu)) it is lmbda w_N/eps times one less the solution of delta^2 lap_S v = v that is one on
+the free ends. For lmbda to infinity this is Stefan's squeeze film and has the leading term of Gent and Lindley (Proc. Inst.
+Mech. Eng. 173, 1959): eps times the stiffness is 4 mu s^2 of a strip and 6 mu s^2 of a disc, where s is the loaded over
+the free area. All moduli are real ones, not per thickness; lmbda = math.inf is an incompressible layer.
 Models never use these formulas, tests and studies compare with them.
 """
 
@@ -40,10 +43,10 @@ def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
 
 
 def rubber_strip_tilted(lmbda: float, mu: float, eps: float, a: float) -> float:
-    """Moment about the middle per rotation of a strip |x| < a, and per length out of the plane; force (moment per length).
+    """Moment about the middle per rotation of a strip |x| < a in plane strain, per length out of the plane; a force.
 
-    w_N = theta x gives p = (lmbda theta/eps) (x - a sinh(x/delta)/sinh(a/delta)), and with 2 mu w_N/eps the moment. Arguments
-    and errors as of `rubber_strip`.
+    w_N = theta x gives p = (lmbda theta/eps) (x - a sinh(x/delta)/sinh(a/delta)), and with 2 mu w_N/eps the moment.
+    Arguments and errors as of `rubber_strip`.
     """
     _require_positive(mu=mu, eps=eps, a=a)
     return (_held(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
@@ -70,7 +73,7 @@ def rubber_disc_pressure(
     _require_positive(mu=mu, eps=eps, radius=radius)
     r = np.asarray(r, float)
     if _stiffer_than_flow(lmbda, mu, radius / eps):
-        return 3 * mu * (radius**2 - r**2) / eps**3
+        return np.asarray(3 * mu * (radius**2 - r**2) / eps**3, float)
     delta = _length(lmbda, mu, eps)
     share = ive(0, r / delta) / ive(0, radius / delta) * np.exp((r - radius) / delta)
     return np.asarray(lmbda / eps * (1 - share))
@@ -79,8 +82,8 @@ def rubber_disc_pressure(
 def rubber_annulus(lmbda: float, mu: float, eps: float, inner: float, outer: float) -> float:
     """Mean normal traction per opening of an annulus inner < r < outer, free at both ends, stress per length.
 
-    For an infinite lmbda (3 mu/(2 eps^3)) (outer^2 + inner^2 - (outer^2 - inner^2)/ln(outer/inner)) + 2 mu/eps. For a finite
-    one the relative error is 1e-8 at most.
+    For an infinite lmbda (3 mu/(2 eps^3)) (outer^2 + inner^2 - (outer^2 - inner^2)/ln(outer/inner)) + 2 mu/eps. For a
+    finite one the relative error is 1e-8 at most.
 
     Args:
         lmbda: first Lame modulus of the layer, stress; > 0 or math.inf.
