@@ -59,9 +59,17 @@ class Kinematics:
         """Factor of all measures dx, ds and dS of the mesh: 1, for integrals per unit thickness in 2D."""
         return 1
 
+    def factor_at(self, x: Array) -> Array:
+        """(...) values of this factor at places (..., d)."""
+        return np.ones(x.shape[:-1])
+
     def node_areas(self, corners: Array, lengths: Array) -> Array:
-        """Areas (n, k) of S around the corners (n, k, d) of facets, whose shares of the mesh's own areas are `lengths`."""
-        return lengths
+        """Areas (n, k) of S around the corners (n, k, d) of facets, whose shares of the mesh's own areas are `lengths`.
+
+        They are the integrals of the functions of degree 1, with the factor of measures.
+        """
+        factors = self.factor_at(corners)
+        return np.asarray(lengths * ((factors + factors.sum(axis=1, keepdims=True)) / (factors.shape[1] + 1)))
 
     def strain(self, u: Expr) -> Expr:
         """Strain (3, 3) of a displacement in a body or in a meshed layer."""
@@ -121,10 +129,8 @@ class Axisymmetric(Kinematics):
         """2 pi r."""
         return 2 * ufl.pi * self._r
 
-    def node_areas(self, corners: Array, lengths: Array) -> Array:
-        """Integrals of the functions of degree 1 over the revolution: 2 pi (2 r_i + r_j)/3 of each half length."""
-        r = corners[:, :, 0]
-        return np.asarray(2 * np.pi * lengths * (r + r.sum(axis=1, keepdims=True)) / 3)
+    def factor_at(self, x: Array) -> Array:
+        return np.asarray(2 * np.pi * x[..., 0])
 
     def strain(self, u: Expr) -> Expr:
         return strain(u) + self._hoops(u)

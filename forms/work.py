@@ -135,8 +135,8 @@ def surface(
     e1 = `BulkLaw.gradient` of sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the
     thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
 
-    Laws with a pressure have at order 1 the strain e0 of weight eps, the strain sym(grad_S [u]) of weight eps/12 with their
-    law of plane stress, as the faces' difference does not change the tractions, and the pressure's flow along S.
+    Laws with a pressure have at order 1 the strain e0 of weight eps, the part in S of sym(grad_S [u]) of weight eps/12 with
+    their law of plane stress, as the faces' difference does not change the tractions, and the pressure's flow along S.
 
     Args:
         law: the law, with real parameters.
@@ -164,9 +164,12 @@ def surface(
         return Term(law, strain, weight, sides.measure, sides.n, kinematics=kinematics, flow=flow)
 
     if law.traits.constrained:
+        in_s = ufl.Identity(3) - ufl.outer(lift(sides.n), lift(sides.n))
         flow = eps**3 / (12 * law.parameters()["mu"])
-        sheet = law.plane_stress()
-        return [term(law, lambda u: jump_part(u) + along(u)[0], 1, flow), term(sheet, lambda u: along(u)[1], 1 / 12)]
+        return [
+            term(law, lambda u: jump_part(u) + along(u)[0], 1, flow),
+            term(law.plane_stress(), lambda u: in_s * along(u)[1] * in_s, 1 / 12),
+        ]
 
     def at(z: float) -> Callable[[Expr], Expr]:
         def point_strain(u: Expr) -> Expr:

@@ -8,7 +8,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from forms import HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms import HolonomicCoulomb, Incompressible, LinearElastic, Maxwell, MohrCoulomb, Rubber, Stack
 from geometry import sandwich
 from thinlayer import State, Structure, Surface, ThinLayer, compare, march, solve
 
@@ -54,6 +54,11 @@ def numbers() -> dict[str, float]:
         first = solve(structure.interface(ThinLayer(BODY, 0.05, order=1)))
         found |= measured(f"{plane} order 1", first)
     found |= measured("rods, incompressible", solve(rods(["RIGHT"]).interface(ThinLayer(Incompressible(2.0), 0.05))))
+    rubber = ThinLayer(Rubber(900.0, 2.0), 0.05, order=1)
+    thin = rods()
+    states = [solve(thin.full(rubber)), solve(thin.interface(rubber))]
+    found |= measured("rods, rubber", states[1])
+    found |= {f"rods, rubber {key}": value for key, value in compare(*states).items()}
     found |= measured("rods, contact", solve(rods(element="P1").interface(HolonomicCoulomb(9.0, 3.0, 0.4))))
     return found
 

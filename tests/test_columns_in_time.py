@@ -127,10 +127,10 @@ def held_traction(law: BulkLaw, t: np.ndarray, n: np.ndarray, times: list[float]
             e = (contract @ w)[None]
             s, tangent, new, _, failed = material.update(slots, e, old, q, n3, dt, 1.0)
             assert failed == 0
-            w = w + np.linalg.solve(contract.T @ tangent[0] @ contract, t - contract.T @ s[0])
+            w = w + np.linalg.solve(contract.T @ tangent[0] @ contract, t - contract.T @ s[0, slots])
         q = new
         jumps.append(w)
-        stresses.append(np.array([[s[0, 0], s[0, 2] / root], [s[0, 2] / root, s[0, 1]]]))
+        stresses.append(np.array([[s[0, 0], s[0, 3] / root], [s[0, 3] / root, s[0, 1]]]))
     return (jumps, stresses) if law.traits.rate else (jumps[1:], stresses[1:])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import KelvinVoigt, VonMises
+from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, VonMises
 from geometry import sandwich
 from tests.dry_walls import dry_wall
 from tests.fields_run import BODY, EPS, K
@@ -61,18 +61,36 @@ def test_bodies_of_revolution(written):
     assert found["S"]["t_N"] == pytest.approx(-0.3, rel=1e-7)
 
 
-def test_rates_leave_no_wrong_stress(written):
-    """Of a law that depends on strain rates the stress out of the plane is not known, in the plane it is."""
-    slow = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
-    bodies = {"LOWER": slow, "UPPER": BODY}
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+@pytest.mark.parametrize(
+    "law",
+    [KelvinVoigt(L, M, 0.3, 0.5), Maxwell(L, M, 0.7, 1.9), Norton(L, M, 3.0, 1.5)],
+    ids=["KV", "Maxwell", "Norton"],
+)
+def test_stress_out_of_the_plane_of_laws_with_rates(written, law, theta):
+    """Pressed between rollers, strained neither along S nor out of the plane: the stresses there are the same."""
     press = {"TOP": lambda x, t: (0.0, -0.3 * t)}
-    structure = Structure(strips(), body=bodies, supports=ROLLERS, tractions=press)
-    found = written(march(structure.interface(ThinLayer(K, EPS)), [0.5, 1.0]))["bodies"]
-    lower = found["region"] == list(found.field_data["regions"]).index("LOWER")
-    assert found["stress"][:, 1] == pytest.approx(-0.3, rel=1e-8)
-    assert np.isnan(found["stress"][lower, 2]).all()
-    assert np.isnan(found["von Mises"][lower]).all()
-    assert np.isfinite(found["von Mises"][~lower]).all()
+    structure = Structure(strips(), body={"LOWER": law, "UPPER": BODY}, supports=ROLLERS, tractions=press)
+    found = written(march(structure.interface(ThinLayer(K, EPS)), [0.5, 1.0], theta=theta))["bodies"]
+    stress = found["stress"][found["region"] == list(found.field_data["regions"]).index("LOWER")]
+    assert stress[:, 1] == pytest.approx(-0.3, rel=1e-6)
+    assert stress[:, 2] == pytest.approx(stress[:, 0], rel=1e-7)
+    assert np.abs(stress[:, 0] / (-0.3 * NU / (1 - NU)) - 1).min() > 0.02  # not that of the spring
+    if isinstance(law, KelvinVoigt) and theta == 1:  # (A + B/dt) e = sigma + B/dt e_old
+        A, B, dt, e = L + 2 * M, 0.3 * L + 2 * 0.5 * M, 0.5, [0.0]
+        for sigma in (-0.15, -0.3):
+            e.append((sigma + B / dt * e[-1]) / (A + B / dt))
+        assert stress[:, 2] == pytest.approx(L * e[2] + 0.3 * L * (e[2] - e[1]) / dt, rel=1e-7)
+
+
+def test_stress_out_of_the_plane_of_a_stack():
+    """In plane stress there is none, also in a sublayer whose plane stress is a closed form."""
+    law, press = Stack((0.3, Maxwell(L, M, 0.7)), (0.7, LinearElastic(L, M))), {"TOP": lambda x, t: (0.0, -0.3 * t)}
+    for plane in ("strain", "stress"):
+        structure = Structure(strips(), body=BODY, supports=ROLLERS, tractions=press, plane=plane)
+        stress = march(structure.interface(ThinLayer(law, EPS)), [0.5, 1.0]).last.stresses["layer"]
+        assert stress[:, 1] == pytest.approx(-0.3, rel=1e-7)
+        assert (stress[:, 2] < -0.05).all() if plane == "strain" else not stress[:, 2].any()
 
 
 def test_two_points_through_a_layer_of_order_1(written):

@@ -369,6 +369,9 @@ def damaged(arrays):
     yield arrays | {"stored layer": np.zeros(0)}
     yield arrays | {"march": np.array("0123456789ab")}
     yield arrays | {"memory layer": arrays["memory layer"][:, :4]}
+    numbers, values = np.split(arrays["stress layer"], [1], axis=1)  # once files had the components in the plane alone
+    in_plane = values.reshape(len(values), -1, 6)[:, :, [0, 1, 3]].reshape(len(values), -1)
+    yield arrays | {"stress layer": np.hstack([numbers, in_plane])}
     yield arrays | {"memory layer": arrays["memory layer"][::2]}
 
 

@@ -60,6 +60,19 @@ def test_closed_form_is_the_return_mapping_where_it_holds(theta, h):
     assert 0.2 < np.mean(held) < 0.9
 
 
+def test_stress_out_of_the_plane_of_the_closed_form():
+    """In plane strain, where the closed form is evaluated, s_33 is that of the return mapping in space."""
+    random, points = np.random.default_rng(5), 400
+    e, n = strains(random, points, 0.01, plane=True), normals(points)
+    part = respond(LAW, e[:, PLANE], 0 * e[:, PLANE], at_rest(LAW, points), n, slots=PLANE)
+    space = respond(RETURN, e, 0 * e, at_rest(RETURN, points), n)
+    assert part.failed == 0
+    assert part.stress == pytest.approx(space.stress, abs=1e-10 * np.abs(space.stress).max())
+    yields = np.abs(space.q).max(axis=1) > 0
+    assert np.abs(space.stress - elastic(e))[yields, 2].max() > 0.01 * np.abs(space.stress).max()
+    assert not np.isnan(respond(CLOSED, e, 0 * e, 0 * space.q, n).stress[yields, 0]).all()
+
+
 def pressed_and_sheared(law, w_N, w_T):
     w = np.array([[w_T, w_N, 0.0]])
     return respond(law, jump_strain(w, E2[None]), np.zeros((1, 6)), at_rest(law, 1), E2[None])

@@ -87,7 +87,8 @@ def remainders(law, e, direction, theta, slots, sizes):
     kind, out = part_of_the_surface(law, e, now, theta, slots), []
     for h in sizes:
         moved = respond(law, e + h * direction, zero, q, n, 1.0, theta, slots)
-        left = np.abs(moved.stress - now.stress - h * np.einsum("kij,kj->ki", now.tangent, direction)).max(axis=1)
+        change = (moved.stress - now.stress)[:, slots]
+        left = np.abs(change - h * np.einsum("kij,kj->ki", now.tangent, direction)).max(axis=1)
         out.append(np.where(part_of_the_surface(law, e + h * direction, moved, theta, slots) == kind, left, np.nan))
     return kind, np.array(out)
 

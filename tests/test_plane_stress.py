@@ -58,7 +58,8 @@ class Point:
 
     def respond(self, e, dt=0.1, theta=1.0):
         """Stress (3,), tangent (3, 3), memory, energies and the number of failed points."""
-        return self.material.update(SLOTS, np.reshape(e, (1, 3)), self.e, self.q, N[None], dt, theta)
+        stress, *others = self.material.update(SLOTS, np.reshape(e, (1, 3)), self.e, self.q, N[None], dt, theta)
+        return stress[:, SLOTS], *others
 
     def advance(self, e, dt=0.1, theta=1.0):
         stress, _, memory, energies, failed = self.respond(e, dt, theta)

@@ -9,7 +9,7 @@ from scipy.special import iv
 from forms import KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from geometry import block, disc, ring, sandwich
 from studies.problems import FOURIER_LAYER, fourier
-from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
+from tests.ranges_told import STIFF, excess, opened, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.ranges.pressure import pressure_length
@@ -58,8 +58,36 @@ def test_disc(cell):
     law, eps = LinearElastic.shear(3.0, 0.499), 0.08
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}).interface(ThinLayer(law, eps))
     x = 1 / (eps * np.sqrt(law.lmbda / law.mu / 12))
-    wanted = 1 / (1 - 2 * iv(1, x) / (x * iv(0, x))) - 1
+    wanted = 1 / disc_share(x) - 1
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=0.1)
+
+
+def disc_share(x):
+    """Share of the law's load that a disc carries, its radius x lengths of the pressure."""
+    return 1 - 2 * iv(1, x) / (x * iv(0, x))
+
+
+def test_disc_of_revolution():
+    """Faces that move apart, and one that is stretched along S, hoops included; the width is R/2."""
+    R, eps, law = 0.8, 0.08, LinearElastic.shear(3.0, 0.499)
+    joint = sandwich(R, 0.3, 0.3, 1 / 16, h_S=1 / 64, h_ends=1 / 256)
+    setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}, "plane": "axisymmetric"}
+    model = Structure(joint, **setup).interface(ThinLayer(law, eps))
+    share = disc_share(R / (eps * np.sqrt(law.lmbda / law.mu / 12)))
+    assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(1 / share - 1, rel=3e-3)
+    work, shear = law.lmbda * eps, law.mu / eps * R**2 / 2  # over pi R^2, of upper faces that move by r
+    wanted = work * (1 - share) / (work * share + shear)
+    assert excess(model, lambda x: (1e-3 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=3e-3)
+    assert "free ends (0.4)" in told(lambda: solve(model))[1][0]
+
+
+def test_overlap_of_a_disc_is_weighted():
+    """Closed by r/R thicknesses: on average 2/3 of one, over the section 1/2."""
+    joint = sandwich(0.8, 0.3, 0.3, 0.2)
+    for plane, mean in (("axisymmetric", 2 / 3), ("strain", 1 / 2)):
+        structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}, plane=plane)
+        model = structure.interface(ThinLayer(LinearElastic(3.0, 2.0), 0.05))
+        assert opened(model, lambda x: (0 * x[0], -0.05 * x[0] / 0.8)).mean_closing == pytest.approx(mean, rel=1e-12)
 
 
 def test_wave_between_rollers():

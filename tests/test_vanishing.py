@@ -186,5 +186,5 @@ def test_tangents_far_beyond_yield_are_symmetric():
     s, C, _, _, failed = material.update([0, 1, 3], e, zero, np.zeros((200, material.memory)), n, 0.0, 1.0)
     assert failed == 0
     assert np.abs(C - C.swapaxes(1, 2)).max() == 0.0
-    q = np.sqrt(s[:, 0] ** 2 - s[:, 0] * s[:, 1] + s[:, 1] ** 2 + 1.5 * s[:, 2] ** 2)
+    q = np.sqrt(s[:, 0] ** 2 - s[:, 0] * s[:, 1] + s[:, 1] ** 2 + 1.5 * s[:, 3] ** 2)
     assert q.max() <= Y * (1 + 1e-6)

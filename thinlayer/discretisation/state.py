@@ -92,8 +92,8 @@ class Configuration:
         at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
         reactions: (n, k) forces and moments about `Model.centre` by what holds the structure, in the order of
             `Model.holders`; None: not known.
-        stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, m): the Mandel
-            components that strains have here.
+        stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, 6) in
+            Mandel's order.
     """
 
     u: fem.Function
@@ -239,8 +239,8 @@ class State(Configuration):
     def stress(self, term: Term) -> Expr:
         """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
 
-        That of a compiled law is known at the quadrature points of the term, and of its components those along which
-        strains of displacements are not zero; integrate it as `work` does. On S see `Surface.traction`.
+        That of a compiled law is known at the quadrature points of the term; integrate it as `work` does. On S see
+        `Surface.traction`.
         """
         ((_, found, _),) = self._stressed([term])
         return found

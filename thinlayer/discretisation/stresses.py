@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -39,11 +39,5 @@ def stressed(
         if p.measure.integral_type() != "cell":
             raise ModelError(f"the stress of {type(p.law).__name__} on S is not kept as a field; see Surface.traction")
         key, points = next((key, one) for key, one in quadratures(model).items() if one.term.measure is p.measure)
-        values = stresses.get(key, np.zeros((points.count, len(points.slots))))
-        yield p, _tensor(points.function(values), points.slots), points.measure
-
-
-def _tensor(f: Expr, slots: Sequence[int]) -> Expr:
-    """The tensor (3, 3) of its Mandel components in some slots."""
-    place = {slot: f[k] for k, slot in enumerate(slots)}
-    return from_mandel(ufl.as_vector([place.get(slot, 0) for slot in range(len(MANDEL))]))
+        values = stresses.get(key, np.zeros((points.count, len(MANDEL))))
+        yield p, from_mandel(points.function(values)), points.measure

@@ -21,7 +21,6 @@ from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms, quadratures
 from thinlayer.discretisation.state import State
-from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.quadrature import Quadrature, Region
 
 Array = npt.NDArray[np.float64]
@@ -51,35 +50,14 @@ class LawPoints:
         return self.quadrature.original[: len(self.quadrature.cells)]
 
     def stress(self) -> Array:
-        """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective.
-
-        Components out of the plane of a compiled law that depends on strain rates are not known: they are NaN.
-        """
+        """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
         term, points = self.term, self.quadrature
-        known = (
-            self._of_compiled_law() if term.law.traits.compiled else points.values(mandel(stress(term, self.state.u)))
-        )
-        none = [k for k in range(len(MANDEL)) if k not in term.kinematics.stressed(points.dim)]
-        known[:, none] = 0.0
+        if term.law.traits.compiled:
+            at_rest = np.zeros((points.count, len(MANDEL)))
+            known = self.state.stresses.get(self.key, at_rest)
+        else:
+            known = points.values(mandel(stress(term, self.state.u)))
         return tensors(known) + self._pressure()[:, None, None] * np.eye(3)
-
-    def _of_compiled_law(self) -> Array:
-        """Mandel's components (points, 6) of the stress that the state keeps, the others those of the law at its strain.
-
-        Nothing changes at the strain of the state, except stresses that depend on its rate.
-        """
-        law, points = self.term.law, self.quadrature
-        known = self.state.stresses.get(self.key, np.zeros((points.count, len(points.slots))))
-        whole = np.full((points.count, len(MANDEL)), np.nan)
-        if len(points.slots) < len(MANDEL) and not law.traits.rate and law.in_space is law:
-            e = points.values(mandel(self.term.step(self.state.u).e))
-            material = Material(points.comm, law)
-            if material.varies:
-                material.take_at(points.joint_x, self.state.t)
-            memory = self.state.memory.get(self.key, np.zeros((points.count, material.memory)))
-            whole = material.update(range(len(MANDEL)), e, e, memory, points.n, 0.0, 1.0)[0]
-        whole[:, points.slots] = known
-        return whole
 
     def _pressure(self) -> Array:
         """Pressure (points,) of an incompressible law, a part of its stress; else zero."""

@@ -134,9 +134,9 @@ class LayerReport:
             points = CompiledTerm(model.V, term, model.origin)
             points.at_time(state.t)
             e, memory = points.strain(state.u.x.petsc_vec) + GivenAtPoints(points)(state.t), state.memory[key]
-            stress = points.respond(e, e, memory, 0.0, 1.0).stress  # nothing changes at these strains
+            stress = points.respond(e, e, memory, 0.0, 1.0).whole  # nothing changes at these strains
             parts = [fraction * memory[:, k : k + len(MANDEL)] for fraction, _, k in slots]
-            strains, stresses = tensors(e, points.slots), tensors(stress, points.slots)
+            strains, stresses = tensors(e, points.slots), tensors(stress)
             found = self._at_points(points.n, strains, stresses, tensors(np.sum(parts, axis=0)))
             shares = np.array([points.columns.sum_of(points.weights * (found == status)) for status in STATUSES])
             points.destroy()

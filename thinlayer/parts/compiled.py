@@ -9,6 +9,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from forms.kinematics import MANDEL
 from forms.law import LawError
 from forms.symmetry import NOT_SYMMETRIC
 from forms.work import Term
@@ -48,7 +49,7 @@ class CompiledPart(Part):
         self.law = law = term.law
         self._t, self._in_body = 0.0, term.n is None
         self._tangent: PETSc.Mat | None = None
-        self.stress_width = len(self.points.slots)
+        self.stress_width = len(MANDEL)
         self.traits = PartTraits(
             uses_dt=not law.traits.switches,
             weakens=may_weaken(law),
@@ -128,7 +129,7 @@ class CompiledPart(Part):
             worked = float(self.points.forces(response.stress).dot(change)) + supplied
             remainder = worked - (after - before) - dissipated
             change.destroy()
-        stress = self.points.balanced(response.stress)
+        stress = self.points.balanced(response.whole)
         if interval.theta < 1:  # forces balance within the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
         energies = before, float(after), float(dissipated), float(remainder)
@@ -188,7 +189,7 @@ class CompiledPart(Part):
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         if self._in_body:
-            out.axpy(1.0, self.points.forces(state.stresses[self.key]))
+            out.axpy(1.0, self.points.forces(state.stresses[self.key][:, self.points.slots]))
 
     def error_measure(self, u: fem.Function) -> Array:
         return (self.points.strain(u.x.petsc_vec) * np.sqrt(np.abs(self.points.weights))[:, None]).ravel()

@@ -34,13 +34,15 @@ class Response:
     """Response of a law at the points of this rank.
 
     Attributes:
-        stress: (points, m), at t + theta dt.
+        whole: (points, 6) stress at t + theta dt, all Mandel components.
+        stress: (points, m), its components that do work in the strains here.
         tangent: (points, m, m).
         memory: (points, values) internal values at the end of the step.
         energies: stored, dissipated, remainder, integrated over this rank's points; NaN if the law declares no energy.
         failed: number of points of this rank where the law failed.
     """
 
+    whole: Array
     stress: Array
     tangent: Array
     memory: Array
@@ -71,6 +73,8 @@ class CompiledTerm(Quadrature):
         self._volume = None if term.volume is None else MeanVolume(self, term.volume)
         if self._volume:
             self.B = self._volume.matrix(B)
+        stressed = term.kinematics.stressed(self.dim)
+        self._none = [k for k in range(len(MANDEL)) if k not in stressed]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = Material(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
@@ -99,7 +103,7 @@ class CompiledTerm(Quadrature):
         return self._volume.projected(strains) if self._volume else strains
 
     def balanced(self, stress: Array) -> Array:
-        """The stresses (points, m) that do the same work in the strains of displacements, unprojected, as `stress` here."""
+        """The stresses (points, 6) that do the same work in the strains of displacements, unprojected, as `stress` here."""
         return self._volume.projected(stress) if self._volume else stress
 
     def _vector(self, values: Array) -> PETSc.Vec:
@@ -116,8 +120,9 @@ class CompiledTerm(Quadrature):
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
         """Response of the law to strains e after strains e_old and internal values `memory`."""
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
+        s[:, self._none] = 0.0
         total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
-        return Response(s, C, new, total, failed)
+        return Response(s, s[:, self.slots], C, new, total, failed)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
         """Energy of strains e and internal values after a step of length dt, over this rank's points; NaN if undeclared."""
@@ -126,7 +131,7 @@ class CompiledTerm(Quadrature):
 
     def failure(self, response: Response) -> str:
         """Message on the first point of this rank where the law failed; "" if there is none."""
-        at = np.flatnonzero(np.isnan(response.stress[:, 0]))[:1]
+        at = np.flatnonzero(np.isnan(response.whole[:, 0]))[:1]
         if not len(at):
             return ""
         k = int(at[0])

@@ -93,7 +93,7 @@ class Material:
         *,
         fixed: bool = False,
     ) -> tuple[Array, Array, Array, Array, int]:
-        """Stress (points, m), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
+        """Stress (points, 6), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
 
         Args:
             slots: the m Mandel components that strains have here; the others are zero.
@@ -115,7 +115,7 @@ class Material:
         for name, (array, width) in shapes.items():
             if array.shape != (points, width):
                 raise ModelError(f"{name} has the shape {array.shape}; it must be {(points, width)}")
-        s, C, energies = np.empty((points, m)), np.empty((points, m, m)), np.empty((points, 3))
+        s, C, energies = np.empty((points, 6)), np.empty((points, m, m)), np.empty((points, 3))
         q_new = np.empty((points, self.memory))
         in_plane = components.tolist() == PLANE_STRAIN  # laws with `otherwise` are closed forms of plane strain
         addresses = self._addresses if in_plane else np.where(self._others, self._others, self._addresses)

@@ -295,7 +295,7 @@ static int in_series(sublayer *layers, int count, const double *e, const frame *
 /* Run a law over points; returns the number of points where it failed, or -1 without memory. A point that failed has a NaN in
  * its stress; its tangent is zero where there was no stress, else it has an entry that is not finite.
  *
- * e, e_old, stress: (points, m), the m Mandel components `slots`, the others zero; C: (points, m, m); n: (points, 3);
+ * e, e_old: (points, m), the m Mandel components `slots`, the others zero; stress: (points, 6); C: (points, m, m); n: (points, 3);
  * q, q_new: (points, width), of sublayers in series their shares (3 each), then the values of each, in plane stress followed
  * by its strains 33, 13 and 23; parameters: of all points,
  * or, with `varying`, (points, n), of each. With `fixed`, strains stay e_old, those of sublayers too: nothing is solved, there is
@@ -367,17 +367,16 @@ int run(int count, const intptr_t *addresses, const intptr_t *others, const int3
             for (int j = 0; a->plane && j < OUT; j++) *new++ = a->in[out_of_plane[j]];
             for (int j = 0; j < 3; j++) energy[3 * k + j] += a->fraction * energies(a)[j];
         }
-        int known = isfinite(s[0]), sloped = 1;
-        for (int i = 0; i < m; i++) {
-            stress[k * m + i] = s[slots[i]];
-            known = known && isfinite(s[slots[i]]);
+        int known = 1, sloped = 1;
+        for (int i = 0; i < 6; i++) known = known && isfinite(s[i]);
+        memcpy(stress + 6 * k, s, sizeof s);
+        for (int i = 0; i < m; i++)
             for (int j = 0; j < m; j++) {
                 C[(k * m + i) * m + j] = D[slots[i]][slots[j]];
                 sloped = sloped && isfinite(D[slots[i]][slots[j]]);
             }
-        }
         if (!known) memset(C + k * m * m, 0, m * m * sizeof(double));
-        if (!known || !sloped) failed++, stress[k * m] = NAN;
+        if (!known || !sloped) failed++, stress[6 * k] = NAN;
     }
     free(layers), free(numbers);
     return failed;

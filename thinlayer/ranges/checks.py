@@ -12,6 +12,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
+from thinlayer.ranges.areas import Areas
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.pressure import LEAST_ERROR, warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
 from thinlayer.ranges.strains import warn_of_strains
@@ -58,9 +59,9 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
             continue
         if not (model.linear or acts_on_jumps(sublayers_of(one))):
             _warn_of_overlap(one, max(found, key=lambda faces: faces.mean_closing))
-        if one.law.traits.linear and not (
-            one.law.traits.phases or one.flows
-        ):  # the strain of a phase brings about no pressure
+        if one.flows or one.law.traits.phases:  # the strain of a phase brings about no pressure
+            continue
+        if one.law.traits.linear:
             warn_of_pressure(model, one, found, start)
 
 
@@ -85,9 +86,8 @@ def _warn_of_facets(model: Model, one: SeamLayer) -> None:
     np.add.at(sums, number, sheet.normals * sheet.areas[:, None, None])
     tilt = sums[number] / np.linalg.norm(sums[number], axis=2, keepdims=True) - sheet.normals
     tilt[np.linalg.norm(tilt, axis=2) > CORNER_ANGLE] = 0.0
-    k = joint.dim
-    squares = ((tilt.sum(axis=1) ** 2).sum(axis=1) + (tilt**2).sum(axis=(1, 2))) / (k * (k + 1))
-    angle = math.sqrt(float(sheet.areas @ squares / sheet.areas.sum()))
+    areas = Areas(sheet, model.kinematics)
+    angle = math.sqrt(float(np.einsum("nij,nik,njk->", areas.mass, tilt, tilt)) / areas.total)
     normal, tangential = stiffness_of_jumps(one)
     if normal * angle**2 > LEAST_ERROR * tangential:
         effect = (

@@ -12,6 +12,7 @@ from geometry.topology import FloatArray, IntArray
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.parallel.exchange import carry
+from thinlayer.ranges.areas import Areas
 
 JUMP_ROUNDING = 1e-9  # rounding of jumps, relative to the displacements
 
@@ -56,6 +57,11 @@ class Faces:
         return cls(state, sheet, thickness, 0 * u if (below < 0).any() else at_vertices(below), u)
 
     @cached_property
+    def areas(self) -> Areas:
+        """Areas of S around the vertices."""
+        return Areas(self.sheet, self.state.model.kinematics)
+
+    @cached_property
     def opening(self) -> FloatArray:
         """(n, d) [u_N]."""
         return np.asarray(((self.upper - self.lower) * self.sheet.normals).sum(axis=2))
@@ -76,5 +82,4 @@ class Faces:
     @property
     def mean_closing(self) -> float:
         """Mean closing over S; an opening counts as zero."""
-        areas = self.sheet.areas
-        return float(areas @ np.maximum(self.closing, 0).mean(axis=1) / areas.sum())
+        return float((self.areas.at_vertices * np.maximum(self.closing, 0)).sum() / self.areas.total)

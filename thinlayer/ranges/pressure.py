@@ -14,6 +14,7 @@ from thinlayer.discretisation.free_rim import fall_of_pressure, free_of_pressure
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
+from thinlayer.ranges.areas import Areas
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
 
@@ -45,12 +46,13 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
     if any(one.length == math.inf for sublayers in layers for one in sublayers):
         warn(
             f"{one} is incompressible and S has free ends: its law holds the normal jump [u_N] at zero, as if these "
-            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; use order=1, mesh the "
-            "layer (structure.full), or support its sides if they are held",
+            "ends were held; a layer with free ends is squeezed out, and its normal jump is not zero; use order=1, mesh "
+            "the layer (structure.full), or support its sides if they are held",
             model.comm,
         )
         return
-    width = float(one.sheet.areas.sum() / rim.length.sum())
+    areas = Areas(one.sheet, model.kinematics)
+    width = areas.total / areas.length(rim)
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda one: one.length)
     delta = eps * max(lengths)
@@ -60,8 +62,8 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
         warn(
             f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
-            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; use forms.Rubber with "
-            "order=1, mesh the layer (structure.full), or support its sides if they are held",
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; use forms.Rubber "
+            "with order=1, mesh the layer (structure.full), or support its sides if they are held",
             model.comm,
         )
 
@@ -72,8 +74,8 @@ def warn_of_coarse_ends(model: Model, one: SeamLayer) -> None:
     if len(zero.depth) < len(free.depth):
         delta, largest = fall_of_pressure(one), float(free.depth.max())
         warn(
-            f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up to "
-            f"{largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
+            f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up "
+            f"to {largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
             f"shorter than {delta:.3g}",
             model.comm,
         )
@@ -146,14 +148,13 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> float:
     there, as it cannot fall within a cell. On straight facets of a curved S slip opens the layer at one end of a facet and
     closes it at the other, and the law resists that, too. Jumps as small as the rounding of displacements count as shear.
     """
-    sheet, eps = faces.sheet, faces.thickness.mean(axis=1)
-    d = sheet.joint.dim
-    stretch = ((faces.lower + faces.upper) / 2 * sheet.gradients).sum(axis=(1, 2))
+    sheet, areas, eps = faces.sheet, faces.areas, faces.thickness.mean(axis=1)
+    stretch = areas.divergence((faces.lower + faces.upper) / 2)
     wb = faces.opening + (eps * stretch)[:, None]
     used, number = np.unique(sheet.vertices, return_inverse=True)
     number = number.reshape(sheet.vertices.shape)
-    mass = sheet.areas[:, None, None] / (d * (d + 1)) * (1 + np.eye(d))
-    stiff = sheet.areas[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
+    mass = areas.mass
+    stiff = areas.of_simplices[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
     volume = _assemble(mass * (eps / layer.lmbda)[:, None, None], number)
     flow = _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
     moments = (mass @ wb[..., None])[..., 0]
@@ -166,7 +167,7 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> float:
     p = scipy.sparse.linalg.spsolve((volume + flow)[inside][:, inside], b[inside])
     work_0 = float(layer.lmbda / eps @ (wb * moments).sum(axis=1))
     work = float(b[inside] @ p)
-    shear = layer.mu * float((sheet.areas / eps) @ faces.slip_squared.mean(axis=1))
+    shear = layer.mu * float((areas.at_vertices * faces.slip_squared / eps[:, None]).sum())
     return (work_0 - work) / (work + shear)
 
 

@@ -280,7 +280,9 @@ class Checkpoint:
         """The values (len(numbers), width) of these numbers on each rank, from rows (number, values...) on rank 0."""
         there = self.comm.bcast(rows.shape[1] - 1 if rows is not None else None)
         if self.comm.allreduce(int(there != width)):
-            raise ModelError(self._damaged(row, f"is damaged ({there} values where {width} belong)"))
+            raise ModelError(
+                self._damaged(row, f"is damaged, or of another version ({there} values where {width} belong)")
+            )
         rows = rows if rows is not None and self.comm.rank == 0 else np.empty((0, width + 1))
         found = carry(self.comm, rows[:, 0].astype(np.int64), rows[:, 1:], numbers)
         if self.comm.allreduce(int(not np.isfinite(found).all())):

@@ -1,0 +1,109 @@
+"""Rubbery layer, from soft to incompressible: errors of the law with a pressure on S beside those of orders 0 and 1."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from forms import Incompressible, LinearElastic, Rubber
+from studies.problems import fourier
+from thinlayer import Structure, ThinLayer, compare, plotting, solve
+from thinlayer.errors import RangeWarning
+from thinlayer.running.record import Record
+
+NUS = (0.05, 0.15, 0.3, 0.4, 0.45, 0.48, 0.49, 0.499, 0.4999, 0.5)
+RATES = (0.3, 0.45, 0.499, 0.5)
+EPS = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
+PICTURED = 1 / 16
+MU = 40.0  # shear modulus over thickness; that of the bodies is 38
+LAWS = {"order_0": "elastic, order 0", "order_1": "elastic, order 1", "rubber": "with a pressure on S"}
+NAMES = ("traction", "jump")
+
+
+def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
+    """Compare the laws with a meshed layer that has a pressure: over Poisson's ratio, and over the thickness.
+
+    Args:
+        record: where to write.
+        eps: thicknesses; the blocks are 0.5 high, mu is 40 eps.
+        quick: coarser mesh, fewer Poisson's ratios.
+    """
+    h = 1 / 16 if quick else 1 / 32
+    joint, setup = fourier(h, cell="quadrilateral")
+    structure = Structure(joint, **setup)
+    record.parameters = {"h": h, "mu over eps": MU}
+
+    def errors_at(nu: float, e: float) -> dict[str, float | None]:
+        full = record.solved(solve(structure.full(ThinLayer(_rubber(nu), e), cells_through=2)))
+        row: dict[str, float | None] = {f"{one}_{name}": None for name in LAWS for one in NAMES}
+        for name, layer in _layers(nu, e).items():
+            with warnings.catch_warnings():  # the elastic laws are out of their range, as the table shows
+                warnings.simplefilter("ignore", RangeWarning)
+                found = compare(full, record.solved(solve(structure.interface(layer))))
+            row |= {f"{quantity}_{name}": found[f"error_{quantity}"] for quantity in NAMES}
+        return row
+
+    over_nu = record.table("ratios.csv")
+    for nu in NUS[::2] + NUS[-1:] if quick else NUS:
+        over_nu.append({"nu": nu, **errors_at(nu, PICTURED)})
+    record.say(over_nu)
+    largest = max(over_nu["jump_rubber"])
+    record.check("largest error of the jump over eps^2, all ratios", largest / PICTURED**2, high=0.86)
+
+    over_eps = record.table("rates.csv")
+    for nu in RATES:
+        for e in eps:
+            over_eps.append({"nu": nu, "eps": e, **errors_at(nu, e)})
+    record.say(over_eps)
+    for nu in RATES if len(eps) > 1 else ():
+        rows = np.isclose(over_eps["nu"], nu)
+        for quantity in NAMES:
+            errors = np.asarray(over_eps[f"{quantity}_rubber"], float)[rows]
+            last = math.log(errors[-2] / errors[-1]) / math.log(eps[-2] / eps[-1])
+            record.check(f"last observed order of the {quantity}, nu = {nu:g}", last, low=1.9, high=2.3)
+
+
+def _rubber(nu: float) -> Rubber | Incompressible:
+    return Rubber.shear(MU, nu) if nu < 0.5 else Incompressible(MU)
+
+
+def _layers(nu: float, eps: float) -> dict[str, ThinLayer]:
+    layers = {"rubber": ThinLayer(_rubber(nu), eps, order=1)}
+    if nu < 0.5:
+        elastic = LinearElastic.shear(MU, nu)
+        layers |= {f"order_{order}": ThinLayer(elastic, eps, order=order) for order in (0, 1)}
+    return layers
+
+
+def draw(record: Record) -> None:
+    """Draw the errors over Poisson's ratio and over the thickness from the tables."""
+    ratios, rates = record.load("ratios.csv"), record.load("rates.csv")
+    nu = np.asarray(ratios["nu"])
+    lines = {LAWS[name]: (0.5 - nu[nu < 0.5], ratios[f"jump_{name}"][nu < 0.5]) for name in LAWS}
+    plotting.curves(
+        lines,
+        xlabel="1/2 - nu",
+        ylabel="relative difference of the jump on S, L2",
+        title=f"interface laws of a rubbery layer, eps = 1/{round(1 / PICTURED)}",
+        styles=dict(zip(lines, ("o-", "^-", "s-"), strict=True)),
+        logarithmic=True,
+        save=record.path("ratios.png"),
+    )
+    lines = {}
+    for one in RATES:
+        rows = np.isclose(rates["nu"], one)
+        lines[f"nu = {one:g}"] = (rates["eps"][rows], rates["jump_rubber"][rows])
+    eps = np.asarray(next(iter(lines.values()))[0])
+    lines["slope 2"] = (eps, 0.3 * eps**2)
+    plotting.curves(
+        lines,
+        xlabel="layer thickness eps",
+        ylabel="relative difference of the jump on S, L2",
+        title="law with a pressure on S",
+        styles=dict(zip(lines, ("o-", "^-", "s-", "D-", "--"), strict=True)),
+        logarithmic=True,
+        save=record.path("rates.png"),
+    )

@@ -1,0 +1,253 @@
+"""Rubbery layers: the interface law with a pressure, against transfer matrices, its own closed form and meshed layers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import ufl
+from scipy.linalg import expm
+
+from forms import Incompressible, LawError, LinearElastic, Rubber
+from geometry import sandwich
+from studies.problems import fourier
+from tests.ranges_told import told
+from tests.test_tips import partly
+from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, observed_orders, solve
+
+K = np.pi  # wave number of the Fourier problem: bodies of height .5, E = 100, nu = .3, top traction (.5 sin, cos)
+NUS = [0.3, 0.45, 0.49, 0.499, 0.5]
+
+
+def of(mu: float, nu: float) -> tuple[float, float]:
+    """Lame moduli; nu = 1/2 is an infinite one."""
+    return (2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf), mu
+
+
+def law_of(lmbda: float, mu: float, eps: float) -> Rubber | Incompressible:
+    law = Rubber(lmbda, mu) if math.isfinite(lmbda) else Incompressible(mu)
+    return law.per_thickness(eps)
+
+
+def transfer(lmbda: float, mu: float) -> np.ndarray:
+    """d/dy of (U, V, S, T) of a Fourier mode in an isotropic layer."""
+    if math.isinf(lmbda):
+        ratio, soft, stiff = 1.0, 0.0, 4 * K**2 * mu
+    else:
+        ratio, soft = lmbda / (lmbda + 2 * mu), 1 / (lmbda + 2 * mu)
+        stiff = 4 * K**2 * mu * (lmbda + mu) * soft
+    return np.array([[0, K, 1 / mu, 0], [-ratio * K, 0, 0, soft], [stiff, 0, 0, ratio * K], [0, 0, -K, 0]])
+
+
+def law_on_s(lmbda: float, mu: float, eps: float) -> np.ndarray:
+    """Stiffness (4, 4) of the law for (jumps U, V, means U, V), its pressure eliminated."""
+    compliance = (0.0 if math.isinf(lmbda) else eps / lmbda) + eps**3 * K**2 / (12 * mu)
+    sheet = 2 * mu if math.isinf(lmbda) else 2 * lmbda * mu / (lmbda + 2 * mu)
+    rows = [
+        ([0, 1, eps * K, 0], 1 / compliance),
+        ([0, 0, K, 0], 2 * mu * eps),
+        ([0, 1 / eps, 0, 0], 2 * mu * eps),
+        ([1 / eps, 0, 0, -K], mu * eps),
+        ([K, 0, 0, 0], eps / 12 * (sheet + 2 * mu)),
+    ]
+    return sum(weight * np.outer(row, row) for row, weight in rows)
+
+
+def jumps(layer: np.ndarray) -> np.ndarray:
+    """Amplitudes of the jump of the Fourier problem, for the transfer matrix of the layer."""
+    body = expm(transfer(*of(100 / 2.6, 0.3)) * 0.5)
+    whole = body @ layer @ body
+    bottom = np.append([0.0, 0.0], np.linalg.solve(whole[2:, 2:], [0.5, 1.0]))
+    below = body @ bottom
+    return (layer @ below - below)[:2]
+
+
+def of_law(lmbda: float, mu: float, eps: float) -> np.ndarray:
+    to_sides = np.block([[-np.eye(2), np.eye(2)], [np.eye(2) / 2, np.eye(2) / 2]])
+    k = to_sides.T @ law_on_s(lmbda, mu, eps) @ to_sides
+    moved, forced = -np.linalg.solve(k[:2, 2:], k[:2, :2]), -np.linalg.inv(k[:2, 2:])
+    return jumps(np.block([[moved, forced], [k[2:, :2] + k[2:, 2:] @ moved, k[2:, 2:] @ forced]]))
+
+
+def found(model) -> np.ndarray:
+    """Amplitudes of the jump."""
+    state = solve(model)
+    sides, x = model.sides, ufl.SpatialCoordinate(model.domain.mesh)[0]
+    w = sides.jump(state.u)
+    parts = (w[0] * ufl.sin(K * x), w[1] * ufl.cos(K * x))
+    assert abs(state.audit.imbalance) < 1e-10
+    energies = state.energies()
+    assert energies["bodies"] + energies["layer"] == pytest.approx(energies["loads"] / 2, rel=1e-10)
+    return np.array([2 * state.integral(part * sides.measure) for part in parts])
+
+
+@pytest.mark.parametrize(("cell", "allowed"), [("quadrilateral", 3e-4), ("triangle", 4e-4)])
+def test_closed_form_of_the_law(cell, allowed):
+    """The discretised law is the law: errors of the mesh alone, at all Poisson's ratios."""
+    joint, setup = fourier(1 / 16, cell=cell)
+    for nu in NUS:
+        eps = 1 / 8
+        lmbda, mu = of(40 * eps, nu)
+        model = Structure(joint, **setup).interface(ThinLayer(law_of(lmbda, mu, eps), eps, order=1))
+        wanted = of_law(lmbda, mu, eps)
+        assert np.linalg.norm(found(model) - wanted) < allowed * np.linalg.norm(wanted), nu
+
+
+def test_closed_form_in_three_dimensions():
+    """A wave along the diagonal of S, with the wave number pi sqrt(2), against meshed layers: error of order 2."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 5, depth=1.0, cell="hexahedron", structured=True)
+    rollers = {name: {axis: 0.0} for name, axis in (("LEFT", "x"), ("RIGHT", "x"), ("FRONT", "z"), ("BACK", "z"))}
+
+    def top(x, t):
+        s, c, s3, c3 = (f(K * x[k]) for k in (0, 2) for f in (ufl.sin, ufl.cos))
+        return (0.4 * s * c3, c * c3, 0.4 * c * s3)
+
+    body = LinearElastic.young(100.0, 0.3)
+    structure = Structure(joint, body=body, supports={"BOTTOM": 0.0, **rollers}, tractions={"TOP": top})
+    errors = []
+    for eps in (1 / 8, 1 / 16):
+        law = Rubber(*of(40 * eps, 0.499)).per_thickness(eps)
+        full = solve(structure.full(ThinLayer(law, eps), cells_through=1))
+        errors.append(compare(full, solve(structure.interface(ThinLayer(law, eps, order=1))))["error_jump"])
+    assert errors[0] < 0.05
+    assert observed_orders([1 / 8, 1 / 16], errors)[1] > 1.7
+
+
+def test_error_of_the_law_is_of_order_two_for_all_ratios():
+    """Bounded by eps^2 uniformly, where the error of linear displacements through the layer is not."""
+    for nu in np.append(1 - np.logspace(-0.31, 0, 20), [0.49, 0.499, 0.49999, 0.5]):
+        if not 0.01 < nu <= 0.5:
+            continue
+        ratios = []
+        for eps in (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 128):
+            lmbda, mu = of(40 * eps, nu)
+            exact = jumps(expm(transfer(lmbda, mu) * eps))
+            ratios.append(np.linalg.norm(of_law(lmbda, mu, eps) - exact) / np.linalg.norm(exact) / eps**2)
+        assert max(ratios) < 0.82 * 1.05, nu
+
+
+# Errors of the jump over that of the exact layer at eps = 1/8, mu = 40 eps: order 0, and the law; from hp elements.
+PRINTED = {
+    0.3: (1.1e-1, 4.9e-3),
+    0.45: (2.3e-1, 7.5e-3),
+    0.49: (0.37, 7.9e-3),
+    0.499: (0.42, 9.3e-3),
+    0.5: (None, 9.6e-3),
+}
+
+
+def order_0(lmbda: float, mu: float, eps: float) -> np.ndarray:
+    springs = np.zeros((4, 4))
+    springs[:2, 2:] = np.diag([eps / mu, eps / (lmbda + 2 * mu)])
+    return jumps(np.eye(4) + springs)
+
+
+@pytest.mark.parametrize("nu", PRINTED)
+def test_errors_of_the_laws(nu):
+    """Those of hp elements, within the digits printed."""
+    eps = 1 / 8
+    lmbda, mu = of(40 * eps, nu)
+    exact = jumps(expm(transfer(lmbda, mu) * eps))
+    for law, printed in zip((order_0, of_law), PRINTED[nu], strict=True):
+        if printed:
+            error = np.linalg.norm(law(lmbda, mu, eps) - exact) / np.linalg.norm(exact)
+            assert error == pytest.approx(printed, rel=0.05)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.45, 0.499])
+def test_errors_against_the_meshed_layer(nu):
+    """Those of transfer matrices; the elastic law of order 0 beside it."""
+    joint, setup = fourier(1 / 32, cell="quadrilateral")
+    eps = 1 / 8
+    lmbda, mu = of(40 * eps, nu)
+    structure, law = Structure(joint, **setup), Rubber(lmbda, mu).per_thickness(eps)
+    full = solve(structure.full(ThinLayer(law, eps), cells_through=4))
+    elastic = LinearElastic(lmbda, mu).per_thickness(eps)
+    exact = jumps(expm(transfer(lmbda, mu) * eps))
+    for one, layer in ((of_law, ThinLayer(law, eps, order=1)), (order_0, ThinLayer(elastic, eps))):
+        limit = one(lmbda, mu, eps)
+        state = told(lambda layer=layer: solve(structure.interface(layer)))[0]
+        wanted = np.linalg.norm(limit - exact) / np.linalg.norm(limit)
+        assert compare(full, state)["error_jump"] == pytest.approx(wanted, rel=0.03)
+
+
+def test_meshed_layer_does_not_lock():
+    """One row of cells with a pressure next to incompressible: as eight rows of elastic ones, within .1 %."""
+    joint, setup = fourier(1 / 16)
+    eps = 1 / 16
+    lmbda, mu = of(40 * eps, 0.4999)
+    wanted = jumps(expm(transfer(lmbda, mu) * eps))
+    structure = Structure(joint, **setup)
+    full = solve(structure.full(ThinLayer(Rubber(lmbda, mu).per_thickness(eps), eps), cells_through=2))
+    surface = Surface(structure.interface(ThinLayer(LinearElastic(1.0, 1.0), eps)))
+    w = surface.jump(full)
+    x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
+    parts = (w[0] * ufl.sin(K * x), w[1] * ufl.cos(K * x))
+    amplitudes = np.array([2 * surface.integral(part) for part in parts])
+    assert amplitudes == pytest.approx(wanted, rel=2e-3)
+
+
+def test_order_0_is_the_elastic_law():
+    """Without flow along S the pressure is lmbda [u_N]/eps."""
+    joint, setup = fourier(1 / 8)
+    layers = [ThinLayer(law(30.0, 20.0), 0.1) for law in (Rubber, LinearElastic)]
+    with_pressure, elastic = (solve(Structure(joint, **setup).interface(layer)) for layer in layers)
+    assert with_pressure.energies() == pytest.approx(elastic.energies(), rel=1e-4)  # p is of degree 1
+    assert with_pressure.p is not None
+
+
+def test_free_ends():
+    """The pressure is zero at free ends that cells resolve, and at those alone."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_S=1 / 16, h_ends=1 / 40)
+    stiff = LinearElastic.young(1e5, 0.3)
+    eps = 1 / 16
+    layer = ThinLayer(Rubber.shear(1.0, 0.49).per_thickness(eps), eps, order=1)
+    for sides, zero in (
+        ({}, (True, True)),
+        ({"LEFT": {"x": 0.0}}, (False, True)),
+        ({"LEFT/LAYER": 0.0}, (False, True)),
+    ):
+        structure = Structure(joint, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}, **sides})
+        state, said = told(lambda structure=structure: solve(structure.interface(layer)))
+        assert said == []
+        x = state.p.function_space.tabulate_dof_coordinates()[:, 0]
+        ends = np.abs(state.p.x.array[[np.argmin(x), np.argmax(x)]]) < 1e-12 * np.abs(state.p.x.array).max()
+        assert tuple(ends) == zero
+    coarse = sandwich(1.0, 0.5, 0.5, 1 / 8)
+    structure = Structure(coarse, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}})
+    thin = ThinLayer(Rubber.shear(1.0, 0.3).per_thickness(eps), eps, order=1)
+    _, said = told(lambda: solve(structure.interface(thin)))
+    assert len(said) == 1
+    assert "not set to zero at such ends" in said[0]
+
+
+@pytest.mark.parametrize("theta", [1.0, 0.5])
+def test_march(theta):
+    """Steps in time find the states of single solves, and their energy balance closes."""
+    joint, setup = fourier(1 / 8)
+    setup["tractions"] = {"TOP": lambda x, t: (0.5 * t * ufl.sin(K * x[0]), t * ufl.cos(K * x[0]))}
+    model = Structure(joint, **setup).interface(ThinLayer(Rubber(90.0, 3.0), 0.1, order=1))
+    history = march(model, [0.25, 1.0], theta=theta)
+    at_once = solve(model, t=1.0)
+    for state in history:
+        assert abs(state.audit.imbalance) < 1e-10
+    assert history.last.energies() == pytest.approx(at_once.energies(), rel=1e-9)
+
+
+def test_refused():
+    with pytest.raises(LawError, match="lmbda is 0"):
+        Rubber(0.0, 1.0)
+    with pytest.raises(LawError, match="mu is -1"):
+        Rubber(1.0, -1.0)
+    joint, setup = fourier(1 / 4)
+    layer = ThinLayer(Rubber(90.0, 3.0), 0.1, order=1)
+    with pytest.raises(ModelError, match="in plane stress"):
+        Structure(joint, plane="stress", **setup).interface(layer)
+    tip = partly(joint, lambda x: x[:, 0] < 0.5)
+    with pytest.raises(ModelError, match="end inside the bodies"):
+        Structure(tip, **setup).interface(layer)
+    with pytest.raises(LawError, match=r"lmbda is .*function.*allowed: a number"):
+        Rubber(lambda x: 1 + x[0], 1.0)
+    with pytest.raises(ModelError, match="Rubber is for layers"):
+        Structure(joint, **setup | {"body": Rubber(2.0, 1.0)})
