@@ -19,6 +19,11 @@ from forms.limits_plastic import PlasticCylinder as PlasticCylinder
 from forms.limits_plastic import prandtl_pressure as prandtl_pressure
 from forms.limits_plastic import von_mises_fixed_opening as von_mises_fixed_opening
 from forms.limits_plastic import von_mises_shear as von_mises_shear
+from forms.limits_rubber import rubber_annulus as rubber_annulus
+from forms.limits_rubber import rubber_disc as rubber_disc
+from forms.limits_rubber import rubber_disc_pressure as rubber_disc_pressure
+from forms.limits_rubber import rubber_strip as rubber_strip
+from forms.limits_rubber import rubber_strip_tilted as rubber_strip_tilted
 
 Array = npt.NDArray[np.float64]
 

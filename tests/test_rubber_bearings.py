@@ -1,0 +1,144 @@
+"""The pressure of rubber on S against closed forms of bearings, and meshed layers against exact numbers."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Incompressible, LinearElastic, Rubber, limits
+from geometry import sandwich
+from tests.test_rubber_closed_forms import ANNULUS, EPS, MU, RADIUS, STRIP
+from thinlayer import Structure, Surface, ThinLayer, solve
+
+PLATES = LinearElastic.young(3.6e6, 0.3)  # MPa, a million times that of the layers
+HALF = 0.5  # Poisson's ratio of incompressible layers
+SPANS = {"strip": (-STRIP, STRIP), "disc": (0.0, RADIUS), "annulus": ANNULUS}
+OPENING = 0.01  # mm
+
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of layers thicker than the plates
+
+
+def closed_form(bearing, lmbda):
+    stiffness = getattr(limits, f"rubber_{bearing}")
+    ends = ANNULUS if bearing == "annulus" else SPANS[bearing][1:]
+    return stiffness(lmbda, MU, EPS, *ends)
+
+
+def modulus(nu):
+    return LinearElastic.shear(MU, nu).lmbda if nu < HALF else math.inf
+
+
+@cache
+def joint(bearing, h_ends):
+    """Plates of a third of the layer's thickness, held outside as a whole: they do not bend."""
+    start, end = SPANS[bearing]
+    return sandwich(end - start, 1.0, 1.0, 2.0, h_S=1.0, h_ends=h_ends, cell="quadrilateral").moved((start, 0.0))
+
+
+def structure(bearing, *, motion=(0.0, OPENING), h_ends=0.2):
+    plane = "strain" if bearing == "strip" else "axisymmetric"
+    supports = {"BOTTOM": 0.0, "TOP": dict(zip("xy", motion, strict=True))}
+    return Structure(joint(bearing, h_ends), body=PLATES, supports=supports, plane=plane)
+
+
+def layer(law, order=1):
+    return ThinLayer(law.per_thickness(EPS), EPS, order=order)
+
+
+def rubber(nu):
+    return Rubber(modulus(nu), MU) if nu < HALF else Incompressible(MU)
+
+
+def area(bearing):
+    start, end = SPANS[bearing]
+    return end - start if bearing == "strip" else np.pi * (end**2 - start**2)
+
+
+def stiffness(bearing, state):
+    """Force of the plate on the layer over its area and its motion."""
+    return state.reaction("TOP").force[1] / (area(bearing) * OPENING)
+
+
+# ---------------------------------------------------------------- the interface law
+@pytest.mark.parametrize("nu", [0.3, 0.45, 0.49, 0.499, 0.4999, HALF])
+@pytest.mark.parametrize("bearing", SPANS)
+def test_stiffness_of_bearings(bearing, nu):
+    """To 0.1 %, of cells of degree 1 for the pressure and plates that are not rigid."""
+    state = solve(structure(bearing).interface(layer(rubber(nu))))
+    wanted = closed_form(bearing, modulus(nu))
+    assert stiffness(bearing, state) == pytest.approx(wanted, rel=1e-3)
+    surface = Surface(state.model)
+    force, opening = (surface.integral(f[1]) for f in (surface.traction(state), surface.jump(state)))
+    assert force / opening == pytest.approx(wanted, rel=1e-3)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.45, 0.49, 0.499, 0.4999, HALF])
+def test_moment_of_a_tilted_strip(nu):
+    rotation = 1e-3
+    # about a point eps/2 below the upper face, in the middle of the layer, so that there is no shear
+    motion = (-rotation * (1.0 + EPS / 2), lambda x, t: rotation * x[0])
+    state = solve(structure("strip", motion=motion).interface(layer(rubber(nu))))
+    wanted = limits.rubber_strip_tilted(modulus(nu), MU, EPS, STRIP)
+    assert state.reaction("TOP").at((0.0, 0.0)).moment / rotation == pytest.approx(wanted, rel=2e-3)
+    surface = Surface(state.model)
+    x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
+    moment = surface.integral(x * surface.traction(state)[1])
+    assert moment / rotation == pytest.approx(wanted, rel=2e-3)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize(("nu", "factor"), [(0.3, 1.01), (0.45, 1.07), (0.49, 1.2)])
+@pytest.mark.parametrize("bearing", SPANS)
+def test_without_a_pressure_that_flows_bearings_are_too_stiff(bearing, nu, factor, order):
+    law = LinearElastic(modulus(nu), MU)
+    found = stiffness(bearing, solve(structure(bearing).interface(layer(law, order))))
+    assert found > factor * closed_form(bearing, modulus(nu))
+
+
+def test_pressure_along_the_radius():
+    """Of the traction t_N = p + 2 mu w_N/eps at the vertices of S, relative to the largest one."""
+    for nu in (0.49, HALF):
+        state = solve(structure("disc").interface(layer(rubber(nu))))
+        surface = Surface(state.model)
+        x, t = surface.profile(surface.traction(state))
+        wanted = OPENING * (limits.rubber_disc_pressure(modulus(nu), MU, EPS, RADIUS, x[:, 0]) + 2 * MU / EPS)
+        inside = x[:, 0] < 0.95 * RADIUS
+        assert np.abs(t[:, 1] - wanted)[inside].max() < 5e-3 * wanted.max()
+
+
+# ---------------------------------------------------------------- the meshed layer
+EXACT = {  # nu: strip, disc, annulus: from elements graded into the corners of the layer
+    0.3: (3.463930 * MU / EPS, None, None),
+    0.45: (10.277722 * MU / EPS, 3.8418105, 3.7839791),
+    0.49: (41.130942 * MU / EPS, 13.337616, 12.197906),
+    0.499: (205.854698 * MU / EPS, 43.421577, 30.239282),
+    0.4999: (364.064818 * MU / EPS, 57.913672, 35.838211),
+}
+
+
+@pytest.mark.parametrize("nu", EXACT)
+@pytest.mark.parametrize("bearing", SPANS)
+def test_meshed_rubber(bearing, nu):
+    """Against exact numbers, and against the closed form: annuli are 9.3, others 20 thicknesses wide."""
+    whole = structure(bearing, h_ends=0.1)
+    state = solve(whole.full(layer(rubber(nu), 0), cells_through=8))
+    found, exact = stiffness(bearing, state), EXACT[nu][list(SPANS).index(bearing)]
+    if exact:
+        assert found == pytest.approx(exact, rel=2e-3)
+    assert found == pytest.approx(closed_form(bearing, modulus(nu)), rel=0.016 if bearing == "annulus" else 0.012)
+
+
+@pytest.mark.parametrize(("slenderness", "exact"), [(5, 82.427496), (20, 339.973969)])
+def test_meshed_strips_of_other_widths(slenderness, exact):
+    """Of nu = 0.499; half-widths are counted in thicknesses."""
+    a = slenderness * EPS
+    strip = sandwich(2 * a, 1.0, 1.0, 2.0, h_S=1.0, h_ends=0.1, cell="quadrilateral").moved((-a, 0.0))
+    whole = Structure(strip, body=PLATES, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": OPENING}})
+    state = solve(whole.full(layer(rubber(0.499), 0), cells_through=8))
+    found = state.reaction("TOP").force[1] / (2 * a * OPENING)
+    assert found == pytest.approx(exact * MU / EPS, rel=2e-3)
+    assert found == pytest.approx(limits.rubber_strip(modulus(0.499), MU, EPS, a), rel=0.012)
