@@ -222,6 +222,15 @@ def test_free_ends():
     assert "not set to zero at such ends" in said[0]
 
 
+def test_one_free_end_at_the_origin():
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=1 / 40).moved((-1.0, 0.0))
+    held = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}, "LEFT": {"x": 0.0}}
+    layer = ThinLayer(Rubber.shear(1.0, 0.49).per_thickness(1 / 16), 1 / 16, order=1)
+    p = solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), supports=held).interface(layer)).p
+    x = p.function_space.tabulate_dof_coordinates()[:, 0]
+    assert abs(p.x.array[np.argmax(x)]) < 1e-12 * np.abs(p.x.array).max()
+
+
 @pytest.mark.parametrize("theta", [1.0, 0.5])
 def test_march(theta):
     """Steps in time find the states of single solves, and their energy balance closes."""

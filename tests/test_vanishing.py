@@ -133,29 +133,6 @@ def test_a_first_step_far_beyond_yield(supports, grows):
         assert np.abs(once.u.x.array - often.u.x.array).max() < 0.05 * np.abs(once.u.x.array).max()
 
 
-def test_a_step_that_fails_in_a_callback_leaves_all_usable(monkeypatch):
-    """Long steps fail from their third tangent on, which PETSc asks for: they are halved, and no vector is locked."""
-    calls, tangents, begin = 0, CompiledPart.tangents, CompiledPart.begin
-
-    def beginning(self, interval):
-        nonlocal calls
-        calls = 0
-        begin(self, interval)
-
-    def failing(self, relative_residual):
-        nonlocal calls
-        calls += 1
-        if self.interval.dt > 0.3 and calls >= 3:
-            raise SolveError("made to fail")
-        return tangents(self, relative_residual)
-
-    monkeypatch.setattr(CompiledPart, "begin", beginning)
-    monkeypatch.setattr(CompiledPart, "tangents", failing)
-    history = march(sheet({"BOTTOM": 0.0}, grows=True), [1.0])
-    assert np.diff(history.t)[0] <= 0.3
-    assert history.last.t == 1.0
-
-
 def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):
     """As it was raised, not as an error of PETSc's; the same solver then finds the equilibrium."""
     model, tangents, fails = sheet({"BOTTOM": 0.0}), CompiledPart.tangents, True

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 from ufl.algorithms.analysis import extract_constants
@@ -218,9 +219,9 @@ def _on(region: Region, constant: Expr) -> Expr:
 
 
 def _at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
-    """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d)."""
+    """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
     owned = space.dofmap.index_map.size_local
     x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]
+    size = space.mesh.comm.allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX)
     distance, _ = cKDTree(places).query(x)
-    size = float(np.ptp(places, axis=0).max(initial=0.0)) + float(np.abs(places).max(initial=0.0))
-    return np.flatnonzero(distance <= SAME_PLACE * max(size, 1e-300)).astype(np.int64)
+    return np.flatnonzero(distance <= SAME_PLACE * size).astype(np.int64)
