@@ -117,9 +117,9 @@ def draw(record: Record) -> None:
     labels = list(MODELS.values())
     plotting.panels(
         parts,
-        xlabel="log10(lmbda/mu)",
+        xlabel="log10(lmbda/mu); 3.7: nu = 0.4999",
         ylabels=dict.fromkeys(parts, "stiffness over closed form"),
-        styles=dict(zip(labels, ("o", "s-", "^-"), strict=True)),
+        styles=dict(zip(labels, ("o", "-", "^-"), strict=True)),
         colours=dict(zip(labels, ("black", "tab:blue", "tab:red"), strict=True)),
         ylims=dict.fromkeys(parts, (0.95, 1.3)),
         save=record.path("stiffness.png"),
@@ -132,6 +132,6 @@ def draw(record: Record) -> None:
         ylabel="normal traction over the largest in closed form",
         title=f"rubber of nu = {DRAWN['nu']:g}, radius {2 * DRAWN['shape']:g} eps",
         styles=dict(zip(columns.values(), ("-", ".", "--", ":"), strict=True)),
-        ylim=(0.0, 1.6),
+        ylim=(0.0, 2.8),
         save=record.path("tractions.png"),
     )
