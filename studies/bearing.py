@@ -43,7 +43,7 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     errors = {name: np.abs(table[name] / closed - 1) for name in ("meshed", "rubber")}
     record.check("largest error of the law with a pressure", errors["rubber"].max(), high=2e-3)
     of = "largest distance of meshed layers from the closed form"
-    record.check(f"{of}, shape factors from 5 on", errors["meshed"][wide].max(), high=0.012)
+    record.check(f"{of}, shape factors from 5 on", errors["meshed"][wide].max(), high=0.013)
     record.check(f"{of}, all shape factors", errors["meshed"].max(), high=0.03)
     record.check("least excess of the law of order 0", (table["order_0"] / closed).min() - 1, low=0.01)
     _tractions(record, quick=quick)
