@@ -18,9 +18,12 @@ DIRECT: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 2,
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
 }
-SPACIOUS: dict[str, OptionValue] = {
-    "mat_mumps_icntl_14": 1000
-}  # where pivots of a saddle point are put off again and again
+SPACIOUS: dict[
+    str, OptionValue
+] = {  # at saddle points where MUMPS puts off pivots again and again: smaller ones do, too
+    "mat_mumps_icntl_14": 1000,
+    "mat_mumps_cntl_1": 1e-4,
+}
 MULTIGRID: dict[str, OptionValue] = {
     **DIRECT,
     "ksp_max_it": 200,
@@ -40,7 +43,7 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
     The direct solver is MUMPS with AMF ordering: Cholesky for symmetric tangents, else LU. Large models try conjugate
     gradients (GMRES without symmetry) with algebraic multigrid first; it knows the rigid motions. Very stiff layers slow
     multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: direct only, and once
-    more with more memory for MUMPS if it fails.
+    more with more memory and smaller pivots if MUMPS fails.
     """
     direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
