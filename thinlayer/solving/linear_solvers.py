@@ -18,6 +18,12 @@ DIRECT: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 2,
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
 }
+SPACIOUS: dict[
+    str, OptionValue
+] = {  # at saddle points where MUMPS puts off pivots again and again: smaller ones do, too
+    "mat_mumps_icntl_14": 1000,
+    "mat_mumps_cntl_1": 1e-4,
+}
 MULTIGRID: dict[str, OptionValue] = {
     **DIRECT,
     "ksp_max_it": 200,
@@ -36,12 +42,15 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
 
     The direct solver is MUMPS with AMF ordering: Cholesky for symmetric tangents, else LU. Large models try conjugate
     gradients (GMRES without symmetry) with algebraic multigrid first; it knows the rigid motions. Very stiff layers slow
-    multigrid down so much that factorising is faster. Incompressible layers lead to saddle points: direct only.
+    multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: direct only, and once
+    more with more memory and smaller pivots if MUMPS fails.
     """
     direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
     saddle = any(p.law.traits.constrained for p in model.layer_terms)
-    if saddle or unknowns < MULTIGRID_FROM[model.joint.dim]:
+    if saddle:
+        return [direct, {**direct, **SPACIOUS}]
+    if unknowns < MULTIGRID_FROM[model.joint.dim]:
         return [direct]
     return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
 
