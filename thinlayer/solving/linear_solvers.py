@@ -18,11 +18,9 @@ DIRECT: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 2,
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
 }
-SPACIOUS: dict[
-    str, OptionValue
-] = {  # at saddle points where MUMPS puts off pivots again and again: smaller ones do, too
+SPACIOUS: dict[str, OptionValue] = {  # for saddle points at which MUMPS puts off pivots again and again
     "mat_mumps_icntl_14": 1000,
-    "mat_mumps_cntl_1": 1e-4,
+    "mat_mumps_cntl_1": 1e-4,  # smaller pivots are taken, too
 }
 MULTIGRID: dict[str, OptionValue] = {
     **DIRECT,
