@@ -16,7 +16,7 @@ from thinlayer.solving.options import PREFIX
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
-WORTH_REFINING = {True: 1e-6, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
+WORTH_REFINING = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
 UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
 OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
 UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
