@@ -18,10 +18,9 @@ DIRECT: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 2,
     "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
 }
-SPACIOUS: dict[str, OptionValue] = {  # for saddle points at which MUMPS puts off pivots again and again
-    "mat_mumps_icntl_14": 1000,
-    "mat_mumps_cntl_1": 1e-4,  # smaller pivots are taken, too
-}
+# for saddle points at which MUMPS puts off pivots again and again: more memory, then smaller pivots, too
+SPACIOUS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000}
+LENIENT: dict[str, OptionValue] = {**SPACIOUS, "mat_mumps_cntl_1": 1e-4}
 MULTIGRID: dict[str, OptionValue] = {
     **DIRECT,
     "ksp_max_it": 200,
@@ -40,14 +39,14 @@ def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
 
     The direct solver is MUMPS with AMF ordering: Cholesky for symmetric tangents, else LU. Large models try conjugate
     gradients (GMRES without symmetry) with algebraic multigrid first; it knows the rigid motions. Very stiff layers slow
-    multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: direct only, and once
-    more with more memory and smaller pivots if MUMPS fails.
+    multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: direct only; if MUMPS
+    fails, with more memory, then with smaller pivots too.
     """
     direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
     saddle = any(p.law.traits.constrained for p in model.layer_terms)
     if saddle:
-        return [direct, {**direct, **SPACIOUS}]
+        return [direct, {**direct, **SPACIOUS}, {**direct, **LENIENT}]
     if unknowns < MULTIGRID_FROM[model.joint.dim]:
         return [direct]
     return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
