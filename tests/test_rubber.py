@@ -116,9 +116,7 @@ def test_closed_form_in_three_dimensions():
 
 def test_error_of_the_law_is_of_order_two_for_all_ratios():
     """Bounded by eps^2 uniformly, where the error of linear displacements through the layer is not."""
-    for nu in np.append(1 - np.logspace(-0.31, 0, 20), [0.49, 0.499, 0.49999, 0.5]):
-        if not 0.01 < nu <= 0.5:
-            continue
+    for nu in (*np.linspace(0.02, 0.48, 20), 0.49, 0.499, 0.49999, 0.5):
         ratios = []
         for eps in (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 128):
             lmbda, mu = of(40 * eps, nu)
@@ -173,19 +171,22 @@ def test_errors_against_the_meshed_layer(nu):
 
 
 def test_meshed_layer_does_not_lock():
-    """One row of cells with a pressure next to incompressible: as eight rows of elastic ones, within .1 %."""
+    """Two rows of cells with a pressure at nu = .4999; as many elastic ones are ten times further off."""
     joint, setup = fourier(1 / 16)
     eps = 1 / 16
     lmbda, mu = of(40 * eps, 0.4999)
     wanted = jumps(expm(transfer(lmbda, mu) * eps))
     structure = Structure(joint, **setup)
-    full = solve(structure.full(ThinLayer(Rubber(lmbda, mu).per_thickness(eps), eps), cells_through=2))
     surface = Surface(structure.interface(ThinLayer(LinearElastic(1.0, 1.0), eps)))
-    w = surface.jump(full)
     x = ufl.SpatialCoordinate(surface.model.domain.mesh)[0]
-    parts = (w[0] * ufl.sin(K * x), w[1] * ufl.cos(K * x))
-    amplitudes = np.array([2 * surface.integral(part) for part in parts])
-    assert amplitudes == pytest.approx(wanted, rel=2e-3)
+    errors = []
+    for law in (Rubber, LinearElastic):
+        w = surface.jump(solve(structure.full(ThinLayer(law(lmbda, mu).per_thickness(eps), eps), cells_through=2)))
+        parts = (w[0] * ufl.sin(K * x), w[1] * ufl.cos(K * x))
+        amplitudes = np.array([2 * surface.integral(part) for part in parts])
+        errors.append(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted))
+    assert errors[0] < 2e-4
+    assert errors[1] > 5 * errors[0]
 
 
 def test_order_0_is_the_elastic_law():
