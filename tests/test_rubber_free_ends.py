@@ -82,7 +82,7 @@ def test_elastic_laws_have_larger_errors(order):
 
 @pytest.mark.parametrize(("width", "wrong"), [(5.7, 5e-3), (22.0, 3e-2)])
 def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
-    """Cells longer than the fall of the pressure: with p = 0 at the ends the layer is too soft, the more so the larger they are."""
+    """Cells longer than the fall of the pressure: with p = 0 there the layer is too soft, and softer for larger cells."""
     eps, nu = EPS[1], 0.3
     delta = eps * math.sqrt(2 * nu / (1 - 2 * nu) / 12)
     coarse = structure(sandwich(1.0, 0.5, 0.5, width * delta, structured=True))
