@@ -40,6 +40,10 @@ class Incompressible(LinearLaw):
         """The stress without p I."""
         return lame(0, self.mu, step.mid)
 
+    @property
+    def fluidity(self) -> Expr:
+        return 1 / self.mu
+
     def plane_stress(self) -> LinearElastic:
         """Not constrained in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
         return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})

@@ -244,12 +244,14 @@ class BulkLaw(Law):
         otherwise: law evaluated in plane strain where `holds` is false, and always in 3D; it has the same parameters and
             internal values. Without it, points where `holds` is false fail, and the solver takes a smaller step.
         volume_compliance: of a law with a pressure p (`constrained`), tr e/p; 0: the volume stays the same.
+        fluidity: of such a law, by which a slope of p shears a layer (order 1): the inverse of the shear modulus.
         methods: names of the methods that give the stress and the new internal values, for messages.
     """
 
     takes_fields: ClassVar = True
     otherwise: ClassVar[BulkLaw | None] = None
     volume_compliance: ClassVar[Any] = 0.0
+    fluidity: ClassVar[Any] = 0.0
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
 
     def _traits_of_methods(self) -> dict[str, bool]:

@@ -35,7 +35,6 @@ class Rubber(LinearLaw):
     mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
     constrained: ClassVar = True
-    takes_fields: ClassVar = False
     stiffness = isotropic_stiffness
 
     @classmethod
@@ -55,6 +54,10 @@ class Rubber(LinearLaw):
     @property
     def volume_compliance(self) -> Expr:
         return 1 / self.lmbda
+
+    @property
+    def fluidity(self) -> Expr:
+        return 1 / self.mu
 
     def plane_stress(self) -> LinearElastic:
         return LinearElastic(1.0, 1.0).with_parameters(

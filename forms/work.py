@@ -33,7 +33,8 @@ class Term:
         kinematics: those of the strain.
         volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar), of
             compiled laws over cells; None: it is that of the displacements.
-        flow: of a law with a pressure on S at order 1, eps^3/(12 mu): flux along S over the slope of the pressure; else 0.
+        flow: of a law with a pressure on S at order 1, eps^3/12: flux along S over the slope of the pressure, for a law of
+            `fluidity` 1; else 0.
     """
 
     law: BulkLaw
@@ -165,9 +166,8 @@ def surface(
 
     if law.traits.constrained:
         in_s = ufl.Identity(3) - ufl.outer(lift(sides.n), lift(sides.n))
-        flow = eps**3 / (12 * law.parameters()["mu"])
         return [
-            term(law, lambda u: jump_part(u) + along(u)[0], 1, flow),
+            term(law, lambda u: jump_part(u) + along(u)[0], 1, eps**3 / 12),
             term(law.plane_stress(), lambda u: in_s * along(u)[1] * in_s, 1 / 12),
         ]
 

@@ -16,6 +16,7 @@ from thinlayer import State, Structure, Surface, ThinLayer, compare, march, solv
 BODY = LinearElastic(80.0, 50.0)
 EPS = 0.06
 RUBBER = Rubber(1900.0, 2.0)
+VARYING = Rubber(lambda x: 1900.0 * (1 + x[0]), lambda x: 2.0 / (1 + x[0]))
 
 
 def strip(**sides) -> Structure:
@@ -62,9 +63,13 @@ def numbers() -> dict[str, float]:
         "hexahedra": solid("hexahedron"),
         "base": on_a_base(),
     }
-    cases = [(name, RUBBER) for name in structures] + [(name, Incompressible(2.0)) for name in ("strip", "hexahedra")]
+    cases = (
+        [(name, RUBBER) for name in structures]
+        + [("base", VARYING)]
+        + [(name, Incompressible(2.0)) for name in ("strip", "hexahedra")]
+    )
     for name, law in cases:
-        layer, called = ThinLayer(law, EPS, order=1), f"{name} {type(law).__name__}"
+        layer, called = ThinLayer(law, EPS, order=1), f"{name} {type(law).__name__}{' varying' * (law is VARYING)}"
         full = solve(structures[name].full(layer, cells_through=1 if name.endswith("hedra") else 2))
         limit = solve(structures[name].interface(layer))
         found |= measured(f"{called} meshed", full) | measured(called, limit)

@@ -292,13 +292,14 @@ class InterfaceModel(LayeredModel):
         """The terms of a layer without contact on its seam."""
         mesh, law, layer = self.domain.mesh, real_law(one.layer, self.kinematics), one.thin
         relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
-        law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
+        law = law if law.traits.compiled else constants(law, mesh)
         sides = self.sides_of(one.name)
         sides = replace(sides, measure=sides.measure.reconstruct(**self._rule(sides.measure)))
         if layer is None:
             return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
         eps = self._thickness(one.name, layer, sides)
         terms = forms.surface(law, sides, eps, layer.order, self.kinematics, relaxed)
+        terms = [replace(term, law=term.law.for_points()) if term.law.fields else term for term in terms]
         return [replace(term, key=one.key, given=self.given_on[one.name]) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:

@@ -74,8 +74,6 @@ class ThinLayer:
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and len(self.law.sublayers) > 1:
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
-        if self.order == 1 and self.law.traits.constrained and self.law.fields:
-            raise LawError(f"order=1 of {type(self.law).__name__}: its pressure needs a uniform modulus; use order=0")
         if self.order == 1 and self.law.traits.switches:
             raise LawError(f"order=1 of {type(self.law).__name__}: its phases are those of jumps alone; use order=0")
         if self.order == 1 and self.law.traits.plateau:

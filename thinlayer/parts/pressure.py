@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +16,10 @@ from ufl.classes import Zero
 from forms.kinematics import Expr
 from forms.work import Term
 from thinlayer.discretisation.given import OverStep
-from thinlayer.discretisation.layer import PRESSURE
+from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
-from thinlayer.pointwise.quadrature import Origin, Region
+from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
 
 SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
 
@@ -30,8 +28,8 @@ class PressurePart(Part):
     """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1, beside displacements of degree 2.
 
     The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room. c is the
-    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). On its free ends p is
-    then zero.
+    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow` times the law's
+    `fluidity`). On its free ends p is then zero.
 
     In the meshed layer this is the pair of Taylor and Hood. On S a pressure of degree 1 meets jumps of degree 2.
 
@@ -41,11 +39,10 @@ class PressurePart(Part):
         stiffness: stiffness of the bodies at a node, force per displacement, > 0. It makes the rows of G forces, so that
             residuals of both kinds have one unit.
         origin: original numbers of the cells of the mesh, for files.
-        key: of the pressure, among the fields of states.
-        parts: the terms of which `term` is made up, each with its law and given strains; by default the term alone.
         free: (n, d) vertices of S where p is zero.
 
     Attributes:
+        key: of the pressure, among the fields of states: that of the term, with "pressure" for "layer".
         region: the cells of the meshed layer, or S.
         unit: factor of G; `field` is the pressure divided by it.
         G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
@@ -61,12 +58,11 @@ class PressurePart(Part):
         term: Term,
         stiffness: float,
         origin: Origin | None = None,
-        key: str = PRESSURE,
-        parts: Sequence[Term] | None = None,
         free: Array | None = None,
     ) -> None:
-        self.key, self._origin = key, origin
-        self.region = region = Region(V.mesh, term.measure)
+        self.key, self._origin = PRESSURE + term.key.removeprefix(LAYER), origin
+        points = Quadrature(V, term, origin) if term.law.fields else None
+        self.region = region = points.region if points else Region(V.mesh, term.measure)
         space = fem.functionspace(region.mesh, ("Lagrange", 1))
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
@@ -75,9 +71,9 @@ class PressurePart(Part):
         self.G.assemble()
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
         self.G.scale(self.unit)
-        self.C = self._compliance(space, parts or [term])
+        self.C = self._compliance(space, term, points)
         self._zero = _at_places(space, free) if free is not None and len(free) else np.empty(0, np.int64)
-        strained = [p for p in parts or [term] if p.given is not None]
+        strained = [term] if term.given is not None else []
         self._over = OverStep(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
         self._room = fem.form(room, entity_maps=region.maps) if strained else None
@@ -87,15 +83,26 @@ class PressurePart(Part):
         self._squeezed = self.G.createVecLeft()
         self._filled: Array | None = None
 
-    def _compliance(self, space: fem.FunctionSpace, parts: Sequence[Term]) -> PETSc.Mat | None:
-        region, p, q = self.region, ufl.TrialFunction(space), ufl.TestFunction(space)
-        volumes, forms = [ufl.as_ufl(one.law.volume_compliance) for one in parts], []
-        if not all(isinstance(c, Zero) for c in volumes):
-            both = region.side(p) * region.side(q)
-            forms.append(sum(c * both * one.weight * one.measure for c, one in zip(volumes, parts, strict=True)))
-        if has_flow(parts[0]):  # on S, where there is one term: gradients of functions of its mesh are along S
-            flow = _on(region, parts[0].flow) * parts[0].kinematics.on(region.mesh).factor
-            forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
+    def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
+        """C, for a law whose parameters are functions with their values at `points`. Collective."""
+        region, law, measure, p, q = (
+            self.region,
+            term.law,
+            term.measure,
+            ufl.TrialFunction(space),
+            ufl.TestFunction(space),
+        )
+        forms, inside, along = [], law, ufl.dx(region.mesh)
+        if points:
+            known = points.on_region(law.fields_at(points.joint_x))
+            law = law.with_parameters({name: region.side(f) for name, f in known.items()})
+            inside, measure = law.with_parameters(known), points.measure
+            along = along(metadata=measure.metadata())
+        if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
+            forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
+        if has_flow(term):  # on S: gradients of functions of its mesh are along S
+            flow = _on(region, term.flow * inside.fluidity) * term.kinematics.on(region.mesh).factor
+            forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * along)
         matrices = [dolfinx.fem.petsc.assemble_matrix(fem.form(one, entity_maps=region.maps)) for one in forms]
         for matrix in matrices:
             matrix.assemble()
