@@ -259,7 +259,7 @@ def test_refused():
         Structure(tip, **setup).interface(layer)
     negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1)
     for build in (Structure.full, Structure.interface):
-        with pytest.raises(LawError, match=r"lmbda is -.*allowed: > 0.*at \("):
+        with pytest.raises(LawError, match=r"lmbda is -.*allowed: > 0.*, at x = "):
             build(Structure(joint, **setup), negative)
     with pytest.raises(ModelError, match="Rubber is for layers"):
         Structure(joint, **setup | {"body": Rubber(2.0, 1.0)})
