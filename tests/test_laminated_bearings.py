@@ -1,4 +1,4 @@
-"""Laminated bearings: several layers of rubber between shims, meshed and by the law with a pressure, as springs in series."""
+"""Laminated bearings: several layers of rubber between shims, meshed and by the law with a pressure: springs in series."""
 
 from __future__ import annotations
 
