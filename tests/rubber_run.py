@@ -10,7 +10,7 @@ import ufl
 from mpi4py import MPI
 
 from forms import Incompressible, LinearElastic, Rubber, VonMises
-from geometry import block, sandwich
+from geometry import block, periodic, sandwich
 from thinlayer import State, Structure, Surface, ThinLayer, compare, march, solve
 
 BODY = LinearElastic(80.0, 50.0)
@@ -77,6 +77,10 @@ def numbers() -> dict[str, float]:
         found |= {f"{called} {key}": 1 + value for key, value in compare(full, limit).items()}
     history = march(strip().interface(ThinLayer(RUBBER, EPS, order=1)), [0.3, 1.0], theta=0.5)
     found |= measured("march", history.last)
+    cell = periodic(sandwich(2.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron", structured=True), ("LEFT", "RIGHT"))
+    top = {"TOP": lambda x, t: (0.0, 0.1 * ufl.cos(ufl.pi * (x[0] - 0.3)), 0.03)}
+    repeated = Structure(cell, body=BODY, supports={"BOTTOM": 0.0}, tractions=top)
+    found |= measured("periodic", solve(repeated.interface(ThinLayer(RUBBER, EPS, order=1))))
     return found | flow()
 
 

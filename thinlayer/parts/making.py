@@ -49,8 +49,9 @@ def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         diagonal.destroy()
         if not largest:  # no law of the bodies is linear, or compiled
             largest = max(part.largest_at_rest() for part in bodies if isinstance(part, LawForms))
+        masters = model.joint.masters if model.joint.periods else None
         for p in constrained:
-            parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p)))
+            parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts + [addition.part(model) for addition in model.parts]

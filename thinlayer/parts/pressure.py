@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import basix.ufl
 import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +16,13 @@ from ufl.classes import Zero
 
 from forms.kinematics import Expr
 from forms.work import Term
+from geometry.compat import cell_nodes
+from geometry.topology import IntArray
+from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.state import Configuration
+from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
 
@@ -40,6 +45,8 @@ class PressurePart(Part):
             residuals of both kinds have one unit.
         origin: original numbers of the cells of the mesh, for files.
         free: (n, d) vertices of S where p is zero.
+        masters: vertices of the joint with which periodic sides identify its vertices (`Joint.masters`); None: the joint is
+            not periodic.
 
     Attributes:
         key: of the pressure, among the fields of states: that of the term, with "pressure" for "layer".
@@ -59,11 +66,13 @@ class PressurePart(Part):
         stiffness: float,
         origin: Origin | None = None,
         free: Array | None = None,
+        masters: IntArray | None = None,
     ) -> None:
         self.key, self._origin = PRESSURE + term.key.removeprefix(LAYER), origin
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else Region(V.mesh, term.measure)
-        space = fem.functionspace(region.mesh, ("Lagrange", 1))
+        self._whole = fem.functionspace(region.mesh, ("Lagrange", 1))
+        space = self._whole if masters is None else self._identified(masters)
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
         form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
@@ -82,6 +91,15 @@ class PressurePart(Part):
         self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
         self._squeezed = self.G.createVecLeft()
         self._filled: Array | None = None
+
+    def _identified(self, masters: IntArray) -> fem.FunctionSpace:
+        """Pressures that are the same at vertices that periodic sides identify. Collective."""
+        mesh = self.region.mesh
+        element = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
+        corners = cell_nodes(mesh)[:, : element.basix_element.dim]
+        vertices = np.asarray(mesh.geometry.input_global_indices, np.int64)[corners]
+        comm = communicator(self.region.parent_mesh)
+        return broken_space(comm, Keys.of_entities(comm, mesh, element, [masters[vertices]]))
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
         """C, for a law whose parameters are functions with their values at `points`. Collective."""
@@ -203,10 +221,13 @@ class PressurePart(Part):
     @property
     def own_file_order(self) -> FileOrder:
         assert self._origin is not None, "a mesh without a joint"
-        space, region = self._p.function_space, self.region
-        cells = np.asarray(space.dofmap.list)
-        x = space.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
-        return FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
+        whole, region = self._whole, self.region
+        cells, x = np.asarray(whole.dofmap.list), whole.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
+        numbers = self._origin.numbers(region.dim, region.parent)[: len(cells)]
+        ordered = FileOrder.by_place(numbers, cells, x)
+        number = np.empty(len(x), np.int64)
+        number[cells] = self._p.function_space.dofmap.list  # identified vertices have several places
+        return FileOrder(ordered.numbers, number[ordered.order])
 
     def destroy(self) -> None:
         for thing in (self.G, self.C, self._turned, self._volume, self._forces, self._squeezed):
