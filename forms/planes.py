@@ -17,6 +17,28 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Side:
+    """One side of S.
+
+    Attributes:
+        restrict: gives a function's value on this side.
+        back: (d, d) gradient of the motion from S to the facet of this side, where they differ; None: they do not.
+    """
+
+    restrict: Callable[[Expr], Expr]
+    back: Expr | None = None
+
+    def __call__(self, f: Expr) -> Expr:
+        """A function on this side."""
+        return self.restrict(f)
+
+    def gradient(self, f: Expr) -> Expr:
+        """The gradient of a function on this side, which along S is that of its values on S."""
+        gradient = self.restrict(ufl.grad(f))
+        return gradient if self.back is None else ufl.dot(gradient, self.back)
+
+
+@dataclass(frozen=True)
 class Kinematics:
     """Strains (3, 3) of displacements, the factor of measures, and the laws of these strains.
 
@@ -37,6 +59,10 @@ class Kinematics:
     def on(self, mesh: Any) -> Self:
         """The same kinematics at the places of a mesh."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
+
+    def at(self, x: Expr) -> Self:
+        """The same kinematics at other places (d,) UFL, as those of S that are not the places of the mesh's facets."""
+        return replace(self, x=x)
 
     def slots(self, d: int) -> tuple[int, ...]:
         """Mandel components that the strains of displacements (d,) have; the others are zero."""
@@ -75,10 +101,10 @@ class Kinematics:
         """Strain (3, 3) of a displacement in a body or in a meshed layer."""
         return strain(u)
 
-    def along(self, u: Expr, side: Callable[[Expr], Expr], n: Expr) -> Expr:
+    def along(self, u: Expr, side: Side, n: Expr) -> Expr:
         """Strain (3, 3) along S, of normal n (d,), of the displacements on one side."""
         tangential = ufl.Identity(len(n)) - ufl.outer(n, n)
-        return lift(ufl.sym(ufl.dot(side(ufl.grad(u)), tangential)))
+        return lift(ufl.sym(ufl.dot(side.gradient(u), tangential)))
 
     def seen(self, a: Expr) -> Expr:
         """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
@@ -135,7 +161,7 @@ class Axisymmetric(Kinematics):
     def strain(self, u: Expr) -> Expr:
         return strain(u) + self._hoops(u)
 
-    def along(self, u: Expr, side: Callable[[Expr], Expr], n: Expr) -> Expr:
+    def along(self, u: Expr, side: Side, n: Expr) -> Expr:
         return super().along(u, side, n) + self._hoops(side(u))
 
     @property

@@ -11,7 +11,7 @@ from ufl.classes import Zero
 
 from forms.kinematics import Expr, jump_strain, lift
 from forms.law import BulkLaw, Step, explained, shaped
-from forms.planes import Kinematics
+from forms.planes import Kinematics, Side
 
 GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
 LIFTED = Kinematics()  # plane strain in 2D, all strains in 3D
@@ -72,30 +72,73 @@ class Term:
 class Interface:
     """The two sides of S.
 
+    S lies on the facets of the mesh; or midway between the facets of its two sides, where these are apart.
+
     Attributes:
         measure: dS restricted to S between two bodies, ds on a rigid base.
         n: unit normal from the lower to the upper body, (d,).
         upper, lower: restrict a function to this side of S.
+        kinematics: those of places on S.
+        area: area of S per area of the measure.
     """
 
     measure: ufl.Measure
     n: Expr
-    upper: Callable[[Expr], Expr]
-    lower: Callable[[Expr], Expr]
+    upper: Side
+    lower: Side
+    kinematics: Kinematics = LIFTED
+    area: Expr = 1
 
     @classmethod
-    def between_bodies(cls, mesh: Any, measure: ufl.Measure) -> Interface:
-        """S inside the mesh; the measure's "+" is the upper body."""
-        return cls(measure, ufl.FacetNormal(mesh)("-"), lambda v: v("+"), lambda v: v("-"))
+    def between_bodies(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
+    ) -> Interface:
+        """S inside the mesh; the measure's "+" is the upper body.
+
+        Args:
+            mesh: the mesh.
+            measure: of the facets.
+            kinematics: of the mesh.
+            to_s: (d,) how far S is from the facets' places, on either side; None: it is there.
+        """
+        upper, lower = Side(lambda v: v("+")), Side(lambda v: v("-"))
+        if to_s is None:
+            return cls(measure, ufl.FacetNormal(mesh)("-"), upper, lower, kinematics)
+        return cls._apart(mesh, measure, kinematics, to_s, upper, Side(lower.restrict, _back(to_s)("-")))
 
     @classmethod
-    def on_rigid_base(cls, mesh: Any, measure: ufl.Measure) -> Interface:
-        """S on the boundary of the upper body; the base below does not move."""
-        return cls(measure, -ufl.FacetNormal(mesh), lambda v: v, lambda v: 0 * v)
+    def on_rigid_base(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
+    ) -> Interface:
+        """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
+        upper, lower = Side(lambda v: v), Side(lambda v: 0 * v)
+        if to_s is None:
+            return cls(measure, -ufl.FacetNormal(mesh), upper, lower, kinematics)
+        return cls._apart(mesh, measure, kinematics, to_s, upper, lower)
+
+    @classmethod
+    def _apart(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: Side, lower: Side
+    ) -> Interface:
+        """S apart from the facets of the mesh, seen from the upper side, whose facets the measure is of (Nanson)."""
+        back = upper(_back(to_s))
+        N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
+        length = ufl.sqrt(ufl.dot(N, N))
+        at_s = kinematics.at(upper(ufl.SpatialCoordinate(mesh) + to_s))
+        return cls(measure, N / length, Side(upper.restrict, back), lower, at_s, length / abs(ufl.det(back)))
+
+    @property
+    def factor(self) -> Any:
+        """Factor of the measure for integrals over S."""
+        return self.kinematics.factor * self.area
 
     def jump(self, v: Expr) -> Expr:
         """[v] = v(upper) - v(lower)."""
         return self.upper(v) - self.lower(v)
+
+
+def _back(to_s: Expr) -> Expr:
+    return ufl.inv(ufl.Identity(len(to_s)) + ufl.grad(to_s))
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED, volume: int | None = None) -> Term:
@@ -108,15 +151,15 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = L
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
-def of_jumps(law: BulkLaw, sides: Interface, kinematics: Kinematics = LIFTED) -> Term:
+def of_jumps(law: BulkLaw, sides: Interface) -> Term:
     """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
     return Term(
         law,
         lambda u: jump_strain(sides.jump(u), sides.n),
-        kinematics.factor,
+        sides.factor,
         sides.measure,
         sides.n,
-        kinematics=kinematics,
+        kinematics=sides.kinematics,
     )
 
 
@@ -125,15 +168,16 @@ def surface(
     sides: Interface,
     eps: Expr,
     order: int = 0,
-    kinematics: Kinematics = LIFTED,
     relaxed: BulkLaw | None = None,
+    slope: Expr | None = None,
 ) -> list[Term]:
     """A layer's law on S.
 
     Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
     e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
     e1 = `BulkLaw.gradient` of sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the
-    thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2. Where the thickness varies, e1 is that of
+    sym(eps grad_S ([u]/eps)): at height z eps above the middle S rises by z grad_S eps.
 
     Laws with a pressure have at order 1 the strain e0 of weight eps, the part in S of sym(grad_S [u]) of weight eps/12 with
     their law of plane stress, as the faces' difference does not change the tractions, and the pressure's flow along S.
@@ -143,24 +187,27 @@ def surface(
         sides: the sides of S.
         eps: the thickness.
         order: of the interface law.
-        kinematics: of the displacements.
         relaxed: the law whose `gradient` is taken (default: `law`), with expressions on S where the law's parameters are
             functions.
+        slope: grad_S eps, (d,); None: the thickness is uniform. Bodies are then at their places on both sides of S.
     """
-    relaxed = relaxed or law
+    relaxed, kinematics = relaxed or law, sides.kinematics
 
     def jump_part(u: Expr) -> Expr:
         return jump_strain(sides.jump(u), sides.n) / eps
 
     if order == 0:
-        return [Term(law, jump_part, kinematics.factor * eps, sides.measure, sides.n, kinematics=kinematics)]
+        return [Term(law, jump_part, sides.factor * eps, sides.measure, sides.n, kinematics=kinematics)]
 
     def along(u: Expr) -> tuple[Expr, Expr]:
         upper, lower = (kinematics.along(u, side, sides.n) for side in (sides.upper, sides.lower))
-        return (upper + lower) / 2, upper - lower
+        difference = upper - lower
+        if slope is not None:
+            difference -= jump_strain(sides.jump(u), slope) / eps
+        return (upper + lower) / 2, difference
 
     def term(law: BulkLaw, strain: Callable[[Expr], Expr], share: float, flow: Any = 0) -> Term:
-        weight = kinematics.factor * eps * share
+        weight = sides.factor * eps * share
         return Term(law, strain, weight, sides.measure, sides.n, kinematics=kinematics, flow=flow)
 
     if law.traits.constrained:

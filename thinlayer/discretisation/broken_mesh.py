@@ -134,8 +134,8 @@ class BrokenMesh:
         self._require(tag)
         if tag in self._bases:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
-            return Interface.on_rigid_base(self.mesh, ds(tag))
-        return Interface.between_bodies(self.mesh, self.dS(tag))
+            return Interface.on_rigid_base(self.mesh, ds(tag), self.kinematics)
+        return Interface.between_bodies(self.mesh, self.dS(tag), self.kinematics)
 
     def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
         """The terms of a layer's law on the facets of S with a tag: for `work`, or for `StepProblem`.
@@ -161,7 +161,7 @@ class BrokenMesh:
         if law.fields and thin and thin.order and law.traits.relaxes:
             raise LawError(f"order=1 of {type(law).__name__} with parameters that are functions: use it in a Model")
         known = law.for_points() if law.fields else law if law.traits.compiled else constants(law, self.mesh)
-        return surface(known, sides, eps, thin.order if thin else 0, self.kinematics)
+        return surface(known, sides, eps, thin.order if thin else 0)
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
         """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.
