@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -14,28 +13,6 @@ from forms.kinematics import MANDEL, Expr, lift, strain
 from forms.law import BulkLaw
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Side:
-    """One side of S.
-
-    Attributes:
-        restrict: gives a function's value on this side.
-        back: (d, d) gradient of the motion from S to the facet of this side, where they differ; None: they do not.
-    """
-
-    restrict: Callable[[Expr], Expr]
-    back: Expr | None = None
-
-    def __call__(self, f: Expr) -> Expr:
-        """A function on this side."""
-        return self.restrict(f)
-
-    def gradient(self, f: Expr) -> Expr:
-        """The gradient of a function on this side, which along S is that of its values on S."""
-        gradient = self.restrict(ufl.grad(f))
-        return gradient if self.back is None else ufl.dot(gradient, self.back)
 
 
 @dataclass(frozen=True)
@@ -101,10 +78,9 @@ class Kinematics:
         """Strain (3, 3) of a displacement in a body or in a meshed layer."""
         return strain(u)
 
-    def along(self, u: Expr, side: Side, n: Expr) -> Expr:
-        """Strain (3, 3) along S, of normal n (d,), of the displacements on one side."""
-        tangential = ufl.Identity(len(n)) - ufl.outer(n, n)
-        return lift(ufl.sym(ufl.dot(side.gradient(u), tangential)))
+    def along(self, gradient: Expr, u: Expr, n: Expr) -> Expr:
+        """Strain (3, 3) along S, of normal n (d,), of displacements u (d,) with this gradient (d, d)."""
+        return lift(ufl.sym(ufl.dot(gradient, ufl.Identity(len(n)) - ufl.outer(n, n))))
 
     def seen(self, a: Expr) -> Expr:
         """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
@@ -161,8 +137,8 @@ class Axisymmetric(Kinematics):
     def strain(self, u: Expr) -> Expr:
         return strain(u) + self._hoops(u)
 
-    def along(self, u: Expr, side: Side, n: Expr) -> Expr:
-        return super().along(u, side, n) + self._hoops(side(u))
+    def along(self, gradient: Expr, u: Expr, n: Expr) -> Expr:
+        return super().along(gradient, u, n) + self._hoops(u)
 
     @property
     def _r(self) -> Expr:

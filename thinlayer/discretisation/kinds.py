@@ -25,7 +25,7 @@ from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
-from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, gaps_of, real_law
+from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
 from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
@@ -340,16 +340,15 @@ class InterfaceModel(LayeredModel):
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
-        mesh, law, layer = self.domain.mesh, real_law(one.layer, self.kinematics), one.thin
-        relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
-        law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
-        sides = self.sides_of(one.name)
-        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule(sides.measure)))
-        if layer is None:
-            return [replace(forms.of_jumps(law, sides), key=one.key)]
-        eps = self._thickness(one.name, layer, sides)
-        terms = forms.surface(law, sides, eps, layer.order, relaxed, self._slope(one.name, layer, sides))
-        return [replace(term, key=one.key, given=self.given_on[one.name]) for term in terms]
+        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
+        measure = sides.measure.reconstruct(**self._rule(sides.measure))
+        sides = replace(sides, measure=measure, known=partial(self._known, one))
+        if one.thin is None:
+            terms = [forms.of_jumps(law, sides)]
+        else:
+            eps, slope = self._thickness(one.name, one.thin, sides), self._slope(one.name, one.thin, sides)
+            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope)
+        return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
         eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
@@ -373,8 +372,8 @@ class InterfaceModel(LayeredModel):
         weight = eps * sides.factor
         return [Weighted(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, on_base)]
 
-    def _relaxed(self, law: BulkLaw, one: SeamLayer) -> BulkLaw:
-        """The law with parameters that are functions as expressions on S, linear between vertices, for `gradient`."""
+    def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:
+        """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
         joint, upper, on_s = self.joint, self.sides_of(one.name).upper, {}
         vertices = np.unique(joint.table.vertices[joint.rows_of(one.name)])
         for name, found in law.fields_at(joint.points[vertices].T).items():

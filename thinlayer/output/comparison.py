@@ -101,7 +101,7 @@ def _state(one: State | History, at: float | None) -> State:
 
 
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise ModelError where a law of order 1 has bodies at other places, by a share of the thickness, than the full model."""
+    """Raise ModelError where a law of order 1 has its bodies at other places than the full model."""
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
