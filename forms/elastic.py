@@ -112,7 +112,7 @@ class LinearElastic(LinearLaw):
         """
 
         def difference(faces: Faces) -> Expr:
-            in_s = faces.in_s(faces.difference)
+            in_s = faces.in_s(faces.change)
             share = self.lmbda / (self.lmbda + 2 * self.mu)
             return in_s - share * ufl.tr(in_s) * faces.normal
 

@@ -37,6 +37,10 @@ class Kinematics:
         """The same kinematics at the places of a mesh."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
+    def at(self, x: Expr) -> Self:
+        """The same kinematics at other places (d,) UFL, as those of S that are not the places of the mesh's facets."""
+        return replace(self, x=x)
+
     def slots(self, d: int) -> tuple[int, ...]:
         """Mandel components that the strains of displacements (d,) have; the others are zero."""
         return tuple(k for k, (_, j) in enumerate(MANDEL) if j < d)

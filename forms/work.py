@@ -83,42 +83,107 @@ def of_numbers(law: BulkLaw) -> BulkLaw:
 
 
 @dataclass(frozen=True)
+class Side:
+    """One side of S.
+
+    Attributes:
+        restrict: gives a function's value on this side.
+        back: (d, d) gradient of the motion from S to the facet of this side, where they are apart; None: they are not.
+    """
+
+    restrict: Callable[[Expr], Expr]
+    back: Expr | None = None
+
+    def __call__(self, f: Expr) -> Expr:
+        """A function on this side."""
+        return self.restrict(f)
+
+    def gradient(self, f: Expr) -> Expr:
+        """The gradient of a function on this side; along S it is that of its values on S."""
+        gradient = self.restrict(ufl.grad(f))
+        return gradient if self.back is None else ufl.dot(gradient, self.back)
+
+
+@dataclass(frozen=True)
 class Interface:
     """The two sides of S.
+
+    S lies on the facets of the mesh; or midway between the facets of its two sides, where these are apart.
 
     Attributes:
         measure: dS restricted to S between two bodies, ds on a rigid base.
         n: unit normal from the lower to the upper body, (d,).
         upper, lower: restrict a function to this side of S.
+        kinematics: those of places on S.
+        area: area of S per area of the measure.
         known: law -> the same law with UFL expressions on S for its parameters, also for those that are functions, as
             strains of order 1 need them.
     """
 
     measure: ufl.Measure
     n: Expr
-    upper: Callable[[Expr], Expr]
-    lower: Callable[[Expr], Expr]
+    upper: Side
+    lower: Side
+    kinematics: Kinematics = LIFTED
+    area: Expr = 1
     known: Callable[[BulkLaw], BulkLaw] = of_numbers
 
     @classmethod
-    def between_bodies(cls, mesh: Any, measure: ufl.Measure) -> Interface:
-        """S inside the mesh; the measure's "+" is the upper body."""
-        return cls(measure, ufl.FacetNormal(mesh)("-"), lambda v: v("+"), lambda v: v("-"))
+    def between_bodies(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
+    ) -> Interface:
+        """S inside the mesh; the measure's "+" is the upper body.
+
+        Args:
+            mesh: the mesh.
+            measure: of the facets.
+            kinematics: of the mesh.
+            to_s: (d,) how far S is from the facets' places, on either side; None: it is there.
+        """
+        upper, lower = Side(lambda v: v("+")), Side(lambda v: v("-"))
+        if to_s is None:
+            return cls(measure, ufl.FacetNormal(mesh)("-"), upper, lower, kinematics)
+        return cls._apart(mesh, measure, kinematics, to_s, upper, Side(lower.restrict, _back(to_s)("-")))
 
     @classmethod
-    def on_rigid_base(cls, mesh: Any, measure: ufl.Measure) -> Interface:
-        """S on the boundary of the upper body; the base below does not move."""
-        return cls(measure, -ufl.FacetNormal(mesh), lambda v: v, lambda v: 0 * v)
+    def on_rigid_base(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
+    ) -> Interface:
+        """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
+        upper, lower = Side(lambda v: v), Side(lambda v: 0 * v)
+        if to_s is None:
+            return cls(measure, -ufl.FacetNormal(mesh), upper, lower, kinematics)
+        return cls._apart(mesh, measure, kinematics, to_s, upper, lower)
+
+    @classmethod
+    def _apart(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: Side, lower: Side
+    ) -> Interface:
+        """S apart from the facets of the mesh, seen from the upper side, whose facets the measure is of (Nanson)."""
+        back = upper(_back(to_s))
+        N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
+        length = ufl.sqrt(ufl.dot(N, N))
+        at_s = kinematics.at(upper(ufl.SpatialCoordinate(mesh) + to_s))
+        return cls(measure, N / length, Side(upper.restrict, back), lower, at_s, length / abs(ufl.det(back)))
+
+    @property
+    def factor(self) -> Any:
+        """Factor of the measure for integrals over S."""
+        return self.kinematics.factor * self.area
 
     def jump(self, v: Expr) -> Expr:
         """[v] = v(upper) - v(lower)."""
         return self.upper(v) - self.lower(v)
 
-    def faces(self, u: Expr, eps: Expr, kinematics: Kinematics) -> Faces:
-        """The faces of a layer of thickness eps under displacements u."""
-        gradient, n = ufl.grad(u), self.n
-        mean, slope = ((self.upper(v) + self.lower(v)) / 2 for v in (u, gradient))
-        return Faces(n, eps, self.jump(u), self.jump(gradient), kinematics.along(slope, mean, n), kinematics)
+    def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
+        """The faces of a layer of thickness eps, of gradient `slope` along S, under displacements u."""
+        upper, lower = self.upper.gradient(u), self.lower.gradient(u)
+        mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2, self.n)
+        return Faces(self.n, eps, self.jump(u), upper - lower, mean, self.kinematics, slope)
+
+
+def _back(to_s: Expr) -> Expr:
+    return ufl.inv(ufl.Identity(len(to_s)) + ufl.grad(to_s))
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED, volume: int | None = None) -> Term:
@@ -131,15 +196,15 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = L
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
-def of_jumps(law: BulkLaw, sides: Interface, kinematics: Kinematics = LIFTED) -> Term:
+def of_jumps(law: BulkLaw, sides: Interface) -> Term:
     """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
     return Term(
         law,
         lambda u: jump_strain(sides.jump(u), sides.n),
-        kinematics.factor,
+        sides.factor,
         sides.measure,
         sides.n,
-        kinematics=kinematics,
+        kinematics=sides.kinematics,
     )
 
 
@@ -148,8 +213,8 @@ def surface(
     sides: Interface,
     eps: Expr,
     order: int = 0,
-    kinematics: Kinematics = LIFTED,
     given: Expr | None = None,
+    slope: Expr | None = None,
 ) -> list[Term]:
     """A layer's law on S.
 
@@ -164,8 +229,8 @@ def surface(
         sides: the sides of S.
         eps: the thickness.
         order: of the interface law.
-        kinematics: of the displacements.
         given: strain (3, 3), uniform through the layer, beside that of the displacements (`Term.given`).
+        slope: gradient (d,) of the thickness along S; None: it is uniform.
 
     Raises:
         LawError: there is no law of order 1.
@@ -173,17 +238,17 @@ def surface(
     n = sides.n
 
     def term(law: BulkLaw, strain: Callable[[Expr], Expr], given: Expr | None, share: Any = 1, flow: Any = 0) -> Term:
-        weight = kinematics.factor * eps * share
-        return Term(law, strain, weight, sides.measure, n, given, kinematics=kinematics, flow=eps**3 * flow)
+        weight = sides.factor * eps * share
+        return Term(law, strain, weight, sides.measure, n, given, kinematics=sides.kinematics, flow=eps**3 * flow)
 
     if order == 0:
         return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, given)]
 
     def of(station: Station) -> Callable[[Expr], Expr]:
-        return lambda u: station.strain(sides.faces(u, eps, kinematics))
+        return lambda u: station.strain(sides.faces(u, eps, slope))
 
     d = len(n)
-    held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, kinematics)
+    held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics)
     return [
         term(at.law, of(known), None if given is None else known.strain(held), at.share, known.flow)
         for at, known in zip(law.stations(), sides.known(law).stations(), strict=True)

@@ -78,8 +78,6 @@ class ThinLayer:
             self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
-        if self.order == 1 and self.profile is not None:
-            raise LawError("order=1 needs a uniform thickness; use order=0")
 
     @property
     def fractions(self) -> tuple[float, ...]:
