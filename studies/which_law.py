@@ -227,9 +227,9 @@ def _grid(values: Array, nus: Array) -> Array:
 
 
 def _percent(error: float, warned: bool) -> str:
+    """In per cent, of two digits; "-" for a law that does not take the material."""
     if math.isnan(error):
-        return ""
+        return "-"
     number = 100 * error
-    return (f"{number:.0f}" if number >= 10 else f"{number:.1g}" if number < 0.1 else f"{number:.2g}") + "!" * bool(
-        warned
-    )
+    digits = ">999" if number > 999.5 else f"{number:.0f}" if number >= 10 else f"{number:.{1 if number < 0.1 else 2}g}"
+    return digits + "!" * bool(warned)

@@ -51,10 +51,9 @@ def maps(
     shape = (len(y), len(x))
     values = {label: real(part).astype(float) for label, part in parts.items()}
     for label, part in values.items():
-        if not part.shape == np.shape(texts.get(label)) == shape:
-            raise ModelError(
-                f"maps: {label!r} has values {part.shape} and texts {np.shape(texts.get(label))}, not {shape}"
-            )
+        given = np.asarray(texts.get(label, "")).shape
+        if not part.shape == given == shape:
+            raise ModelError(f"maps: {label!r} has values {part.shape} and texts {given}, not {shape}")
     if np.any(np.diff(levels) <= 0) or not len(levels) + 1 == len(names) <= len(RANGES):
         raise ModelError(f"maps: {len(names)} names for levels {list(levels)}; give up to 4 that grow, and a name more")
     columns = min(columns, len(parts))
