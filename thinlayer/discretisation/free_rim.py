@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from geometry.seam import LAYER, S
@@ -34,16 +32,18 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
     return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
 
 
-def fall_of_pressure(one: SeamLayer, x: FloatArray) -> FloatArray:
-    """Lengths (n,) over which the pressure of a layer of order 1 falls to zero at free ends x (n, d).
+def fall_of_pressure(one: SeamLayer, rim: Rim) -> FloatArray:
+    """Lengths (n,) over which the pressure of a layer of order 1 falls to zero at free ends.
 
     They are eps sqrt(lmbda/(12 mu)), infinite where the volume stays the same.
     """
     assert one.thin
-    law = real_law(one.layer, one.structure.kinematics)
-    laws = law.at_places(x.T) if law.fields else [law] * len(x)
-    compliances = [12 * law.volume_compliance / law.fluidity for law in laws]
-    return np.array([one.thin.eps / math.sqrt(c) if c else math.inf for c in compliances])
+    joint, law = one.structure.joint, real_law(one.layer, one.structure.kinematics)
+    laws = law.at_places(joint.points[rim.vertices].mean(axis=1).T) if law.fields else [law] * len(rim.vertices)
+    squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
+    relative = joint.relative_thickness(one.thin.profile, one.name)[rim.vertices].mean(axis=1)
+    with np.errstate(divide="ignore"):
+        return np.asarray(one.thin.eps * relative / np.sqrt(squares))
 
 
 def free_of_pressure(model: Model, one: SeamLayer) -> tuple[Rim, Rim, FloatArray]:
@@ -53,6 +53,6 @@ def free_of_pressure(model: Model, one: SeamLayer) -> tuple[Rim, Rim, FloatArray
     pressure of zero at the end would be too small over a whole cell.
     """
     rim = free_rim(model, one.sheet)
-    fall = fall_of_pressure(one, model.joint.points[rim.vertices].mean(axis=1))
+    fall = fall_of_pressure(one, rim)
     fine = rim.depth <= fall
     return rim[fine], rim[~fine], fall[~fine]

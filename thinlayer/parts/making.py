@@ -9,6 +9,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.work import Term
+from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.free_rim import free_of_pressure
 from thinlayer.discretisation.model import Model
@@ -79,4 +80,4 @@ def _free(model: Model, term: Term) -> npt.NDArray[np.float64] | None:
     if not has_flow(term):
         return None
     one = next(one for one in model.layers.values() if one.key == term.key)
-    return model.domain.joint.points[np.unique(free_of_pressure(model, one)[0].vertices)]
+    return points_on_middle(model.domain.joint)[np.unique(free_of_pressure(model, one)[0].vertices)]

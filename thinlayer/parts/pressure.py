@@ -7,11 +7,10 @@ import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
-from ufl.algorithms.analysis import extract_constants
 from ufl.classes import Zero
 
 from forms.kinematics import Expr
@@ -33,8 +32,8 @@ class PressurePart(Part):
     """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1, beside displacements of degree 2.
 
     The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room. c is the
-    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow` times the law's
-    `fluidity`). On its free ends p is then zero.
+    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). On its free
+    ends p is then zero.
 
     In the meshed layer this is the pair of Taylor and Hood. On S a pressure of degree 1 meets jumps of degree 2.
 
@@ -71,6 +70,8 @@ class PressurePart(Part):
         self.key, self._origin = PRESSURE + term.key.removeprefix(LAYER), origin
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else Region(V.mesh, term.measure)
+        if has_flow(term) and origin and origin.middle is not None:
+            region.move(origin.middle)
         self._whole = fem.functionspace(region.mesh, ("Lagrange", 1))
         space = self._whole if masters is None else self._identified(masters)
         self.field = self._p = fem.Function(space)
@@ -110,17 +111,16 @@ class PressurePart(Part):
             ufl.TrialFunction(space),
             ufl.TestFunction(space),
         )
-        forms, inside, along = [], law, ufl.dx(region.mesh)
+        forms = []
         if points:
             known = points.on_region(law.fields_at(points.joint_x))
             law = law.with_parameters({name: region.side(f) for name, f in known.items()})
-            inside, measure = law.with_parameters(known), points.measure
-            along = along(metadata=measure.metadata())
+            measure = points.measure
         if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
             forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
         if has_flow(term):  # on S: gradients of functions of its mesh are along S
-            flow = _on(region, term.flow * inside.fluidity) * term.kinematics.on(region.mesh).factor
-            forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * along)
+            flow = self._nodal(space, term.flow) * term.kinematics.on(region.mesh).factor
+            forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         matrices = [dolfinx.fem.petsc.assemble_matrix(fem.form(one, entity_maps=region.maps)) for one in forms]
         for matrix in matrices:
             matrix.assemble()
@@ -132,6 +132,20 @@ class PressurePart(Part):
             other.destroy()
         C.scale(self.unit**2)
         return C
+
+    def _nodal(self, space: fem.FunctionSpace, f: Expr) -> fem.Function:
+        """The interpolant of an expression on the region, from integrals by a rule whose points are the vertices."""
+        at_vertices = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+        measure, q = self.region.measure(metadata=at_vertices), self.region.side(ufl.TestFunction(space))
+        sums = []
+        for one in (f, fem.Constant(self.region.parent_mesh, 1.0)):
+            vector = fem.assemble_vector(fem.form(one * q * measure, entity_maps=self.region.maps))
+            vector.scatter_reverse(la.InsertMode.add)
+            vector.scatter_forward()
+            sums.append(vector.array)
+        found = fem.Function(space)
+        found.x.array[:] = sums[0] / sums[1]
+        return found
 
     def _before(self) -> Array:
         """Pressures of this rank before the step, in the units of `field`; zero at rest."""
@@ -238,12 +252,6 @@ class PressurePart(Part):
 def has_flow(term: Term) -> bool:
     """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
-
-
-def _on(region: Region, constant: Expr) -> Expr:
-    """An expression of constants of the parent mesh as one of constants of the region's mesh."""
-    known = {one: fem.Constant(region.mesh, one.value) for one in extract_constants(ufl.as_ufl(constant))}
-    return ufl.replace(constant, known)
 
 
 def _at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:

@@ -13,8 +13,9 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.areas import Areas
+from thinlayer.ranges.excess import LEAST_ERROR
 from thinlayer.ranges.faces import Faces
-from thinlayer.ranges.pressure import LEAST_ERROR, warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
+from thinlayer.ranges.pressure import warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
 from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 

@@ -1,0 +1,72 @@
+"""The study of which law to use: its exact layers and its errors are those of other codes, its warnings those it shows."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from studies import which_law
+from studies.transfer import Wave
+from tests import reference
+from thinlayer.running.record import Record
+
+MU = 40.0  # of the layer over its thickness; bodies have E = 100, nu = 0.3
+
+
+def test_exact_layers():
+    """Those of the transfer matrices of other tests; an incompressible layer is the limit."""
+    wave = Wave(reference.K, reference.HEIGHT, reference.BODY, tuple(reference.TOP))
+    eps, (lmbda, mu) = 0.1, reference.LAYER
+    body = reference.expm(reference.strip(*reference.BODY) * reference.HEIGHT)
+    layer = reference.expm(reference.strip(lmbda * eps, mu * eps) * eps)
+    _, below, above, top = reference.clamped(body, layer, body)
+    traction, jump, work = wave.solved(lmbda * eps, mu * eps, eps)
+    assert traction == pytest.approx((below + above)[2:] / 2, rel=1e-12)
+    assert jump == pytest.approx((above - below)[:2], rel=1e-12)
+    assert work == pytest.approx(reference.TOP @ top[:2] / 2, rel=1e-12)
+    for one, other in zip(wave.solved(1e9, mu, eps), wave.solved(math.inf, mu, eps), strict=True):
+        assert one == pytest.approx(other, rel=1e-6)
+
+
+# traction, jump, compliance of order 0, order 1 and Rubber, by elements of higher degree; two digits
+ROLLERS = {
+    0.3: ((9.7e-2, 1.1e-1, 1.2e-2), None, (2.9e-3, 4.9e-3, 1.3e-3)),
+    0.45: ((8.8e-2, 2.3e-1, 5.0e-2), None, (2.8e-3, 7.5e-3, 1.2e-3)),
+    0.499: ((7.9e-2, 0.42, 9.4e-2), (1.8e-2, 8.7e-2, 1.6e-2), (3.0e-3, 9.3e-3, 7.8e-4)),
+    0.5: (None, None, (3.0e-3, 9.6e-3, 8.6e-4)),
+}  # eps = 1/8
+FREE = {0.45: ((1.4e-2, 3.6e-2, 1.9e-2), (3.8e-3, 2.2e-3, 3.8e-3), (6.0e-4, 1.5e-3, 2.9e-4))}  # eps = 1/64
+
+
+@pytest.fixture
+def row(tmp_path):
+    """Row of the study for a set-up, a ratio and a thickness."""
+
+    def of(set_up, nu, eps):
+        with Record("which_law", tmp_path, {}) as record:
+            return which_law._row(record, set_up, MU * eps, nu, eps)
+
+    return of
+
+
+def errors(row, law):
+    return [row[f"{quantity}_{law}"] for quantity in which_law.QUANTITIES]
+
+
+def test_errors_between_rollers(row):
+    set_up = which_law.Rollers()
+    for nu, printed in ROLLERS.items():
+        found = row(set_up, nu, 1 / 8)
+        for law, wanted in zip(which_law.LAWS, printed, strict=True):
+            assert wanted is None or errors(found, law) == pytest.approx(wanted, rel=0.08), (nu, law)
+    assert found["traction_order_1"] is None  # nu = 1/2
+    assert found["too_stiff"] is None
+
+
+def test_errors_at_free_ends(row):
+    set_up = which_law.FreeEnds(quick=False)
+    for nu, printed in FREE.items():
+        found = row(set_up, nu, 1 / 64)
+        for law, wanted in zip(which_law.LAWS, printed, strict=True):
+            assert errors(found, law) == pytest.approx(wanted, rel=0.1), (nu, law)
