@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -65,7 +66,7 @@ class PressurePart(Part):
         parts: Sequence[Term] | None = None,
         free: Array | None = None,
     ) -> None:
-        self.key, self._origin = key, origin
+        self.key, self._origin, self._kinematics = key, origin, term.kinematics
         self.region = region = Region(V.mesh, term.measure)
         space = fem.functionspace(region.mesh, ("Lagrange", 1))
         self.field = self._p = fem.Function(space)
@@ -107,6 +108,17 @@ class PressurePart(Part):
             other.destroy()
         C.scale(self.unit**2)
         return C
+
+    @cached_property
+    def own_mass(self) -> PETSc.Mat | None:  # type: ignore[override]
+        """Of pressures on S. None in a meshed layer: what displacements add is a flow along it, no multiple of the mass."""
+        region, space = self.region, self._p.function_space
+        if region.dim == region.parent_mesh.topology.dim:
+            return None
+        p, q, factor = ufl.TrialFunction(space), ufl.TestFunction(space), self._kinematics.on(region.mesh).factor
+        mass = dolfinx.fem.petsc.assemble_matrix(fem.form(factor * ufl.inner(p, q) * ufl.dx(region.mesh)))
+        mass.assemble()
+        return mass
 
     def _before(self) -> Array:
         """Pressures of this rank before the step, in the units of `field`; zero at rest."""
@@ -202,7 +214,8 @@ class PressurePart(Part):
         return FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
 
     def destroy(self) -> None:
-        for thing in (self.G, self.C, self._turned, self._volume, self._forces, self._squeezed):
+        mass = vars(self).get("own_mass")
+        for thing in (self.G, self.C, mass, self._turned, self._volume, self._forces, self._squeezed):
             if thing is not None:
                 thing.destroy()
 
