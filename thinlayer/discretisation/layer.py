@@ -72,8 +72,6 @@ class ThinLayer:
         _check_thickness("layer's thickness", self.eps)
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
-        if self.order == 1 and len(self.law.sublayers) > 1:
-            raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
