@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -14,6 +14,8 @@ from forms.base import is_number
 from forms.declarations import require_declarations
 from forms.fields import Array, Field
 from forms.law import BulkLaw, LawError, require
+from forms.sharing import Sharing
+from forms.stations import Station
 from forms.traits import Traits
 
 
@@ -65,6 +67,19 @@ class Stack(BulkLaw):
             allowed = "laws that give a stress for a strain, point by point"
             require(isinstance(law, BulkLaw) and law.traits.in_series, self, "a sublayer", law, allowed)
 
+    @classmethod
+    def graded(cls, law: Callable[[float], BulkLaw], n: int) -> Stack:
+        """A layer whose law changes through the thickness, as n sublayers of equal thickness.
+
+        Args:
+            law: place in the layer -> its law there, from 0 at the lower to 1 at the upper face. Each sublayer has that of
+                its middle, so that the error is O(1/n^2).
+            n: number of sublayers, >= 1.
+        """
+        if not (is_number(n) and n >= 1 and n == int(n)):
+            raise LawError(f"Stack.graded: the number of sublayers is {n!r}; allowed: whole numbers >= 1")
+        return cls(*((1 / int(n), law((k + 0.5) / int(n))) for k in range(int(n))))
+
     @property
     def sublayers(self) -> tuple[tuple[float, BulkLaw], ...]:
         return tuple(zip(self.fractions, self.laws, strict=True))
@@ -101,9 +116,29 @@ class Stack(BulkLaw):
     def eased(self, ease: float) -> Stack:
         return self.with_laws([law.eased(ease) for law in self.laws])
 
+    def stations(self) -> list[Station]:
+        if len(self.laws) == 1:
+            return self.laws[0].stations()
+        for law in self.laws:
+            known = law.traits
+            if not (known.linear and known.symmetric) or known.compiled:
+                raise LawError(
+                    f"order=1 of a Stack with the sublayer {law!r}: the next term is that of linear elastic sublayers, "
+                    "which share the jump in fixed proportions; use order=0, or mesh the layer (structure.full)"
+                )
+        return Sharing(self.sublayers).stations()
+
+    def with_parameters(self, values: Mapping[str, Any]) -> Stack:
+        """The same law with other values, those of sublayers by names such as "0.mu"; unchecked."""
+        own: list[dict[str, Any]] = [{} for _ in self.laws]
+        for name, value in values.items():
+            k, _, of_law = name.partition(".")
+            own[int(k)][of_law] = value
+        return self.with_laws([law.with_parameters(some) for law, some in zip(self.laws, own, strict=True)])
+
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """The same fractions with other laws, unchecked."""
-        return self.with_parameters({"laws": tuple(laws)})
+        return super().with_parameters({"laws": tuple(laws)})
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])

@@ -80,6 +80,7 @@ def compare(
         thin, other = meshed.layers[name].thin, layer.thin
         if thin and other and thin.eps != other.eps:
             raise ModelError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
+    _require_same_places(meshed, limit)
     on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
     surface = Surface(limit, seam)
     part = 1 if where is None else _part(surface, where)
@@ -100,6 +101,18 @@ def _state(one: State | History, at: float | None) -> State:
             )
         return one
     return one.last if at is None else one.at(at)
+
+
+def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
+    """Raise ModelError where a law of order 1 has its bodies at other places than the full model."""
+    band = full.domain.joint.band
+    here = "kept" if interface.domain.joint.parted is None else "extended"
+    assert band is not None
+    if band.bodies != here and any(one.thin and one.thin.order for one in interface.layers.values()):
+        raise ModelError(
+            f"compare, order=1: bodies are {band.bodies} in the full model and {here} in the interface model, which is a "
+            "difference of order 1 by itself; give both the same bodies='...'"
+        )
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:

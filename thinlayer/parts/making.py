@@ -10,6 +10,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from forms.work import Term
+from geometry.inflating.parting import points_on_middle
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.free_rim import free_of_pressure
 from thinlayer.discretisation.layer import LAYER, PRESSURE
@@ -81,7 +82,7 @@ def _free(model: Model, term: Term) -> npt.NDArray[np.float64] | None:
     if not has_flow(term):
         return None
     one = next(one for one in model.layers.values() if one.key == term.key)
-    return model.domain.joint.points[np.unique(free_of_pressure(model, one).vertices)]
+    return points_on_middle(model.domain.joint)[np.unique(free_of_pressure(model, one).vertices)]
 
 
 def _constrained(terms: Iterable[Term]) -> dict[str, tuple[Term, list[Term]]]:

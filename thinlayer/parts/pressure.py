@@ -8,11 +8,10 @@ import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
-from ufl.algorithms.analysis import extract_constants
 from ufl.classes import Zero
 
 from forms.kinematics import Expr
@@ -67,6 +66,8 @@ class PressurePart(Part):
     ) -> None:
         self.key, self._origin = key, origin
         self.region = region = Region(V.mesh, term.measure)
+        if has_flow(term) and origin and origin.middle is not None:
+            region.move(origin.middle)
         space = fem.functionspace(region.mesh, ("Lagrange", 1))
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
@@ -94,7 +95,7 @@ class PressurePart(Part):
             both = region.side(p) * region.side(q)
             forms.append(sum(c * both * one.weight * one.measure for c, one in zip(volumes, parts, strict=True)))
         if has_flow(parts[0]):  # on S, where there is one term: gradients of functions of its mesh are along S
-            flow = _on(region, parts[0].flow) * parts[0].kinematics.on(region.mesh).factor
+            flow = self._nodal(space, parts[0].flow) * parts[0].kinematics.on(region.mesh).factor
             forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         matrices = [dolfinx.fem.petsc.assemble_matrix(fem.form(one, entity_maps=region.maps)) for one in forms]
         for matrix in matrices:
@@ -107,6 +108,20 @@ class PressurePart(Part):
             other.destroy()
         C.scale(self.unit**2)
         return C
+
+    def _nodal(self, space: fem.FunctionSpace, f: Expr) -> fem.Function:
+        """The interpolant of an expression on the region, from integrals by a rule whose points are the vertices."""
+        at_vertices = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+        measure, q = self.region.measure(metadata=at_vertices), self.region.side(ufl.TestFunction(space))
+        sums = []
+        for one in (f, fem.Constant(self.region.parent_mesh, 1.0)):
+            vector = fem.assemble_vector(fem.form(one * q * measure, entity_maps=self.region.maps))
+            vector.scatter_reverse(la.InsertMode.add)
+            vector.scatter_forward()
+            sums.append(vector.array)
+        found = fem.Function(space)
+        found.x.array[:] = sums[0] / sums[1]
+        return found
 
     def _before(self) -> Array:
         """Pressures of this rank before the step, in the units of `field`; zero at rest."""
@@ -210,12 +225,6 @@ class PressurePart(Part):
 def has_flow(term: Term) -> bool:
     """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
-
-
-def _on(region: Region, constant: Expr) -> Expr:
-    """An expression of constants of the parent mesh as one of constants of the region's mesh."""
-    known = {one: fem.Constant(region.mesh, one.value) for one in extract_constants(ufl.as_ufl(constant))}
-    return ufl.replace(constant, known)
 
 
 def _at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
