@@ -66,7 +66,7 @@ def test_constants_are_those_of_another_program(nu):
 
 @pytest.mark.parametrize(("nu", "stiffness"), [(0.3, 3.463930), (0.45, 10.277722)])
 def test_the_stiffness_of_a_strip(nu, stiffness):
-    """Of half the width 10 eps, over mu/eps, meshed with rectangles by another program; its ends are far from each other."""
+    """Of half the width 10 eps, over mu/eps, meshed with rectangles by another program; its ends are far apart."""
     M = 2 * nu / (1 - 2 * nu) + 2
     assert M * (1 - free_end(nu).c_N / 10) == pytest.approx(stiffness, abs=2e-6)
 

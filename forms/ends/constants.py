@@ -68,7 +68,8 @@ def free_end(nu: float) -> FreeEnd:
         LawError: nu out of range.
     """
     lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
-    growth, moment, mean, c_T, m_T = np.array(chebyshev.chebval(2 * s - 1, _coefficients())).tolist()
+    found: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
+    growth, moment, mean, c_T, m_T = map(float, found)
     if s == 0:
         return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * growth))
     root = math.sqrt(1 / 12 + s * growth)

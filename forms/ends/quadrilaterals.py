@@ -56,11 +56,12 @@ class Square:
     def slopes(self, a: Array, b: Array) -> tuple[Array, Array]:
         """Slopes along a and along b at the places a X b, each (places, (p + 1)^2)."""
         (A, dA), (B, dB) = self.line(a), self.line(b)
-        return np.kron(dA, B), np.kron(A, dB)
+        return np.asarray(np.kron(dA, B), np.float64), np.asarray(np.kron(A, dB), np.float64)
 
     def pressures(self, a: Array, b: Array) -> Array:
         """Pressures at the places a X b, (places, (p - 1)^2), orthogonal; the first one is constant, 1."""
-        return np.kron(*(legendre.legvander(x, self.degree - 2) for x in (a, b)))
+        A, B = (legendre.legvander(x, self.degree - 2) for x in (a, b))
+        return np.asarray(np.kron(A, B), np.float64)
 
     def side(self, number: int) -> Numbers:
         """Nodes of a side, numbered a first, from the first to the second of its `SIDES`; (p + 1,)."""
