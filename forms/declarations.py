@@ -19,7 +19,7 @@ RESPONSES = ("stress", "traction", "kernel", "source")  # attributes that give t
 UPDATES = ("advance", "evolve")  # methods that give new internal variables
 OF_ONE_STRESS = (
     "stiffness",
-    "gradient",
+    "stations",
     "plane_stress",
     "otherwise",
     "energetic",

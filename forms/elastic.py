@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from forms.base import is_number
 from forms.fields import Field, OutOfRange, Parameter, field_of
-from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame, lift
+from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
 from forms.law import BulkLaw, LawError, Step, choice, require
+from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 OUT_OF_PLANE = [2, 3, 4]
@@ -103,16 +104,19 @@ class LinearElastic(LinearLaw):
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid)
 
-    def gradient(self, e: Expr, n: Expr) -> Expr:
+    def stations(self) -> list[Station]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.
 
         The displacements are then parabolas through the thickness; with straight lines a nearly incompressible layer
         would lock.
         """
-        normal = ufl.outer(lift(n), lift(n))
-        along = ufl.Identity(3) - normal
-        in_plane = along * e * along
-        return in_plane - self.lmbda / (self.lmbda + 2 * self.mu) * ufl.tr(in_plane) * normal
+
+        def difference(faces: Faces) -> Expr:
+            in_s = faces.in_s(faces.change)
+            share = self.lmbda / (self.lmbda + 2 * self.mu)
+            return in_s - share * ufl.tr(in_s) * faces.normal
+
+        return at_gauss_points(self, difference)
 
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})

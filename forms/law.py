@@ -23,6 +23,7 @@ from forms.declarations import SIZES, require_dataclass, require_declarations, r
 from forms.declarations import LawError as LawError
 from forms.fields import OfPlaces, field_of, is_field, number_of
 from forms.kinematics import Expr
+from forms.stations import Station, at_gauss_points
 from forms.traits import Traits
 
 
@@ -257,7 +258,6 @@ class BulkLaw(Law):
         return super()._traits_of_methods() | {
             "has_energy": kind.energy is not BulkLaw.energy,
             "eases": kind.eased is not BulkLaw.eased,
-            "relaxes": kind.gradient is not BulkLaw.gradient,
             "in_series": not (said.constrained or said.switches),
             "in_ufl": True,
             "compiled": said.rate or bool(self.internal) or said.varies or kind.holds is not BulkLaw.holds,
@@ -295,16 +295,22 @@ class BulkLaw(Law):
         """UFL condition (ufl.lt, ufl.And, ...) for the points where the law holds; elsewhere `otherwise` is evaluated."""
         return None
 
-    def gradient(self, e: Expr, n: Expr) -> Expr:
-        """Difference of strain between the upper and the lower face in an interface law of order 1, (3, 3).
+    def stations(self) -> list[Station]:
+        """Where the law acts through the thickness in an interface law of order 1, and with which strains.
 
-        Without this method displacements are linear through the layer.
+        By default at two Gauss points, with displacements that are linear through the layer.
 
-        Args:
-            e: this difference for displacements that are linear through the layer, sym(grad_S [u]), (3, 3).
-            n: director, (d,).
+        Raises:
+            LawError: there is no such law.
         """
-        return e
+        if self.traits.switches:
+            raise LawError(f"order=1 of {type(self).__name__}: its phases are those of jumps alone; use order=0")
+        if self.traits.plateau:
+            raise LawError(
+                f"order=1 of {self!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
+                "layer, and the next term depends on where the sheets lie; use order=0"
+            )
+        return at_gauss_points(self)
 
     def own_step(self, step: Step) -> Step:
         """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""

@@ -9,6 +9,7 @@ from typing import ClassVar
 from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame
 from forms.kinematics import Expr
 from forms.law import Step, positive, require
+from forms.stations import Station, of_pressure
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class Rubber(LinearLaw):
         return 1 / self.lmbda
 
     def plane_stress(self) -> LinearElastic:
-        return LinearElastic(1.0, 1.0).with_parameters(
-            {"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu), "mu": self.mu}
-        )
+        return LinearElastic(1.0, 1.0).with_parameters(self.parameters()).plane_stress()
+
+    def stations(self) -> list[Station]:
+        """The pressure is a field on S, which flows along S."""
+        return of_pressure(self, self.mu)

@@ -74,19 +74,10 @@ class ThinLayer:
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
         if self.order == 1 and len(self.law.sublayers) > 1:
             raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
-        if self.order == 1 and self.law.traits.constrained and self.law.fields:
-            raise LawError(f"order=1 of {type(self.law).__name__}: its pressure needs a uniform modulus; use order=0")
-        if self.order == 1 and self.law.traits.switches:
-            raise LawError(f"order=1 of {type(self.law).__name__}: its phases are those of jumps alone; use order=0")
-        if self.order == 1 and self.law.traits.plateau:
-            raise LawError(
-                f"order=1 of {self.law!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
-                "layer, and the next term depends on where the sheets lie; use order=0"
-            )
+        if self.order == 1:
+            self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
-        if self.order == 1 and self.profile is not None:
-            raise LawError("order=1 needs a uniform thickness; use order=0")
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -161,3 +152,8 @@ def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     A law with parameters that are functions is given back as it is: `placed` makes what forms need.
     """
     return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
+
+
+def for_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
+    """A law as the terms on S have it: compiled, with its numbers, or with Constants in UFL forms."""
+    return law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)

@@ -106,7 +106,7 @@ class Model(ABC):
         with on_all(self.comm):
             self.supports = self._supports(structure.supports)
             self.given = {name: self._given(name) for name in self.body_laws}
-            self.given_on = {name: one.given(self.coordinates) for name, one in self.layers.items()}
+            self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -155,6 +155,10 @@ class Model(ABC):
         body = Matter(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return given_strain(self.structure.eigenstrains.get(name), body)
 
+    def _given_on(self, one: SeamLayer) -> Expr | None:
+        """The strain that is added to that of the displacements in a layer."""
+        return one.given(self.coordinates)
+
     def _alike(self) -> list[list[str]]:
         """Names of the bodies, those of one law and one eigenstrain together."""
         found: dict[tuple[int, int], list[str]] = {}
@@ -192,8 +196,12 @@ class Model(ABC):
         given = structure.tractions, structure.body_force, at, structure.loads
         forces = Forces(self.domain, *given, forms, self.kinematics)
         for name, load in self._loads_of_layers(structure).items():
-            forces.add_layer(name, load, self._places_of(self.layers[name]))
+            forces.add_layer(name, load, self._places_of(self.layers[name]), self._coordinates_on(at))
         return forces
+
+    def _coordinates_on(self, at: Coordinates) -> Coordinates:
+        """Coordinates of the places of layers."""
+        return at
 
     def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:
         """Name of a seam -> force per volume of its layer."""

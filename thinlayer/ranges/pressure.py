@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
+from forms.tangent import is_isotropic
 from geometry.topology import FloatArray, IntArray
 from thinlayer.discretisation.free_rim import fall_of_pressure, free_of_pressure, free_rim
 from thinlayer.discretisation.model import Model
@@ -19,7 +20,6 @@ from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
 
 LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
-LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter length, relative to eps, changes jumps only within a thickness of free ends
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
 LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
@@ -121,7 +121,7 @@ def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
         sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
-        if len(sublayers) != 1 or not LONG_PRESSURE < sublayers[0].length < math.inf:
+        if len(sublayers) != 1 or not sublayers[0].nearly or sublayers[0].length == math.inf:
             continue
         excess = pressure_excess(faces, sublayers[0])
         if excess > worst:
@@ -136,6 +136,25 @@ def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start
         )
 
 
+def why_unknown(one: SeamLayer) -> str | None:
+    """Why `pressure_excess` does not say how much too stiff the law of a layer is; None if it does."""
+    if one.thin is None:
+        return "it is a law on S, without a thickness"
+    if one.flows:
+        return "its law has a pressure that flows along S"
+    if one.thin.eigenstrain is not None:
+        return "it has an eigenstrain"
+    if one.law.fields:
+        return "its parameters are functions"
+    tangents = [C for _, _, C in one.at_rest.sublayers]
+    if not one.law.traits.linear or one.remembers or len(tangents) != 1 or tangents[0] is None:
+        return "it is not one linear elastic material"
+    if not is_isotropic(tangents[0]):
+        return "it is not isotropic"
+    lmbda = sublayers_of(one)[0].lmbda
+    return None if 0 <= lmbda < math.inf else f"its lmbda is {lmbda:.4g}, allowed: 0 <= lmbda < infinity"
+
+
 def pressure_excess(faces: Faces, layer: Sublayer) -> float:
     """Excess of the law's work over the work of the layer, int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2).
 
@@ -148,6 +167,8 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> float:
     there, as it cannot fall within a cell. On straight facets of a curved S slip opens the layer at one end of a facet and
     closes it at the other, and the law resists that, too. Jumps as small as the rounding of displacements count as shear.
     """
+    if not layer.lmbda:
+        return 0.0  # stresses across the layer bring about none along S
     sheet, areas, eps = faces.sheet, faces.areas, faces.thickness.mean(axis=1)
     stretch = areas.divergence((faces.lower + faces.upper) / 2)
     wb = faces.opening + (eps * stretch)[:, None]
