@@ -345,6 +345,9 @@ class InterfaceModel(LayeredModel):
         """The terms of a layer without contact on its seam."""
         mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
+        if self._to_s is not None:  # whose slopes and lengths UFL takes for functions of a high degree
+            degree = quadrature_degree(self.V, measure) + self.kinematics.degree
+            measure = measure(metadata={"quadrature_degree": degree})
         sides = replace(sides, measure=measure, known=partial(self._known, one))
         if one.thin is None:
             terms = [forms.of_jumps(law, sides)]
@@ -366,7 +369,7 @@ class InterfaceModel(LayeredModel):
         return eps
 
     def _slope(self, layer: ThinLayer, sides: forms.Interface) -> Expr | None:
-        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S at order 0, without use for it."""
+        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S and the order is 0."""
         if layer.profile is None or self._to_s is None:
             return None
         slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self._to_s))
