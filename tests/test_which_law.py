@@ -55,7 +55,7 @@ def errors(row, law):
 
 
 def test_errors_between_rollers(row):
-    set_up = which_law.Rollers()
+    set_up = which_law.Rollers(1 / 16)
     for nu, printed in ROLLERS.items():
         found = row(set_up, nu, 1 / 8)
         for law, wanted in zip(which_law.LAWS, printed, strict=True):

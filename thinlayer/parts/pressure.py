@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import basix.ufl
 import dolfinx.fem.petsc
 import numpy as np
@@ -67,7 +69,7 @@ class PressurePart(Part):
         free: Array | None = None,
         masters: IntArray | None = None,
     ) -> None:
-        self.key, self._origin = PRESSURE + term.key.removeprefix(LAYER), origin
+        self.key, self._origin, self._kinematics = PRESSURE + term.key.removeprefix(LAYER), origin, term.kinematics
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else Region(V.mesh, term.measure)
         if has_flow(term) and origin and origin.middle is not None:
@@ -146,6 +148,17 @@ class PressurePart(Part):
         found = fem.Function(space)
         found.x.array[:] = sums[0] / sums[1]
         return found
+
+    @cached_property
+    def own_mass(self) -> PETSc.Mat | None:  # type: ignore[override]
+        """Of pressures on S. None in a meshed layer: what displacements add is a flow along it, no multiple of the mass."""
+        region, space = self.region, self._p.function_space
+        if region.dim == region.parent_mesh.topology.dim:
+            return None
+        p, q, factor = ufl.TrialFunction(space), ufl.TestFunction(space), self._kinematics.on(region.mesh).factor
+        mass = dolfinx.fem.petsc.assemble_matrix(fem.form(factor * ufl.inner(p, q) * ufl.dx(region.mesh)))
+        mass.assemble()
+        return mass
 
     def _before(self) -> Array:
         """Pressures of this rank before the step, in the units of `field`; zero at rest."""
@@ -244,7 +257,8 @@ class PressurePart(Part):
         return FileOrder(ordered.numbers, number[ordered.order])
 
     def destroy(self) -> None:
-        for thing in (self.G, self.C, self._turned, self._volume, self._forces, self._squeezed):
+        mass = vars(self).get("own_mass")
+        for thing in (self.G, self.C, mass, self._turned, self._volume, self._forces, self._squeezed):
             if thing is not None:
                 thing.destroy()
 
