@@ -27,7 +27,7 @@ class Faces:
         n: director, (d,).
         eps: thickness.
         jump: [u], (d,).
-        gradient: [grad u], (d, d).
+        gradient: of [u] along S, (d, d).
         mean: strain (3, 3) along S of <u>, and what is given beside the displacements, uniform through the layer.
         kinematics: of the displacements.
         slope: grad_S eps, (d,); None: the thickness is uniform.
@@ -52,7 +52,7 @@ class Faces:
     @property
     def difference(self) -> Expr:
         """Strain (3, 3) along S of [u], sym(grad_S [u])."""
-        return self.kinematics.along(self.gradient, self.jump, self.n)
+        return self.kinematics.along(self.gradient, self.jump)
 
     @property
     def change(self) -> Expr:

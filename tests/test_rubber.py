@@ -257,7 +257,9 @@ def test_refused():
     tip = partly(joint, lambda x: x[:, 0] < 0.5)
     with pytest.raises(ModelError, match="end inside the bodies"):
         Structure(tip, **setup).interface(layer)
-    with pytest.raises(LawError, match=r"lmbda is .*function.*allowed: a number"):
-        Rubber(lambda x: 1 + x[0], 1.0)
+    negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1)
+    for build in (Structure.full, Structure.interface):
+        with pytest.raises(LawError, match=r"lmbda is -.*allowed: > 0.*, at x = "):
+            build(Structure(joint, **setup), negative)
     with pytest.raises(ModelError, match="Rubber is for layers"):
         Structure(joint, **setup | {"body": Rubber(2.0, 1.0)})

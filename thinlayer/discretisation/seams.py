@@ -57,7 +57,7 @@ class SeamLayer:
 
     @property
     def pressure_key(self) -> str:
-        """Key of the layer's pressure, where several seams have one."""
+        """Key of the layer's pressure, if its law has one."""
         return PRESSURE + self.key.removeprefix(LAYER)
 
     @property

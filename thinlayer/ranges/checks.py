@@ -37,10 +37,12 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
             _warn_of_thickness(model, one)
             _warn_of_hard_layer(model, one, sublayers)
         if one.flows:
-            warn_of_coarse_ends(model, one)
             continue
         at_once = [] if lasting and one.law.traits.rate else [sublayers]
         warn_of_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
+    for one in model.layers.values() if model.broken else ():
+        if one.flows:
+            warn_of_coarse_ends(model, one)
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from thinlayer.discretisation.free_rim import fall_of_pressure, free_of_pressure, free_rim
+from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
@@ -66,9 +66,9 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
 
 def warn_of_coarse_ends(model: Model, one: SeamLayer) -> None:
     """Warn if cells at free ends are too large for the pressure of a law with flow to fall to zero there."""
-    free, zero = free_rim(model, one.sheet), free_of_pressure(model, one)
-    if len(zero.depth) < len(free.depth):
-        delta, largest = fall_of_pressure(one), float(free.depth.max())
+    _, coarse, falls = free_of_pressure(model, one)
+    if len(coarse.depth):
+        delta, largest = falls.min(), coarse.depth.max()
         warn(
             f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up "
             f"to {largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
