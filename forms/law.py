@@ -306,8 +306,8 @@ class BulkLaw(Law):
             LawError: they are not known.
         """
         raise LawError(
-            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 and "
-            "parameters that are numbers"
+            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 "
+            "and parameters that are numbers"
         )
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station]:

@@ -23,7 +23,7 @@ from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
-from thinlayer.discretisation.end_weights import end_weights
+from thinlayer.discretisation.end_weights import end_weights, require_free_ends
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
@@ -269,6 +269,8 @@ class InterfaceModel(LayeredModel):
     def _check_layers(self) -> None:
         for one in self.layers.values():
             one.check(self._bodies)
+            if one.thin and one.thin.edges:
+                require_free_ends(one, self._bodies)
 
     def _check_beside(self, other: Self) -> None:
         self._check_layers()

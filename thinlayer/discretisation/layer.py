@@ -54,8 +54,8 @@ class ThinLayer:
             from 0 to 0.45 between much stiffer bodies. None: it is not.
 
     Raises:
-        LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; order 1 of a Stack or
-            of a varying thickness.
+        LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; a law without
+            one of order 1, or without constants of free ends.
     """
 
     law: BulkLaw
@@ -90,7 +90,7 @@ class ThinLayer:
             raise LawError("edges='free' corrects the interface law of order 1; use order=1")
         for name, given in (("profile", self.profile), ("eigenstrain", self.eigenstrain)):
             if given is not None:
-                raise LawError(f"edges='free' of a layer with a {name}: constants of its free ends are not known")
+                raise LawError(f"edges='free' of a layer with {name}=...: constants of its free ends are not known")
         self.law.free_end()  # raises errors of laws without one
 
     @property
