@@ -20,6 +20,8 @@ UPDATES = ("advance", "evolve")  # methods that give new internal variables
 OF_ONE_STRESS = (
     "stiffness",
     "stations",
+    "free_end",
+    "stations_at_ends",
     "plane_stress",
     "otherwise",
     "energetic",

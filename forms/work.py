@@ -9,6 +9,7 @@ from typing import Any
 import ufl
 from ufl.classes import Zero
 
+from forms.ends.weights import EndWeights
 from forms.kinematics import Expr, jump_strain, lift
 from forms.law import BulkLaw, LawError, Step, explained, shaped
 from forms.planes import Kinematics
@@ -225,6 +226,7 @@ def surface(
     order: int = 0,
     given: Expr | None = None,
     slope: Expr | None = None,
+    ends: EndWeights | None = None,
 ) -> list[Term]:
     """A layer's law on S.
 
@@ -241,6 +243,7 @@ def surface(
         order: of the interface law.
         given: strain (3, 3), uniform through the layer, beside that of the displacements (`Term.given`).
         slope: gradient (d,) of the thickness along S; None: it is uniform.
+        ends: weights of free ends, for the stations of laws that know them; None: of an infinite layer.
 
     Raises:
         LawError: there is no law of order 1.
@@ -259,9 +262,13 @@ def surface(
 
     d = len(n)
     held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics)
+
+    def stations(law: BulkLaw) -> list[Station]:
+        return law.stations() if ends is None else law.stations_at_ends(ends)
+
     return [
         term(at.law, of(known), None if given is None else known.strain(held), at.share, known.flow)
-        for at, known in zip(law.stations(), sides.known(law).stations(), strict=True)
+        for at, known in zip(stations(law), stations(sides.known(law)), strict=True)
     ]
 
 

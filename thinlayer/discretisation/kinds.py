@@ -23,6 +23,7 @@ from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
+from thinlayer.discretisation.end_weights import end_weights
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
@@ -35,7 +36,9 @@ from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all
+from thinlayer.pointwise.quadrature import quadrature_degree
 
+AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
@@ -342,12 +345,19 @@ class InterfaceModel(LayeredModel):
         """The terms of a layer without contact on its seam."""
         mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
+        if self._to_s is not None:  # whose slopes and lengths UFL takes for functions of a high degree
+            degree = quadrature_degree(self.V, measure) + self.kinematics.degree
+            measure = measure(metadata={"quadrature_degree": degree})
         sides = replace(sides, measure=measure, known=partial(self._known, one))
         if one.thin is None:
             terms = [forms.of_jumps(law, sides)]
         else:
             eps, slope = self._thickness(one.name, one.thin, sides), self._slope(one.thin, sides)
-            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope)
+            ends = end_weights(self, one, law.free_end(), sides) if one.thin.edges else None
+            if ends is not None:
+                finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
+                sides = replace(sides, measure=measure.reconstruct(metadata=finer))
+            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
         return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
@@ -359,7 +369,7 @@ class InterfaceModel(LayeredModel):
         return eps
 
     def _slope(self, layer: ThinLayer, sides: forms.Interface) -> Expr | None:
-        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S at order 0, without use for it."""
+        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S and the order is 0."""
         if layer.profile is None or self._to_s is None:
             return None
         slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self._to_s))

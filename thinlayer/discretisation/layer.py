@@ -49,9 +49,12 @@ class ThinLayer:
         eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through the
             thickness. On S the strain is [u] (x) n/eps less it, so that it enters the tractions of a soft layer at order
             eps: it changes the limit only if it is itself of the size of [u]/eps.
+        edges: "free": at free ends of S, straight ones, the interface law of order 1 is corrected by what a layer lacks
+            there, so that its error is O(eps^2) away from them, too (`forms.ends.weights`); for `LinearElastic` with nu
+            from 0 to 0.45 between much stiffer bodies. None: it is not.
 
     Raises:
-        LawError: a law of jumps or of nodes, which is a layer by itself; eps or order out of range; order 1 of a Stack or
+        LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; order 1 of a Stack or
             of a varying thickness.
     """
 
@@ -60,6 +63,7 @@ class ThinLayer:
     order: int = 0
     profile: Profile | None = None
     eigenstrain: Given | None = None
+    edges: str | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):
@@ -76,6 +80,18 @@ class ThinLayer:
             self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
+        if self.edges is not None:
+            self._check_edges()
+
+    def _check_edges(self) -> None:
+        if self.edges != "free":
+            raise LawError(f"edges is {self.edges!r}; allowed: None, 'free'")
+        if self.order != 1:
+            raise LawError("edges='free' corrects the interface law of order 1; use order=1")
+        for name, given in (("profile", self.profile), ("eigenstrain", self.eigenstrain)):
+            if given is not None:
+                raise LawError(f"edges='free' of a layer with a {name}: constants of its free ends are not known")
+        self.law.free_end()  # raises errors of laws without one
 
     @property
     def fractions(self) -> tuple[float, ...]:

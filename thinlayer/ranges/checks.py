@@ -13,6 +13,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.areas import Areas
+from thinlayer.ranges.cavitation import warn_of_cavitation
 from thinlayer.ranges.excess import LEAST_ERROR
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.pressure import warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
@@ -56,6 +57,9 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     model = states[0].model
     warn_of_strains(states)
+    for one in model.layers.values() if model.broken else ():
+        if one.flows:
+            warn_of_cavitation(one, states)
     for one in _thin(model):
         found = [faces for faces in (Faces.of(state, one) for state in states) if faces]
         if not found:

@@ -59,8 +59,8 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
         warn(
             f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
-            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; use forms.Rubber "
-            "with order=1, mesh the layer (structure.full), or support its sides if they are held",
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; "
+            f"{_remedy(one)}, or support its sides if they are held",
             model.comm,
         )
 
@@ -128,7 +128,12 @@ def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start
         warn(
             f"{one} is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
             f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
-            "flow along S; the structure is off by less where the bodies are soft; use forms.Rubber "
-            "with order=1, or mesh the layer (structure.full)",
+            f"flow along S; the structure is off by less where the bodies are soft; {_remedy(one)}",
             model.comm,
         )
+
+
+def _remedy(one: SeamLayer) -> str:
+    if one.remembers or len(one.law.sublayers) > 1:
+        return "mesh the layer (structure.full; forms.Rubber has no memory, and is no sublayer)"
+    return "use forms.Rubber with order=1, or mesh the layer (structure.full)"
