@@ -48,7 +48,10 @@ def run(record: Record, *, quick: bool = False) -> None:
     for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
         cases = [(c, nu, e) for c in CONTRASTS for nu in (QUICK_NUS if quick else NUS) for e in EPS[:: 1 + quick]]
         for contrast, nu, eps in track(cases, name, "E/mu, nu, eps = {}"):
-            table.append({"sides": name, "E/mu": contrast, "nu": nu, "eps": eps} | _row(record, set_up, 100.0 / contrast, nu, eps))
+            table.append(
+                {"sides": name, "E/mu": contrast, "nu": nu, "eps": eps}
+                | _row(record, set_up, 100.0 / contrast, nu, eps)
+            )
         part = _part(table, name)
         record.say(f"{SET_UPS[name]}: the larger of the errors of traction and jump\n{_summary(part)}")
         _check(record, name, part)
