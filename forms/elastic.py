@@ -104,6 +104,9 @@ class LinearElastic(LinearLaw):
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid)
 
+    def elastic_moduli(self) -> tuple[Any, Any]:
+        return self.lmbda, self.mu
+
     def stations(self) -> list[Station]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.
 
@@ -111,9 +114,9 @@ class LinearElastic(LinearLaw):
         would lock.
         """
 
-        def difference(faces: Faces) -> Expr:
+        def difference(law: LinearElastic, faces: Faces) -> Expr:
             in_s = faces.in_s(faces.difference)
-            share = self.lmbda / (self.lmbda + 2 * self.mu)
+            share = law.lmbda / (law.lmbda + 2 * law.mu)
             return in_s - share * ufl.tr(in_s) * faces.normal
 
         return at_gauss_points(self, difference)

@@ -49,7 +49,7 @@ class Incompressible(LinearLaw):
         """The pressure is a field on S, which flows along S."""
         if self.fields:
             raise LawError("order=1 of Incompressible: its pressure needs a uniform modulus; use order=0")
-        return of_pressure(self, self.mu)
+        return of_pressure(self)
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return 2 * float(self.mu) * np.eye(6)

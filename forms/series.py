@@ -14,7 +14,7 @@ from forms.base import is_number
 from forms.declarations import require_declarations
 from forms.fields import Array, Field
 from forms.law import BulkLaw, LawError, require
-from forms.sharing import Sharing
+from forms.sharing import in_series
 from forms.stations import Station
 from forms.traits import Traits
 
@@ -119,14 +119,7 @@ class Stack(BulkLaw):
     def stations(self) -> list[Station]:
         if len(self.laws) == 1:
             return self.laws[0].stations()
-        for law in self.laws:
-            known = law.traits
-            if not (known.linear and known.symmetric) or known.compiled:
-                raise LawError(
-                    f"order=1 of a Stack with the sublayer {law!r}: the next term is that of linear elastic sublayers, "
-                    "which share the jump in fixed proportions; use order=0, or mesh the layer (structure.full)"
-                )
-        return Sharing(self.sublayers).stations()
+        return in_series(self.sublayers)
 
     def with_parameters(self, values: Mapping[str, Any]) -> Stack:
         """The same law with other values, those of sublayers by names such as "0.mu"; unchecked."""

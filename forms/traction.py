@@ -65,7 +65,18 @@ class TractionLaw(Law):
     """
 
     ignored: ClassVar = (
-        *("stress", "advance", "dissipated", "holds", "otherwise", "eased", "stations", "stiffness", "plane_stress"),
+        *(
+            "stress",
+            "advance",
+            "dissipated",
+            "holds",
+            "otherwise",
+            "eased",
+            "stations",
+            "elastic_moduli",
+            "stiffness",
+            "plane_stress",
+        ),
     )
 
     def __post_init__(self) -> None:
