@@ -105,7 +105,7 @@ class LinearElastic(LinearLaw):
         return lame(self.lmbda, self.mu, step.mid)
 
     def elastic_moduli(self) -> tuple[Any, Any]:
-        return self.lmbda, self.mu
+        return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
 
     def stations(self) -> list[Station]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.
