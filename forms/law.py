@@ -319,9 +319,9 @@ class BulkLaw(Law):
             LawError: this is none.
         """
         raise LawError(
-            f"order=1 of a Stack with the sublayer {self!r}: it is known for isotropic elastic sublayers (LinearElastic), "
-            "which share the jump in fixed proportions along S and across it; use order=0, or mesh the layer "
-            "(structure.full)"
+            f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
+            "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
+            "layer (structure.full)"
         )
 
     def own_step(self, step: Step) -> Step:
