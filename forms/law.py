@@ -331,6 +331,18 @@ class BulkLaw(Law):
             )
         return at_gauss_points(self)
 
+    def elastic_moduli(self) -> tuple[Any, Any]:
+        """Lame's moduli lmbda and mu of an isotropic linear elastic law.
+
+        Raises:
+            LawError: this is none.
+        """
+        raise LawError(
+            f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
+            "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
+            "layer (structure.full)"
+        )
+
     def own_step(self, step: Step) -> Step:
         """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""
         return step if self.traits.rate or self.internal else Step(step.mid, step.n)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import ufl
@@ -109,11 +110,14 @@ class Side:
 class Interface:
     """The two sides of S.
 
-    S lies on the facets of the mesh; or midway between the facets of its two sides, where these are apart.
+    S lies on the facets of the mesh; or midway between the facets of its two sides, where these are apart. The strains of a
+    layer between them are those of a shell with the fibres that lead from one to the other: rigid motions cause none.
 
     Attributes:
         measure: dS restricted to S between two bodies, ds on a rigid base.
+        x: places on S, (d,).
         n: unit normal from the lower to the upper body, (d,).
+        fibre: (d,) what leads from the lower to the upper body, of unit length along n; it is n unless these are apart.
         upper, lower: restrict a function to this side of S.
         kinematics: those of places on S.
         area: area of S per area of the measure.
@@ -122,7 +126,9 @@ class Interface:
     """
 
     measure: ufl.Measure
+    x: Expr
     n: Expr
+    fibre: Expr
     upper: Side
     lower: Side
     kinematics: Kinematics = LIFTED
@@ -143,7 +149,8 @@ class Interface:
         """
         upper, lower = Side(lambda v: v("+")), Side(lambda v: v("-"))
         if to_s is None:
-            return cls(measure, ufl.FacetNormal(mesh)("-"), upper, lower, kinematics)
+            x, n = upper(ufl.SpatialCoordinate(mesh)), ufl.FacetNormal(mesh)("-")
+            return cls(measure, x, n, n, upper, lower, kinematics)
         return cls._apart(mesh, measure, kinematics, to_s, upper, Side(lower.restrict, _back(to_s)("-")))
 
     @classmethod
@@ -153,7 +160,8 @@ class Interface:
         """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
         upper, lower = Side(lambda v: v), Side(lambda v: 0 * v)
         if to_s is None:
-            return cls(measure, -ufl.FacetNormal(mesh), upper, lower, kinematics)
+            n = -ufl.FacetNormal(mesh)
+            return cls(measure, ufl.SpatialCoordinate(mesh), n, n, upper, lower, kinematics)
         return cls._apart(mesh, measure, kinematics, to_s, upper, lower)
 
     @classmethod
@@ -164,8 +172,10 @@ class Interface:
         back = upper(_back(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
         length = ufl.sqrt(ufl.dot(N, N))
-        at_s = kinematics.at(upper(ufl.SpatialCoordinate(mesh) + to_s))
-        return cls(measure, N / length, Side(upper.restrict, back), lower, at_s, length / abs(ufl.det(back)))
+        n, x = N / length, upper(ufl.SpatialCoordinate(mesh) + to_s)
+        fibre = upper(to_s) / ufl.dot(upper(to_s), n)
+        area = length / abs(ufl.det(back))
+        return cls(measure, x, n, fibre, Side(upper.restrict, back), lower, kinematics.at(x), area)
 
     @property
     def factor(self) -> Any:
@@ -178,8 +188,9 @@ class Interface:
 
     def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
         """The faces of a layer of thickness eps, of gradient `slope` along S, under displacements u."""
-        upper, lower = self.upper.gradient(u), self.lower.gradient(u)
-        mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2, self.n)
+        along_s = ufl.Identity(len(self.n)) - ufl.outer(self.fibre, self.n)
+        upper, lower = (ufl.dot(side.gradient(u), along_s) for side in (self.upper, self.lower))
+        mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2)
         return Faces(self.n, eps, self.jump(u), upper - lower, mean, self.kinematics, slope)
 
 
@@ -238,28 +249,23 @@ def surface(
     Raises:
         LawError: there is no law of order 1.
     """
-    n = sides.n
-
-    def term(law: BulkLaw, strain: Callable[[Expr], Expr], given: Expr | None, share: Any = 1, flow: Any = 0) -> Term:
-        weight = sides.factor * eps * share
-        return Term(law, strain, weight, sides.measure, n, given, kinematics=sides.kinematics, flow=eps**3 * flow)
-
+    n, d, weight = sides.n, len(sides.n), sides.factor * eps
+    term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
-        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, given)]
-
-    def of(station: Station) -> Callable[[Expr], Expr]:
-        return lambda u: station.strain(sides.faces(u, eps, slope))
-
-    d = len(n)
+        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, given=given)]
     held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics)
 
-    def stations(law: BulkLaw) -> list[Station]:
-        return law.stations() if ends is None else law.stations_at_ends(ends)
+    def at(station: Station) -> Term:
+        known = sides.known(station.law)
+        return term(
+            station.law,
+            lambda u: station.strain(known, sides.faces(u, eps, slope)),
+            weight * station.share,
+            given=None if given is None else station.strain(known, held),
+            flow=eps**3 * station.flow(known),
+        )
 
-    return [
-        term(at.law, of(known), None if given is None else known.strain(held), at.share, known.flow)
-        for at, known in zip(stations(law), stations(sides.known(law)), strict=True)
-    ]
+    return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 
 def stress(term: Term, u: Expr) -> Expr:

@@ -10,12 +10,13 @@ import ufl
 from mpi4py import MPI
 
 from forms import Incompressible, LinearElastic, Rubber, VonMises
-from geometry import block, sandwich
+from geometry import block, periodic, sandwich
 from thinlayer import State, Structure, Surface, ThinLayer, compare, march, solve
 
 BODY = LinearElastic(80.0, 50.0)
 EPS = 0.06
 RUBBER = Rubber(1900.0, 2.0)
+VARYING = Rubber(lambda x: 1900.0 * (1 + x[0]), lambda x: 2.0 / (1 + x[0]))
 
 
 def strip(**sides) -> Structure:
@@ -62,9 +63,13 @@ def numbers() -> dict[str, float]:
         "hexahedra": solid("hexahedron"),
         "base": on_a_base(),
     }
-    cases = [(name, RUBBER) for name in structures] + [(name, Incompressible(2.0)) for name in ("strip", "hexahedra")]
+    cases = (
+        [(name, RUBBER) for name in structures]
+        + [("base", VARYING)]
+        + [(name, Incompressible(2.0)) for name in ("strip", "hexahedra")]
+    )
     for name, law in cases:
-        layer, called = ThinLayer(law, EPS, order=1), f"{name} {type(law).__name__}"
+        layer, called = ThinLayer(law, EPS, order=1), f"{name} {type(law).__name__}{' varying' * (law is VARYING)}"
         full = solve(structures[name].full(layer, cells_through=1 if name.endswith("hedra") else 2))
         limit = solve(structures[name].interface(layer))
         found |= measured(f"{called} meshed", full) | measured(called, limit)
@@ -72,6 +77,10 @@ def numbers() -> dict[str, float]:
         found |= {f"{called} {key}": 1 + value for key, value in compare(full, limit).items()}
     history = march(strip().interface(ThinLayer(RUBBER, EPS, order=1)), [0.3, 1.0], theta=0.5)
     found |= measured("march", history.last)
+    cell = periodic(sandwich(2.0, 0.5, 0.5, 0.25, depth=1.0, cell="hexahedron", structured=True), ("LEFT", "RIGHT"))
+    top = {"TOP": lambda x, t: (0.0, 0.1 * ufl.cos(ufl.pi * (x[0] - 0.3)), 0.03)}
+    repeated = Structure(cell, body=BODY, supports={"BOTTOM": 0.0}, tractions=top)
+    found |= measured("periodic", solve(repeated.interface(ThinLayer(RUBBER, EPS, order=1))))
     return found | flow()
 
 

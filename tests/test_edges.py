@@ -178,7 +178,11 @@ def test_a_plate_in_plane_strain_is_its_section():
 
 def test_held_sides_are_no_free_ends():
     joint = sandwich(1.0, 0.3, 0.3, 0.25)
-    setup = {"body": BODY, "supports": {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}, "tractions": {"TOP": (0, -1)}}
+    setup = {
+        "body": BODY,
+        "supports": {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}},
+        "tractions": {"TOP": (0, -1)},
+    }
     layers = [ThinLayer(LinearElastic.shear(3.0, 0.35), 0.1, order=1, edges=edges) for edges in ("free", None)]
     works = [solve(Structure(joint, **setup).interface(layer)).energies()["loads"] for layer in layers]
     assert works[0] == pytest.approx(works[1], rel=1e-12)

@@ -13,10 +13,11 @@ from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
 from tests.pressure_run import HALF_WIDTH, LAYERS
-from tests.ranges_told import STIFF, strip_excess
+from tests.ranges_told import STIFF, opened, strip_excess
 from tests.ranks import mpirun
 from thinlayer import ModelError, PressureReport, RangeWarning, Structure, Surface, Table, ThinLayer, compare, solve
-from thinlayer.ranges.pressure import why_unknown
+from thinlayer.ranges.excess import pressure_excess, why_unknown
+from thinlayer.ranges.sublayers import sublayers_of
 
 
 @pytest.fixture(scope="module")
@@ -52,25 +53,37 @@ def test_told_and_found(plates, nu):
     assert report.too_stiff == {"S": pytest.approx(wanted, rel=4e-3)}
     assert compare(full, limit)["too_stiff"] == report.too_stiff["S"]
     assert report.lengths["S"] == pytest.approx(eps * (nu / (1 - 2 * nu) / 6) ** 0.5)
-    assert str(report) == f"the layer alone is {report.too_stiff['S']:.4g} times too stiff"
+    assert str(report) == f"the layer alone is {report.too_stiff['S']:.4g} times too stiff against openings"
 
 
 @pytest.mark.parametrize("order", [0, 1])
 def test_column_of_a_wave(order):
-    """Of jumps that open and shear the layer, between rollers, from transfer matrices; a column of the comparison."""
+    """(k delta)^2 of jumps that open and shear the layer, between rollers; a column of the comparison."""
     eps, (lmbda, mu) = 1 / 16, reference.LAYER
     joint, setup = fourier(1 / 32, cell="quadrilateral")
     structure, layer = Structure(joint, **setup), ThinLayer(FOURIER_LAYER, eps, order=order)
-    body = reference.expm(reference.strip(*reference.BODY) * reference.HEIGHT)
-    between = reference.next_order(lmbda * eps, mu * eps, eps) if order else reference.spring(lmbda, mu)
-    _, below, above, _ = reference.clamped(body, between, body)
-    (U, V), mean = (above - below)[:2], (above + below)[0] / 2
-    opened = V + eps * reference.K * mean
-    told_by, evened = opened * lmbda, opened / (1 / lmbda + eps**2 * reference.K**2 / (12 * mu))
-    wanted = (told_by - evened) * opened / (evened * opened + mu * U**2)
     row = compare(solve(structure.full(layer)), solve(structure.interface(layer)))
-    assert row["too_stiff"] - 1 == pytest.approx(wanted, rel=3e-3)
+    assert row["too_stiff"] - 1 == pytest.approx((np.pi * eps) ** 2 * lmbda / mu / 12, rel=3e-3)
     assert "too_stiff" in str(Table([row]))
+
+
+def test_shear_does_not_hide_it(plates):
+    """Slip that takes nearly all of the work leaves the factor, which is told until slip takes the traction, too."""
+    eps, law = 1 / 16, LinearElastic.shear(1.0, 0.499).per_thickness(1 / 16)
+    model = plates.interface(ThinLayer(law, eps))
+    (layer,) = sublayers_of(model.layers["S"])
+    pure = strip_excess(0.5 / (eps * layer.length))
+    told_with = {}
+    for slip in (0.0, 0.06, 60.0):
+        found = pressure_excess(opened(model, lambda x, w=slip: (w + 0 * x[0], 1e-3 + 0 * x[0])), layer)
+        assert found.opening == pytest.approx(pure, rel=5e-3)
+        told_with[slip] = found.opening if found.hidden else found.work
+        assert (found.work < 0.1) == (slip > 0)
+    assert told_with == {
+        0.0: pytest.approx(pure, rel=5e-3),
+        0.06: pytest.approx(pure, rel=5e-3),
+        60.0: pytest.approx(0, abs=1e-6),
+    }
 
 
 @pytest.fixture(scope="module")

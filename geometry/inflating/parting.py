@@ -39,6 +39,15 @@ def middle(joint: Joint) -> FloatArray:
     return np.asarray((upper + lower) / 2)
 
 
+def points_on_middle(joint: Joint) -> FloatArray:
+    """(n_points, d) `points`, those of S in the middle between bodies that have parted; seams do not meet."""
+    if joint.parted is None:
+        return joint.points
+    x = joint.points.copy()
+    x[joint.surface] = middle(joint)
+    return x
+
+
 def to_middle(joint: Joint) -> FloatArray:
     """(n_cells, k, d) how far the nodes of each cell on its facets of S are from `middle`; zero at other nodes."""
     out, x = np.zeros_like(joint.cell_points), middle(joint)

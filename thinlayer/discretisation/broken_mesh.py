@@ -160,8 +160,8 @@ class BrokenMesh:
         law.check_dimension(self._dim)
         if thin and thin.order and thin.profile is not None:
             raise LawError(
-                "order=1 of a thickness that varies needs bodies at their true places; those of this mesh meet on S. Use "
-                "order=0, or Structure.interface(layer, bodies='extended')"
+                "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
+                "use order=0, or Structure.interface(layer, bodies='extended')"
             )
         sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
         if thin and thin.profile is not None:

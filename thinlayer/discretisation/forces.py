@@ -92,6 +92,8 @@ class Forces:
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             self._warn_of_gaps(name)
             side = f"{name.split('/')[0]}/{LAYER}"
+            if side not in tractions:
+                self._refuse_end(name, side)
             if side not in tractions and (share := self._share(name)):
                 what, loaded, _ = self._loads[-1]
                 self._loads.append((what, share * loaded, ds(domain.values(side))))
@@ -160,6 +162,15 @@ class Forces:
                     "the load is smaller than the interface model's. Use bodies='kept'",
                     self.domain.comm,
                 )
+
+    def _refuse_end(self, name: str, side: str) -> None:
+        """Raise ModelError if bodies gave up a part of a loaded face to the side of a layer without cells."""
+        joint, whole = self.domain.joint, name.split("/")[0]
+        if joint.parted is not None and whole in joint.facets and Sheet(joint).rim.on(joint.facets[whole]).any():
+            raise ModelError(
+                f"traction on {name!r}: S ends there, and bodies='extended' gave a part of this face to the side of the "
+                f"layer, which has no facets to carry it; give {side!r} a traction of its own, zero if that side is free"
+            )
 
     def _share(self, name: str) -> float:
         """Share of a traction on bodies that also acts on the layer's side: the room that these bodies gave up.

@@ -347,11 +347,14 @@ class InterfaceModel(LayeredModel):
         """The terms of a layer without contact on its seam."""
         mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
+        if self._to_s is not None:  # whose slopes and lengths UFL takes for functions of a high degree
+            degree = quadrature_degree(self.V, measure) + self.kinematics.degree
+            measure = measure(metadata={"quadrature_degree": degree})
         sides = replace(sides, measure=measure, known=partial(self._known, one))
         if one.thin is None:
             terms = [forms.of_jumps(law, sides)]
         else:
-            eps, slope = self._thickness(one.name, one.thin, sides), self._slope(one.name, one.thin, sides)
+            eps, slope = self._thickness(one.name, one.thin, sides), self._slope(one.thin, sides)
             ends = end_weights(self, one, law.free_end(), sides) if one.thin.edges else None
             if ends is not None:
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
@@ -360,17 +363,19 @@ class InterfaceModel(LayeredModel):
         return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
+        if self._to_s is not None:  # on either side S is half of it away
+            return -2 * ufl.dot(sides.upper(self._to_s), sides.n)
         eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
         return eps
 
-    def _slope(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr | None:
-        """(d,) gradient of the thickness along S; None: it is uniform."""
-        if layer.profile is None:
+    def _slope(self, layer: ThinLayer, sides: forms.Interface) -> Expr | None:
+        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S and the order is 0."""
+        if layer.profile is None or self._to_s is None:
             return None
-        gradient = sides.upper.gradient(relative_thickness(self.domain, layer.profile, name))
-        return fem.Constant(self.domain.mesh, float(layer.eps)) * (gradient - ufl.dot(gradient, sides.n) * sides.n)
+        slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self._to_s))
+        return slope - ufl.dot(slope, sides.fibre) * sides.n
 
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""

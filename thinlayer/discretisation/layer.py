@@ -41,8 +41,9 @@ class ThinLayer:
         eps: thickness, a length > 0; multiplied by the profile if it varies along S.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
-            observed order stays below 1); needs bodies="kept" and elements of degree 2, not for a Stack; laws other than
-            `LinearElastic` with lmbda/mu <= 12 at rest.
+            observed order stays below 1, see `edges`); needs elements of degree 2, and bodies="extended" where S is
+            curved or the thickness varies; a Stack of `LinearElastic` sublayers alone; other laws than `LinearElastic`
+            and `Rubber` with lmbda/mu <= 12 at rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
             > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
             those of the thickness eps, everywhere.
@@ -76,8 +77,6 @@ class ThinLayer:
         _check_thickness("layer's thickness", self.eps)
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
-        if self.order == 1 and len(self.law.sublayers) > 1:
-            raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):

@@ -50,7 +50,7 @@ def compare(
         those of the interface model's fields;
         traction and jump: these norms (stress and length, times length^(1/2) in 2D);
         too_stiff ("too_stiff NAME" for each of several seams), for isotropic elastic layers whose law has no pressure on S:
-        the law of the layer alone is that many times too stiff for the jumps found (`PressureReport`); 1: not at all.
+        the layer's law alone is that many times too stiff against the openings found (`PressureReport`).
 
     Raises:
         ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,

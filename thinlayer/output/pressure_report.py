@@ -13,8 +13,8 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.files.table import Table
+from thinlayer.ranges.excess import pressure_excess, why_unknown
 from thinlayer.ranges.faces import Faces
-from thinlayer.ranges.pressure import pressure_excess, why_unknown
 from thinlayer.ranges.sublayers import sublayers_of
 
 
@@ -26,11 +26,11 @@ class PressureReport:
     each place. That of the layer, p, evens out over the length delta = eps sqrt(lmbda/(12 mu)), and is zero at free ends.
     For the displacements of the state p is computed on S, and the works of both are compared:
 
-        eta = int (p_0 - p) wb/(int p wb + int mu/eps |[u_T]|^2),   wb = [u_N] + eps div_S <u>
+        eta = int (p_0 - p) wb/int p wb,   wb = [u_N] + eps div_S <u>
 
-    The layer alone is 1 + eta times too stiff for these displacements; the structure is off by less where its bodies are
-    soft. Beyond 1.1 use `Rubber` with order=1, whose pressure flows, or mesh the layer. For a Fourier mode of wave number k
-    that only opens the layer eta = (k delta)^2.
+    The layer alone is 1 + eta times too stiff against these openings, whatever it is sheared; the structure is off by less
+    where its bodies are soft. Beyond 1.1 use `Rubber` with order=1, whose pressure flows, or mesh the layer. For a Fourier
+    mode of wave number k eta = (k delta)^2. Of a layer that nothing opens eta is zero.
 
     Args:
         state: state of an interface model.
@@ -90,11 +90,15 @@ class PressureReport:
 
     def __str__(self) -> str:
         layers = self._layers
-        return "; ".join(f"{layers[name]} alone is {x:.4g} times too stiff" for name, x in self.too_stiff.items())
+        return "; ".join(
+            f"{layers[name]} alone is {x:.4g} times too stiff against openings" for name, x in self.too_stiff.items()
+        )
 
     def _excess(self, one: SeamLayer) -> float:
         faces = Faces.of(self.state, one)
-        return on_root(self.state.model.comm, lambda: pressure_excess(faces, sublayers_of(one)[0]) if faces else 0.0)
+        return on_root(
+            self.state.model.comm, lambda: pressure_excess(faces, sublayers_of(one)[0]).opening if faces else 0.0
+        )
 
 
 def columns_of_pressure(state: State, seam: str) -> dict[str, float]:
