@@ -107,6 +107,9 @@ class LinearElastic(LinearLaw):
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid)
 
+    def elastic_moduli(self) -> tuple[Any, Any]:
+        return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
+
     def stations(self) -> list[Station]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.
 
@@ -115,9 +118,10 @@ class LinearElastic(LinearLaw):
         """
         return at_gauss_points(self, self._change)
 
-    def _change(self, faces: Faces) -> Expr:
+    @staticmethod
+    def _change(law: LinearElastic, faces: Faces) -> Expr:
         in_s = faces.in_s(faces.change)
-        return in_s - self._share * ufl.tr(in_s) * faces.normal
+        return in_s - law._share * ufl.tr(in_s) * faces.normal
 
     @property
     def _share(self) -> Any:
@@ -139,8 +143,8 @@ class LinearElastic(LinearLaw):
     def stations_at_ends(self, weights: EndWeights) -> list[Station]:
         """Two strains give the energy of the mean strain (`forms.ends.weights`), a third one that of its change."""
 
-        def strain(k: int) -> Callable[[Faces], Expr]:
-            return lambda faces: weights.strains(faces, self._share)[k]
+        def strain(k: int) -> Callable[[LinearElastic, Faces], Expr]:
+            return lambda law, faces: weights.strains(faces, law._share)[k]
 
         return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._change)]
 

@@ -47,7 +47,7 @@ class Incompressible(LinearLaw):
 
     def stations(self) -> list[Station]:
         """The pressure is a field on S, which flows along S."""
-        return of_pressure(self, self.mu)
+        return of_pressure(self)
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return 2 * float(self.mu) * np.eye(6)

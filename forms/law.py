@@ -306,8 +306,8 @@ class BulkLaw(Law):
             LawError: they are not known.
         """
         raise LawError(
-            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 and "
-            "parameters that are numbers"
+            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 "
+            "and parameters that are numbers"
         )
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station]:
@@ -330,6 +330,18 @@ class BulkLaw(Law):
                 "layer, and the next term depends on where the sheets lie; use order=0"
             )
         return at_gauss_points(self)
+
+    def elastic_moduli(self) -> tuple[Any, Any]:
+        """Lame's moduli lmbda and mu of an isotropic linear elastic law.
+
+        Raises:
+            LawError: this is none.
+        """
+        raise LawError(
+            f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
+            "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
+            "layer (structure.full)"
+        )
 
     def own_step(self, step: Step) -> Step:
         """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""

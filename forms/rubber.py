@@ -61,4 +61,4 @@ class Rubber(LinearLaw):
 
     def stations(self) -> list[Station]:
         """The pressure is a field on S, which flows along S."""
-        return of_pressure(self, self.mu)
+        return of_pressure(self)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import ufl
@@ -248,28 +249,23 @@ def surface(
     Raises:
         LawError: there is no law of order 1.
     """
-    n = sides.n
-
-    def term(law: BulkLaw, strain: Callable[[Expr], Expr], given: Expr | None, share: Any = 1, flow: Any = 0) -> Term:
-        weight = sides.factor * eps * share
-        return Term(law, strain, weight, sides.measure, n, given, kinematics=sides.kinematics, flow=eps**3 * flow)
-
+    n, d, weight = sides.n, len(sides.n), sides.factor * eps
+    term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
-        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, given)]
-
-    def of(station: Station) -> Callable[[Expr], Expr]:
-        return lambda u: station.strain(sides.faces(u, eps, slope))
-
-    d = len(n)
+        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, given=given)]
     held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics)
 
-    def stations(law: BulkLaw) -> list[Station]:
-        return law.stations() if ends is None else law.stations_at_ends(ends)
+    def at(station: Station) -> Term:
+        known = sides.known(station.law)
+        return term(
+            station.law,
+            lambda u: station.strain(known, sides.faces(u, eps, slope)),
+            weight * station.share,
+            given=None if given is None else station.strain(known, held),
+            flow=eps**3 * station.flow(known),
+        )
 
-    return [
-        term(at.law, of(known), None if given is None else known.strain(held), at.share, known.flow)
-        for at, known in zip(stations(law), stations(sides.known(law)), strict=True)
-    ]
+    return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 
 def stress(term: Term, u: Expr) -> Expr:

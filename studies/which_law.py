@@ -44,13 +44,17 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: three thicknesses and five ratios, a coarser mesh.
     """
     record.parameters = {"E of the bodies": 100.0, "E over mu": list(CONTRASTS), "laws": LAWS}
+    table = record.table("table.csv")
     for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
-        table = record.table(f"{name}.csv")
         cases = [(c, nu, e) for c in CONTRASTS for nu in (QUICK_NUS if quick else NUS) for e in EPS[:: 1 + quick]]
         for contrast, nu, eps in track(cases, name, "E/mu, nu, eps = {}"):
-            table.append({"E/mu": contrast, "nu": nu, "eps": eps} | _row(record, set_up, 100.0 / contrast, nu, eps))
-        record.say(f"{SET_UPS[name]}: the larger of the errors of traction and jump\n{_summary(table)}")
-        _check(record, name, table)
+            table.append(
+                {"sides": name, "E/mu": contrast, "nu": nu, "eps": eps}
+                | _row(record, set_up, 100.0 / contrast, nu, eps)
+            )
+        part = _part(table, name)
+        record.say(f"{SET_UPS[name]}: the larger of the errors of traction and jump\n{_summary(part)}")
+        _check(record, name, part)
 
 
 def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
@@ -150,6 +154,10 @@ class FreeEnds:
         return errors
 
 
+def _part(table: Table, sides: str) -> Table:
+    return Table(row for row in table.rows if row["sides"] == sides)
+
+
 def _worst(table: Table, law: str) -> Array:
     """(rows,) larger of the errors of traction and jump."""
     return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
@@ -165,7 +173,7 @@ def _summary(table: Table) -> Table:
 def _check(record: Record, name: str, table: Table) -> None:
     """Rubber: of order 2 on rollers and 1 at free ends; LinearElastic of order 1: no large error without a warning."""
     eps, errors = table["eps"], _worst(table, "rubber")
-    order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.25, eps < 0.1)
+    order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.3, eps < 0.1)
     record.check(f"{name}: largest error of Rubber over eps^{order}", np.nanmax((errors / eps**order)[fine]), high=high)
     silent = (_worst(table, "order_1") > TOLD) & (table["warned_order_1"] == 0)
     record.check(f"{name}: errors of LinearElastic, order 1, above 10 % without a warning", silent.sum(), high=0)
@@ -176,7 +184,7 @@ def _check(record: Record, name: str, table: Table) -> None:
 def draw(record: Record) -> None:
     """Draw the errors of each law, and the cheapest law for 1 % and 5 %, over eps and nu, from the tables."""
     for name, what in SET_UPS.items():
-        table = record.load(f"{name}.csv")
+        table = _part(record.load("table.csv"), name)
         nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
         axes: dict[str, Any] = {
             "x": [f"{nu:g}" for nu in nus],
@@ -212,7 +220,7 @@ def _cheapest(record: Record, picture: str, what: str, errors: Mapping[str, Arra
     for contrast in CONTRASTS:
         stack = np.array([errors[f"{label}; E/mu = {contrast:,}"] for label in LAWS.values()])
         for wanted in WANTED:
-            panel = f"error < {wanted:.0%}; E/mu = {contrast:,}"
+            panel = f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
             parts[panel] = good.argmax(axis=0)
             texts[panel] = np.array(["0", "1", "R", "m"])[parts[panel]]

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
 from studies import which_law
 from studies.transfer import Wave
 from tests import reference
+from thinlayer import RangeWarning
+from thinlayer.running.catalogue import studies
 from thinlayer.running.record import Record
 
 MU = 40.0  # of the layer over its thickness; bodies have E = 100, nu = 0.3
@@ -43,9 +47,9 @@ FREE = {0.45: ((1.4e-2, 3.6e-2, 1.9e-2), (3.8e-3, 2.2e-3, 3.8e-3), (6.0e-4, 1.5e
 def row(tmp_path):
     """Row of the study for a set-up, a ratio and a thickness."""
 
-    def of(set_up, nu, eps):
+    def of(set_up, nu, eps, mu=None):
         with Record("which_law", tmp_path, {}) as record:
-            return which_law._row(record, set_up, MU * eps, nu, eps)
+            return which_law._row(record, set_up, mu or MU * eps, nu, eps)
 
     return of
 
@@ -70,3 +74,42 @@ def test_errors_at_free_ends(row):
         found = row(set_up, nu, 1 / 64)
         for law, wanted in zip(which_law.LAWS, printed, strict=True):
             assert errors(found, law) == pytest.approx(wanted, rel=0.1), (nu, law)
+
+
+CLONE = Path(__file__).parent.parent
+PAGE = (CLONE / "forms" / "which_law.md").read_text()
+
+
+def test_the_table_of_the_page(row):
+    """Two of its columns computed once more, its errors of two digits; files and studies that it names exist."""
+    cells = re.findall(r"^\| (rollers|free), ([\d,]+) \| (.*?) \|(.*)\|$", PAGE, re.MULTILINE)
+    assert len(cells) == 12
+    ratios = [float(nu) for nu in re.search(r"E/mu \| law \|(.*)\|", PAGE)[1].replace("nu =", "").split("|")]
+    set_ups = {
+        "rollers": (which_law.Rollers(1 / 32), "200", 0.499),
+        "free": (which_law.FreeEnds(False), "200,000", 0.49),
+    }
+    for name, (set_up, contrast, nu) in set_ups.items():
+        found = row(set_up, nu, 1 / 16, 100.0 / float(contrast.replace(",", "")))
+        column = [line.split("|")[ratios.index(nu)] for one, two, _, line in cells if (one, two) == (name, contrast)]
+        for law, cell in zip(which_law.LAWS, column, strict=True):
+            printed = [float(number) / 100 for number in cell.split(";")]
+            assert errors(found, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)
+    for path in re.findall(r"\]\(([\w/.]+)\)", PAGE):
+        assert (CLONE / "forms" / path).is_file(), path
+    named = set(re.findall(r"`run (\w+)`", PAGE)) | {"sweep_kelvin_voigt", "sweep_norton"}
+    assert named <= set(studies())
+
+
+def test_the_script_of_the_page(tmp_path, monkeypatch, capsys):
+    """As printed; the law alone is as much too stiff as the report says."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(RangeWarning):
+        exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], {})
+    printed = re.findall(r"^    (the layer alone .*\n)    (closes by .*\n)", PAGE, re.MULTILINE)
+    lines = capsys.readouterr().out
+    number = r"\d+\.\d+"
+    assert re.sub(number, "", lines) == re.sub(number, "", "".join(printed[0]))
+    found, wanted = ([float(x) for x in re.findall(number, text)] for text in (lines, "".join(printed[0])))
+    assert found == pytest.approx(wanted, rel=5e-3)
+    assert found[0] == pytest.approx(found[3], rel=0.03)

@@ -1,22 +1,23 @@
 """How a layer's interface law of order 1 is changed near its free ends, so that its error is of order 2 there, too.
 
-Near a free end a layer is weaker than an infinite one. Between faces that move by w_N across and w_T along S, what it lacks
-is the force c_N M w_N and c_T mu w_T per unit of edge (`FreeEnd`); besides, stresses lmbda w_N along S and mu w_T across it,
-which a layer of no thickness would bring to its last point, are handed to the faces over lengths of the thickness. With d
-the distance to the end, m its normal in S, e_N, g the strains of the jump across S and along it, e_S and h those of the mean
-displacements, in S and of <u_N> along m, the energy per volume of the mean strain is
+Near a free end a layer is weaker than an infinite one. Between faces that move by w_N across and w_T along S, what it
+lacks is the force c_N M w_N and c_T mu w_T per unit of edge (`FreeEnd`); besides, stresses lmbda w_N along S and mu w_T
+across it, which a layer of no thickness would bring to its last point, are handed to the faces over lengths of the
+thickness. With d the distance to the end, m its normal in S, e_N, g the strains of the jump across S and along it, e_S and
+h those of the mean displacements, in S and of <u_N> along m, the energy per volume of the mean strain is
 
     2 W = M (1 - a_N) e_N^2 + 2 lmbda f_N e_N tr e_S + [lmbda (tr e_S)^2 + 2 mu e_S : e_S]/(1 - a_N)
           + mu [(1 - a_T) g_m^2 + 2 f_T g_m h_m + h_m^2/(1 - a_T)] + mu (g_tau + h_tau)^2,
 
-a_N = c_N eps/l_N within l_N of an end, a_T = c_T eps/l_T within l_T, else zero; f_N = min(1, d/(2 rho_N eps)), f_T = min(1,
-d/(2 c_T eps)). The strips have the first moments of what is missing, l = 2 m eps/c, but l_N <= 3 eps. On facets that a strip
-ends in, a has its mean: the integral of a across an end is c eps exactly, on any mesh. W is convex as a < 1 and f <= 1.
+a_N = c_N eps/l_N within l_N of an end, a_T = c_T eps/l_T within l_T, else zero; f_N = min(1, d/(2 rho_N eps)), f_T =
+min(1, d/(2 c_T eps)). The strips have the first moments of what is missing, l = 2 m eps/c, but l_N <= 3 eps. On facets that
+a strip ends in, a has its mean: the integral of a across an end is c eps on any mesh. W is convex as a < 1 and f <= 1.
 
 It is the energy of the isotropic law itself at two strains: with q = 1 - a, and without the tau components,
 
-    e_N' = sqrt(q_N) e_N - (1 - f_N) lmbda/M tr e_S/sqrt(q_N),  e_S' = e_S/sqrt(q_N),  g' = sqrt(q_T) g_m + f_T h_m/sqrt(q_T)
-    e_N'' = lmbda/M sqrt((1 - f_N^2)/q_N) tr e_S,               e_S'' = 0,             g'' = sqrt((1 - f_T^2)/q_T) h_m.
+    e_N' = sqrt(q_N) e_N - (1 - f_N) lmbda/M tr e_S/sqrt(q_N),    e_N'' = lmbda/M sqrt((1 - f_N^2)/q_N) tr e_S,
+    e_S' = e_S/sqrt(q_N),                                         e_S'' = 0,
+    g' = sqrt(q_T) g_m + f_T h_m/sqrt(q_T),                       g'' = sqrt((1 - f_T^2)/q_T) h_m.
 """
 
 from __future__ import annotations

@@ -10,87 +10,74 @@ from dolfinx import fem
 
 from forms.ends.constants import FreeEnd
 from forms.ends.weights import EndWeights, Strips
+from forms.tangent import average_lame, is_checked_at_rest, tangent_at_rest
 from forms.work import Interface
-from geometry.errors import place
-from geometry.joint import FLAT
-from geometry.sheet import Rim, Sheet
+from geometry.ends import StraightEnd, share_within, straight_ends
+from geometry.errors import GeometryError
+from geometry.sheet import Sheet
 from geometry.topology import FloatArray
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.joint_fields import cellwise
+from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
 
-CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
+LARGEST_NU = 0.45
+LARGEST_STIFFNESS = 0.25  # of the layer, lmbda + 2 mu, over Young's modulus of the bodies
 FAR = 1e3  # distance, over the size of the joint, of ends that there are not
 
 
-@dataclass(frozen=True)
-class StraightEnd:
-    """A straight free end of a planar S, or several on one line.
+def require_free_ends(one: SeamLayer, bodies: str) -> None:
+    """Raise an error unless the constants of free ends hold for a layer whose edges are "free".
 
-    Attributes:
-        m: unit normal in S, outward, (d,).
-        offset: m . x of its points.
-        along: (d,) unit vector along it; zero in 2D.
-        reach: least and largest along . x of its points.
-    """
-
-    m: FloatArray
-    offset: float
-    along: FloatArray
-    reach: tuple[float, float]
-
-    def distance(self, x: FloatArray) -> FloatArray:
-        """Distance (...) of places (..., d) of S from it."""
-        return np.asarray(self.offset - x @ self.m)
-
-    def faces(self, x: FloatArray) -> FloatArray:
-        """Whether places (n, d) of S lie beside it, inwards."""
-        at, (low, high) = x @ self.along, self.reach
-        return np.asarray((at >= low) & (at <= high) & (self.distance(x) > 0))
-
-
-def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
-    """The free ends of S, ridges on one line together.
+    Args:
+        one: the layer.
+        bodies: as of the model.
 
     Raises:
-        ModelError: they are curved.
+        LawError: of the law. ModelError: of the joint, or of the bodies' stiffness.
     """
-    joint, size = sheet.joint, float(np.ptp(sheet.joint.points, axis=0).max())
-    x = joint.points[rim.vertices]  # (n, d - 1, d)
-    left, ends = np.arange(len(x)), []
-    offsets = np.einsum("nd,nd->n", x[:, 0], rim.outward)
-    while len(left):
-        m, offset = rim.outward[left[0]], offsets[left[0]]
-        cosine = rim.outward @ m
-        same = (cosine > 1 - FLAT) & (np.abs(offsets - offset) <= FLAT * size)
-        on_it, others = rim[same], rim[(cosine > CORNER) & (cosine <= 1 - FLAT)]
-        meeting = np.isin(others.vertices, on_it.vertices).any(axis=1)
-        if meeting.any():
-            raise ModelError(
-                f"edges='free' needs straight free ends of S, and one is curved at "
-                f"{place(joint.points[others.vertices[meeting][0, 0]])}: constants of curved ends are not known"
-            )
-        along = x[left[0], -1] - x[left[0], 0]
-        length = np.linalg.norm(along)
-        along = along / length if length else along
-        at = x[same].reshape(-1, x.shape[2]) @ along
-        ends.append(StraightEnd(m, float(offset), along, (float(at.min()), float(at.max()))))
-        left = left[~same[left]]
-    return ends
+    structure = one.structure
+    law = real_law(one.layer, structure.kinematics)
+    nu, moduli = law.free_end().nu, law.parameters()
+    if nu > LARGEST_NU:
+        raise ModelError(
+            f"edges='free' of {law!r}: Poisson's ratio is {nu:.4g}; allowed: at most {LARGEST_NU}, beyond which the "
+            "pressure falls over more than the strip along an end; use forms.Rubber"
+        )
+    if bodies != "kept":
+        raise ModelError(
+            "edges='free' needs bodies='kept': where bodies are apart ends of the layer may be oblique, and their "
+            "constants are not known"
+        )
+    if structure.plane == "axisymmetric":
+        raise ModelError(
+            "edges='free' of a body of revolution: its free ends are curved, whose constants are not known"
+        )
+    M, E = float(moduli["lmbda"] + 2 * moduli["mu"]), _softest_body(one)
+    if M > LARGEST_STIFFNESS * E:
+        raise ModelError(
+            f"edges='free' needs bodies much stiffer than the layer, as its constants are those between rigid faces: "
+            f"lmbda + 2 mu of the layer is {M:.4g}, Young's modulus of a body on S {E:.4g}; allowed: at most "
+            f"{LARGEST_STIFFNESS:g} of it; use edges=None"
+        )
 
 
-def share_within(d: FloatArray, length: float) -> FloatArray:
-    """Part (n,) of segments (n, 2) or triangles (n, 3) where a linear function with values d at corners is below a length."""
-    low, *middle, high = np.sort(d, axis=1).T
-    if not middle:
-        return np.asarray(np.clip((length - low) / (high - low), 0.0, 1.0)) if len(d) else low
-    (mid,) = middle
-    with np.errstate(divide="ignore", invalid="ignore"):
-        below = (length - low) ** 2 / ((mid - low) * (high - low))
-        above = 1 - (high - length) ** 2 / ((high - low) * (high - mid))
-    return np.select([length <= low, length >= high, length <= mid], [0.0, 1.0, below], above)
+def _softest_body(one: SeamLayer) -> float:
+    """The least Young's modulus at rest of the bodies on a seam, at the mean over all directions."""
+    joint, n, found = one.structure.joint, one.sheet.mean_normal, [np.inf]
+    sides = joint.surface_cells[one.sheet.facets]
+    cells = np.unique(sides[sides >= 0])
+    for number in np.unique(joint.region[cells]):
+        law = one.structure.body_laws[joint.regions[number]]
+        centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
+        for known in law.samples(centres.T) if law.fields else [law]:
+            C = tangent_at_rest(known, n) if is_checked_at_rest(known) else known.stiffness(n)
+            if C is not None:
+                lmbda, mu = average_lame(C)
+                found.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))
+    return float(min(found))
 
 
 @dataclass(frozen=True)
@@ -131,10 +118,10 @@ class FacetWeights:
             nearest[closer], m[closer], offset[closer] = end.distance(centre)[closer], end.m, end.offset
         if weights.max(initial=0.0) >= 1:
             raise ModelError(
-                f"edges='free': strips of {max(strips.l_N, strips.l_T) * eps:.3g} along the free ends of {sheet.name} lie on "
-                "one another; such a short S needs a meshed layer"
+                f"edges='free': strips of {max(strips.l_N, strips.l_T) * eps:.3g} along the free ends of {sheet.name} lie "
+                "on one another; such a short S needs a meshed layer"
             )
-        return cls(*weights, m, offset)
+        return cls(weights[0], weights[1], m, offset)
 
 
 def end_weights(model: Model, one: SeamLayer, end: FreeEnd, sides: Interface) -> EndWeights | None:
@@ -144,7 +131,11 @@ def end_weights(model: Model, one: SeamLayer, end: FreeEnd, sides: Interface) ->
     rim = free_rim(model, sheet)
     if not len(rim.vertices):
         return None
-    on = FacetWeights.of(straight_ends(rim, sheet), sheet, eps, strips)
+    try:
+        ends = straight_ends(rim, sheet)
+    except GeometryError as error:
+        raise ModelError(f"edges='free': {error}; constants of curved ends are not known") from error
+    on = FacetWeights.of(ends, sheet, eps, strips)
     values = np.zeros((len(joint.cells), 3 + joint.dim))
     upper = joint.surface_cells[sheet.facets, 1]
     values[upper] = np.column_stack([on.a_N, on.a_T, on.offset, on.m])

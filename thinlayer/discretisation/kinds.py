@@ -23,7 +23,7 @@ from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
-from thinlayer.discretisation.end_weights import end_weights
+from thinlayer.discretisation.end_weights import end_weights, require_free_ends
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
@@ -269,6 +269,8 @@ class InterfaceModel(LayeredModel):
     def _check_layers(self) -> None:
         for one in self.layers.values():
             one.check(self._bodies)
+            if one.thin and one.thin.edges:
+                require_free_ends(one, self._bodies)
 
     def _check_beside(self, other: Self) -> None:
         self._check_layers()
@@ -345,6 +347,9 @@ class InterfaceModel(LayeredModel):
         """The terms of a layer without contact on its seam."""
         mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
+        if self._to_s is not None:  # whose slopes and lengths UFL takes for functions of a high degree
+            degree = quadrature_degree(self.V, measure) + self.kinematics.degree
+            measure = measure(metadata={"quadrature_degree": degree})
         sides = replace(sides, measure=measure, known=partial(self._known, one))
         if one.thin is None:
             terms = [forms.of_jumps(law, sides)]
@@ -366,7 +371,7 @@ class InterfaceModel(LayeredModel):
         return eps
 
     def _slope(self, layer: ThinLayer, sides: forms.Interface) -> Expr | None:
-        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S at order 0, without use for it."""
+        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S and the order is 0."""
         if layer.profile is None or self._to_s is None:
             return None
         slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self._to_s))

@@ -41,8 +41,9 @@ class ThinLayer:
         eps: thickness, a length > 0; multiplied by the profile if it varies along S.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
-            observed order stays below 1); needs bodies="kept" and elements of degree 2, not for a Stack; laws other than
-            `LinearElastic` with lmbda/mu <= 12 at rest.
+            observed order stays below 1, see `edges`); needs elements of degree 2, and bodies="extended" where S is
+            curved or the thickness varies; a Stack of `LinearElastic` sublayers alone; other laws than `LinearElastic`
+            and `Rubber` with lmbda/mu <= 12 at rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
             > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
             those of the thickness eps, everywhere.
@@ -54,8 +55,8 @@ class ThinLayer:
             from 0 to 0.45 between much stiffer bodies. None: it is not.
 
     Raises:
-        LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; order 1 of a Stack or
-            of a varying thickness.
+        LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; a law without
+            one of order 1, or without constants of free ends.
     """
 
     law: BulkLaw
@@ -90,7 +91,7 @@ class ThinLayer:
             raise LawError("edges='free' corrects the interface law of order 1; use order=1")
         for name, given in (("profile", self.profile), ("eigenstrain", self.eigenstrain)):
             if given is not None:
-                raise LawError(f"edges='free' of a layer with a {name}: constants of its free ends are not known")
+                raise LawError(f"edges='free' of a layer with {name}=...: constants of its free ends are not known")
         self.law.free_end()  # raises errors of laws without one
 
     @property

@@ -53,9 +53,9 @@ class Excess:
     traction: float = 0.0
 
     @property
-    def told(self) -> float:
-        """What a warning tells: the excess over all work, unless shear hides in it that the traction is wrong."""
-        return self.opening if self.work <= LEAST_ERROR < self.traction else self.work
+    def hidden(self) -> bool:
+        """Whether the traction is wrong, and shear hides it in the work."""
+        return self.work <= LEAST_ERROR < self.traction
 
 
 def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:

@@ -18,6 +18,7 @@ from thinlayer.ranges.sublayers import Sublayer, sublayers_of
 
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
+LONG_PRESSURE = 1.0  # (nu = 6/13) of a shorter length, relative to eps, sheared layers feel no more than near peaks
 LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
 
 
@@ -119,9 +120,10 @@ def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start
         sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
         if len(sublayers) != 1 or not sublayers[0].nearly or sublayers[0].length == math.inf:
             continue
-        excess = pressure_excess(faces, sublayers[0]).told
-        if excess > worst:
-            worst, sublayer = excess, sublayers[0]
+        excess = pressure_excess(faces, sublayers[0])
+        told = excess.opening if excess.hidden and sublayers[0].length > LONG_PRESSURE else excess.work
+        if told > worst:
+            worst, sublayer = told, sublayers[0]
     if sublayer:
         warn(
             f"{one} is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
