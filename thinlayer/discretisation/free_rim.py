@@ -32,6 +32,12 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
     return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
 
 
+def neglected_rim(model: Model, one: SeamLayer) -> Rim:
+    """The free ends of which an interface law without a pressure knows nothing: all, or none with edges="free"."""
+    rim = free_rim(model, one.sheet)
+    return rim[np.full(len(rim.vertices), not (one.thin and one.thin.edges))]
+
+
 def fall_of_pressure(one: SeamLayer, rim: Rim) -> FloatArray:
     """Lengths (n,) over which the pressure of a layer of order 1 falls to zero at free ends.
 
