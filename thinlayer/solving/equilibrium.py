@@ -136,7 +136,7 @@ class Equilibrium:
             self.reused = True
             return
         A = equations.tangent()
-        A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
+        equations.hold(A, move, b)
         if self.nonlinear:
             self._require_finite("tangent (the slope of the stress)", A.norm())
         else:
