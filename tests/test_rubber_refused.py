@@ -10,7 +10,7 @@ from forms import HolonomicCoulomb, Incompressible, KelvinVoigt, LawError, Linea
 from geometry import block, faults, ring, sandwich, wall
 from tests.ranks import mpirun
 from tests.test_tips import partly
-from thinlayer import ModelError, Structure, ThinLayer
+from thinlayer import ModelError, Pressure, Structure, ThinLayer
 
 BODY = LinearElastic.young(100.0, 0.3)
 RUBBER, INCOMPRESSIBLE = Rubber(90.0, 3.0), Incompressible(3.0)
@@ -69,6 +69,22 @@ def test_displacements_of_s_cannot_be_prescribed():
     ):
         with pytest.raises(ModelError, match="a support on S would replace the layer"):
             Structure(joint, body=BODY, supports=supports).interface(layer(INCOMPRESSIBLE))
+
+
+def test_loads_on_the_side_of_the_layer():
+    """A load on the side of the layer is of order eps, and would squeeze it; zero says that the side is free."""
+    loads = [
+        {"LEFT/LAYER": one} for one in (Pressure(0.3), (0.2, 0.0), lambda x, t: (t, 0.0), (0.0, 0.0), Pressure(0.0))
+    ]
+    free = Structure(JOINT, **HELD).interface(layer())
+    for load in loads[:3]:
+        with pytest.raises(ModelError, match=r"'LEFT/LAYER' acts on the side of the layer.*or mesh the layer"):
+            Structure(JOINT, tractions=load, **HELD).interface(layer())
+        Structure(JOINT, tractions=load, **HELD).full(layer())
+    for load in loads[3:]:
+        Structure(JOINT, tractions=load, **HELD).interface(layer())
+    with pytest.raises(ModelError, match="acts on the side of the layer"):
+        free.with_loads(tractions=loads[0])
 
 
 def test_contact_beside_rubber():
