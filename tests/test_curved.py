@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, LawError, LinearElastic, Stack
+from forms import Anisotropic, LawError, LinearElastic
 from geometry import GeometryError, block, ring, sandwich
 from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
@@ -222,8 +222,6 @@ def test_what_curved_and_varying_layers_cannot_do():
         Structure(joint, **setup).full(ThinLayer(GLUE, 0.01, profile=wedge))
     with pytest.raises(LawError, match="order=1 needs a uniform thickness"):
         ThinLayer(GLUE, 0.01, order=1, profile=wedge)
-    with pytest.raises(LawError, match="order=1 of a Stack"):
-        ThinLayer(Stack((0.5, GLUE), (0.5, GLUE)), 0.01, order=1)
     with pytest.raises(LawError, match="must be a function"):
         ThinLayer(GLUE, 0.01, profile=2.0)
     round_joint = ring(*RADII, 0.25)
