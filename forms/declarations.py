@@ -21,6 +21,8 @@ OF_ONE_STRESS = (
     "stiffness",
     "stations",
     "elastic_moduli",
+    "free_end",
+    "stations_at_ends",
     "plane_stress",
     "otherwise",
     "energetic",

@@ -37,6 +37,10 @@ class Kinematics:
         """The same kinematics at the places of a mesh."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
+    def at(self, x: Expr) -> Self:
+        """The same kinematics at other places (d,) UFL, as those of S that are not the places of the mesh's facets."""
+        return replace(self, x=x)
+
     def slots(self, d: int) -> tuple[int, ...]:
         """Mandel components that the strains of displacements (d,) have; the others are zero."""
         return tuple(k for k, (_, j) in enumerate(MANDEL) if j < d)
@@ -74,9 +78,9 @@ class Kinematics:
         """Strain (3, 3) of a displacement in a body or in a meshed layer."""
         return strain(u)
 
-    def along(self, gradient: Expr, u: Expr, n: Expr) -> Expr:
-        """Strain (3, 3) along S, of normal n (d,), of displacements u (d,) with this gradient (d, d)."""
-        return lift(ufl.sym(ufl.dot(gradient, ufl.Identity(len(n)) - ufl.outer(n, n))))
+    def along(self, gradient: Expr, u: Expr) -> Expr:
+        """Strain (3, 3) along S of displacements u (d,) with this gradient along S (d, d)."""
+        return lift(ufl.sym(gradient))
 
     def seen(self, a: Expr) -> Expr:
         """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
@@ -133,8 +137,8 @@ class Axisymmetric(Kinematics):
     def strain(self, u: Expr) -> Expr:
         return strain(u) + self._hoops(u)
 
-    def along(self, gradient: Expr, u: Expr, n: Expr) -> Expr:
-        return super().along(gradient, u, n) + self._hoops(u)
+    def along(self, gradient: Expr, u: Expr) -> Expr:
+        return super().along(gradient, u) + self._hoops(u)
 
     @property
     def _r(self) -> Expr:

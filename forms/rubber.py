@@ -36,7 +36,6 @@ class Rubber(LinearLaw):
     mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
     constrained: ClassVar = True
-    takes_fields: ClassVar = False
     stiffness = isotropic_stiffness
 
     @classmethod

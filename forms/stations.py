@@ -27,9 +27,10 @@ class Faces:
         n: director, (d,).
         eps: thickness.
         jump: [u], (d,).
-        gradient: [grad u], (d, d).
+        gradient: of [u] along S, (d, d).
         mean: strain (3, 3) along S of <u>, and what is given beside the displacements, uniform through the layer.
         kinematics: of the displacements.
+        slope: grad_S eps, (d,); None: the thickness is uniform.
     """
 
     n: Expr
@@ -38,15 +39,28 @@ class Faces:
     gradient: Expr
     mean: Expr
     kinematics: Kinematics
+    slope: Expr | None = None
 
     def across(self, z: float = 0.0) -> Expr:
-        """Strain (3, 3) of the jump, sym([u] (x) n)/eps, at the height z * eps above the middle of the layer."""
-        return jump_strain(self.jump, self.n) / self.eps
+        """Strain (3, 3) of the jump at the height z eps above the middle of the layer, sym([u] (x) (n - z grad_S eps))/eps.
+
+        Where the thickness varies, places of one height share z lie on a surface that rises by z grad_S eps.
+        """
+        n = self.n if self.slope is None or z == 0 else self.n - z * self.slope
+        return jump_strain(self.jump, n) / self.eps
 
     @property
     def difference(self) -> Expr:
         """Strain (3, 3) along S of [u], sym(grad_S [u])."""
-        return self.kinematics.along(self.gradient, self.jump, self.n)
+        return self.kinematics.along(self.gradient, self.jump)
+
+    @property
+    def change(self) -> Expr:
+        """Strain (3, 3) at the upper face less that at the lower one, for displacements linear through the layer.
+
+        It is `difference`; where the thickness varies eps sym(grad_S ([u]/eps)).
+        """
+        return self.difference + self.across(0.5) - self.across(-0.5) if self.slope is not None else self.difference
 
     @property
     def normal(self) -> Expr:
@@ -94,16 +108,16 @@ def at_gauss_points(
     Args:
         law: the law.
         difference: the law and the displaced faces, as in `Station` -> strain (3, 3) at the upper face less that at the
-            lower one; by default displacements are linear through the layer, `Faces.difference`, which locks for
+            lower one; by default displacements are linear through the layer, `Faces.change`, which locks for
             lmbda/mu > `LOCKING`.
         largest_ratio: as in `Station`.
     """
     if difference is None:
-        difference, largest_ratio = lambda law, faces: faces.difference, LOCKING
+        difference, largest_ratio = lambda law, faces: faces.change, LOCKING
     change = difference
 
     def at(z: float) -> Callable[[Any, Faces], Expr]:
-        return lambda law, faces: faces.across(z) + faces.mean + z * change(law, faces)
+        return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)
 
     return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS]
 
@@ -116,5 +130,5 @@ def of_pressure(law: BulkLaw) -> list[Station]:
     """
     return [
         Station(law, 1, lambda law, faces: faces.across() + faces.mean, lambda law: 1 / (12 * law.mu)),
-        Station(law.plane_stress(), 1 / 12, lambda law, faces: faces.in_s(faces.difference)),
+        Station(law.plane_stress(), 1 / 12, lambda law, faces: faces.in_s(faces.change)),
     ]

@@ -136,8 +136,8 @@ class BrokenMesh:
         self._require(tag)
         if tag in self._bases:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
-            return Interface.on_rigid_base(self.mesh, ds(tag))
-        return Interface.between_bodies(self.mesh, self.dS(tag))
+            return Interface.on_rigid_base(self.mesh, ds(tag), self.kinematics)
+        return Interface.between_bodies(self.mesh, self.dS(tag), self.kinematics)
 
     def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
         """The terms of a layer's law on the facets of S with a tag: for `work`, or for `StepProblem`.
@@ -147,7 +147,8 @@ class BrokenMesh:
             layer: the law and the thickness; a law of jumps (`TractionLaw`) may stand alone.
 
         Raises:
-            LawError: a law of contact (see `contact_surface`), or one that needs a pressure of its own.
+            LawError: a law of contact (see `contact_surface`), or one that needs a pressure of its own; order 1 of a
+                thickness that varies.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
             raise LawError(
@@ -157,11 +158,16 @@ class BrokenMesh:
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
+        if thin and thin.order and thin.profile is not None:
+            raise LawError(
+                "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
+                "use order=0, or Structure.interface(layer, bodies='extended')"
+            )
         sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
         if thin and thin.profile is not None:
             eps = eps * sides.upper(self._relative_thickness(thin.profile))
         sides = replace(sides, known=partial(self._law_on, tag))
-        terms = surface(law, sides, eps, thin.order if thin else 0, self.kinematics)
+        terms = surface(law, sides, eps, thin.order if thin else 0)
         return [replace(term, law=for_terms(term.law, self.mesh)) for term in terms]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:

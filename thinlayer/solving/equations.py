@@ -24,9 +24,10 @@ from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
 from thinlayer.solving.kept import Kept
 from thinlayer.solving.layout import Layout
-from thinlayer.solving.linear_solvers import orthonormal, rigid_modes
+from thinlayer.solving.linear_solvers import MULTIGRIDS, orthonormal, rigid_modes
 from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.reaction_sums import ReactionSums
+from thinlayer.solving.saddle import split
 from thinlayer.solving.substitution import Substitution
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
@@ -148,6 +149,15 @@ class Equations(PartSum):
             self.substitution.start(values)
             found.append(x)
         return orthonormal(found)
+
+    def tell(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
+        """Tell the preconditioner of a tangent, with supports, what it can use: rigid motions, blocks of the unknowns."""
+        kind = ksp.getPC().getType()
+        if kind in MULTIGRIDS:
+            A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null(), comm=A.comm))
+        elif kind == "fieldsplit" and self._with_own:
+            masses = {part.key: part.own_mass for part in self._with_own}
+            split(ksp.getPC(), A, self._layout, self.held, masses, self.near_null())
 
     @cached_property
     def _reactions(self) -> ReactionSums:

@@ -19,7 +19,7 @@ from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.balance import aim
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import mark, solve_linear, tell_multigrid
+from thinlayer.solving.linear_solvers import mark, solve_linear
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
 Result = TypeVar("Result")
@@ -213,6 +213,6 @@ class Restraint:
                 self._ksp.setOptionsPrefix(PREFIX)
                 self._ksp.setOperators(A)
                 self._ksp.setFromOptions()
-                tell_multigrid(self._ksp, A, self.equations.near_null)
+                self.equations.tell(self._ksp, A)
             self._ksp.setOperators(A)
             solve_linear(self._ksp, b, x, self._options.keys())
