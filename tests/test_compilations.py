@@ -13,7 +13,7 @@ import ufl
 
 from forms.laws import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
 from studies.problems import fourier
-from thinlayer import Structure, ThinLayer, compare, march
+from thinlayer import Structure, ThinLayer, compare, march, solve
 
 CLONE = Path(__file__).parent.parent
 
@@ -45,6 +45,17 @@ def run(law, eps: float, times, h: float = 1 / 4, theta: float = 1.0, factor: fl
             for build in (Structure.full, Structure.interface)
         )
     )
+
+
+def test_stacks_of_order_1_are_compiled_once(modules):
+    """Whatever their numbers, and the number of their sublayers."""
+    joint, setup = fourier(1 / 4, cell="quadrilateral")
+    structure, first = Structure(joint, **setup), set()
+    for n, eps in ((2, 0.1), (3, 0.1), (7, 0.05)):
+        law = Stack.graded(lambda y: LinearElastic(60.0 + 30 * y, 40.0 - 20 * y), n)
+        solve(structure.interface(ThinLayer(law, eps, order=1)))
+        first = first or set(modules)
+        assert set(modules) == first
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, LawError, LinearElastic, Stack
+from forms import Anisotropic, LawError, LinearElastic
 from geometry import GeometryError, block, ring, sandwich
 from geometry.seam import Seam
 from studies.problems import FOURIER_LAYER, fourier
@@ -220,8 +220,6 @@ def test_what_curved_and_varying_layers_cannot_do():
     joint, setup = fourier(1 / 4)
     with pytest.raises(GeometryError, match=r"thickness varies along S.*use bodies='extended'"):
         Structure(joint, **setup).full(ThinLayer(GLUE, 0.01, profile=wedge))
-    with pytest.raises(LawError, match="order=1 of a Stack"):
-        ThinLayer(Stack((0.5, GLUE), (0.5, GLUE)), 0.01, order=1)
     with pytest.raises(LawError, match="must be a function"):
         ThinLayer(GLUE, 0.01, profile=2.0)
     round_joint = ring(*RADII, 0.25)

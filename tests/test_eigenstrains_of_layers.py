@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, MohrCoulomb, Rubber, Stack
 from forms.elastic import lame
 from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
@@ -199,18 +199,22 @@ def varying(size):
     return strain
 
 
-@pytest.mark.parametrize("scaled", [False, True], ids=["fixed", "over eps"])
-def test_the_next_order_knows_the_eigenstrain(scaled):
+@pytest.mark.parametrize(
+    ("law", "scaled"),
+    [(FOURIER_LAYER, False), (FOURIER_LAYER, True), (Rubber(600.0, 40.0), True)],
+    ids=["fixed", "over eps", "rubber, over eps"],
+)
+def test_the_next_order_knows_the_eigenstrain(law, scaled):
     """Rate 2 with order 1, for strains that are fixed, of order eps in tractions, and for those over eps; 1 without."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     eps, errors = (1 / 16, 1 / 32), {"order 1": [], "order 0": [], "none": []}
     for e in eps:
         strain, structure = varying(1e-3 / e if scaled else 2e-2), Structure(joint, **setup)
-        full = solve(structure.full(ThinLayer(FOURIER_LAYER, e, eigenstrain=strain)))
+        full = solve(structure.full(ThinLayer(law, e, eigenstrain=strain)))
         for name, layer in {
-            "order 1": ThinLayer(FOURIER_LAYER, e, 1, eigenstrain=strain),
-            "order 0": ThinLayer(FOURIER_LAYER, e, eigenstrain=strain),
-            "none": ThinLayer(FOURIER_LAYER, e, 1),
+            "order 1": ThinLayer(law, e, 1, eigenstrain=strain),
+            "order 0": ThinLayer(law, e, eigenstrain=strain),
+            "none": ThinLayer(law, e, 1),
         }.items():
             errors[name].append(compare(full, solve(structure.interface(layer)))["error_traction"])
     orders = {name: observed_orders(eps, found)[-1] for name, found in errors.items()}

@@ -8,7 +8,7 @@ import pytest
 import ufl
 from scipy.linalg import expm
 
-from forms import LawError, LinearElastic, Maxwell, Norton, Stack
+from forms import LawError, LinearElastic, Maxwell, Norton
 from geometry import block, sandwich
 from studies.hard_layer import LAYERS
 from studies.problems import FOURIER_LAYER, fourier
@@ -162,5 +162,3 @@ def test_refused():
 def test_orders():
     with pytest.raises(LawError, match="allowed: 0, 1"):
         ThinLayer(FOURIER_LAYER, 0.1, order=2)
-    with pytest.raises(LawError, match="order=1 of a Stack"):
-        ThinLayer(Stack((0.5, FOURIER_LAYER), (0.5, FOURIER_LAYER)), 0.1, order=1)

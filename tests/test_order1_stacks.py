@@ -80,6 +80,15 @@ def test_laws_of_the_reference():
     assert all(wrong > 40 * error for wrong, error in zip(locked, free, strict=True))
 
 
+def test_hard_sublayers_in_the_reference():
+    """Moduli held as eps falls: order 2 of the traction and the compliance, 1 with straight strains."""
+    eps = (1 / 64, 1 / 128, 1 / 256)
+    for sublayers in (TWO, THREE):
+        for way, order in (("", 2.0), ("straight", 1.0)):
+            rows = [left([(a, one / e, mu / e) for a, one, mu in sublayers], way, (e,))[0] for e in eps]
+            assert orders(rows, eps)[::2] == pytest.approx([order] * 2, abs=0.15)
+
+
 # ---------------------------------------------------------------- models
 @pytest.mark.parametrize("sublayers", [TWO, THREE], ids=["two", "three"])
 def test_sublayers(sublayers):

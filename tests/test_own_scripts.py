@@ -187,6 +187,8 @@ MOVES = {
     "Norton": (Norton(lmbda=3.0, mu=2.0, eta=5.0, p=2.5), 0.02),
     "two sublayers": (Stack((0.3, Maxwell(6.0, 4.0, t1=1.5, t2=2.0)), (0.7, LinearElastic(3.0, 2.0))), 0.02),
     "elastic, order 1": (LinearElastic(6.0, 4.0), 0.02),
+    "functions, order 1": (LinearElastic(lambda x: 6 + 3 * x[0], lambda x: 4 - x[0] ** 2 / 2), 0.02),
+    "sublayers, order 1": (Stack((0.3, LinearElastic(6.0, 1.0)), (0.7, LinearElastic(3.0, 2.0))), 0.02),
 }
 
 
@@ -197,6 +199,8 @@ MOVES = {
         ("quadrilateral", "Norton", "strain"),
         ("triangle", "two sublayers", "strain"),
         ("quadrilateral", "elastic, order 1", "strain"),
+        ("quadrilateral", "functions, order 1", "strain"),
+        ("quadrilateral", "sublayers, order 1", "axisymmetric"),
         ("tetrahedron", "Norton", "strain"),
         ("hexahedron", "Mohr-Coulomb", "strain"),
         ("triangle", "two sublayers", "stress"),

@@ -17,7 +17,7 @@ from forms import LinearElastic
 from geometry import sandwich
 from studies.tubes import lame
 from tests.documents import CLONE, DOCUMENT, GUIDE, OWN, PAGES, anchors
-from thinlayer import ArcLength, Structure, Surface, ThinLayer, march
+from thinlayer import ArcLength, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.running.catalogue import studies
 
 SCRIPTS = re.findall(r"```python\n(.*?)```", DOCUMENT.partition(OWN)[0], re.DOTALL)
@@ -147,6 +147,14 @@ def test_laws_of_the_documentation_work():
     assert slips["Mises"] == pytest.approx([0.0, 0.01, 0.02], rel=1e-8, abs=1e-12)  # elastic up to 0.6/sqrt 2
     w = slips["Cohesive"][-1]
     assert 20.0 * w * math.exp(-(w**2)) == pytest.approx(0.4, rel=1e-8)
+    without_lmbda = (
+        solve(names["plates"].interface(ThinLayer(law, 0.05, order=1))).energies()["loads"]
+        for law in (names["Stiffened"](0.0, 30.0), LinearElastic(0.0, 30.0))
+    )
+    assert next(without_lmbda) == pytest.approx(next(without_lmbda), rel=1e-10)
+    full, graded = names["full"], names["graded"]
+    limits = (solve(names["plates"].interface(ThinLayer(graded, 0.05, order))) for order in (0, 1))
+    assert [compare(full, one)["error_jump"] for one in limits] == pytest.approx([4.05e-3, 1.72e-4], rel=3e-3)
 
 
 def test_links_lead_somewhere():

@@ -1,0 +1,192 @@
+"""Stations through the thickness: their energies against tensors in numpy, in 2D and 3D, and what a law may say of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scipy.spatial.transform import Rotation
+
+from forms import BulkLaw, Incompressible, KelvinVoigt, LawError, LinearElastic, Rubber, Stack
+from forms.elastic import lame
+from forms.stations import LOCKING, at_gauss_points
+from forms.work import Interface, energy, surface
+from geometry import sandwich
+from thinlayer import ModelError, Structure, ThinLayer
+
+SUBLAYERS = [(0.3, 400.0, 20.0), (0.3, 20.0, 60.0), (0.4, 60.0, 5.0)]  # fraction, lmbda, mu
+ONE = [(1.0, 60.0, 5.0)]
+EPS = 0.07
+TURN = {2: np.array([[0.8, -0.6], [0.6, 0.8]]), 3: Rotation.from_rotvec([0.4, -0.7, 0.2]).as_matrix()}
+
+
+class Facet:
+    """An interior facet of a turned mesh of simplices, with the measure dS of it alone.
+
+    Attributes:
+        normal: unit normal out of its "-" cell, (d,).
+        upper: the "+" cell.
+        places, weights: quadrature of degree 2 on it.
+    """
+
+    def __init__(self, d: int) -> None:
+        cells = (1,) * d
+        self.mesh = (mesh.create_unit_square if d == 2 else mesh.create_unit_cube)(MPI.COMM_SELF, *cells)
+        self.mesh.geometry.x[:, :d] = self.mesh.geometry.x[:, :d] @ TURN[d].T
+        self.mesh.topology.create_connectivity(d - 1, d)
+        links = self.mesh.topology.connectivity(d - 1, d)
+        inside = next(f for f in range(links.num_nodes) if len(links.links(f)) == 2)
+        tags = mesh.meshtags(self.mesh, d - 1, np.array([inside], np.int32), np.array([1], np.int32))
+        self.dS = ufl.Measure("dS", domain=self.mesh, subdomain_data=tags)(1)
+        p = self.mesh.geometry.x[mesh.entities_to_geometry(self.mesh, d - 1, tags.indices)[0], :d]
+        area = self.integral(1.0)
+        number = fem.Function(fem.functionspace(self.mesh, ("DG", 0)))
+        number.x.array[:] = np.arange(len(number.x.array))
+        self.upper = np.rint([self.integral(number("+")) / area]).astype(np.int32)
+        n = ufl.FacetNormal(self.mesh)("-")
+        self.normal = np.array([self.integral(n[i]) for i in range(d)]) / area
+        share = 0.5 - 12**-0.5
+        pairs = [(0, 1, share), (1, 0, share)] if d == 2 else [(0, 1, 0.5), (1, 2, 0.5), (2, 0, 0.5)]
+        self.places = [p[i] + y * (p[j] - p[i]) for i, j, y in pairs]
+        self.weights = [area / len(pairs)] * len(pairs)
+
+    def integral(self, f) -> float:
+        return fem.assemble_scalar(fem.form(f * fem.Constant(self.mesh, 1.0) * self.dS))
+
+
+def exact(sublayers, w, mean, slope, n):
+    """Energy per area of sublayers with the strains along S of the shared jump, and equal tractions on planes along S.
+
+    With the jump w, its gradient and that of the mean, (d, d), and acoustic tensors: the shares are R_i (mean of R)^-1.
+    """
+    one = np.eye(len(n))
+    sym = lambda a: (a + a.T) / 2
+    stress = lambda lmbda, mu, e: lmbda * np.trace(e) * one + 2 * mu * e
+    R = [np.linalg.inv(mu * one + (lmbda + mu) * np.outer(n, n)) for _, lmbda, mu in sublayers]
+    K = np.linalg.inv(sum(a * r for (a, *_), r in zip(sublayers, R, strict=True)))
+    places, phi = [], -one / 2
+    for (a, *moduli), r in zip(sublayers, R, strict=True):
+        for y in (0.5 - 12**-0.5, 0.5 + 12**-0.5):
+            along = (mean + (phi + y * a * r @ K) @ slope) @ (one - np.outer(n, n))
+            places.append((a / 2, moduli, r, sym(along)))
+        phi = phi + a * r @ K
+    t = K @ (w / EPS + sum(share * r @ stress(*moduli, e) @ n for share, moduli, r, e in places))
+    whole = [e + sym(np.outer(r @ (t - stress(*moduli, e) @ n), n)) for _, moduli, r, e in places]
+    return sum(
+        EPS * share * np.sum(e * stress(*moduli, e)) / 2 for (share, moduli, *_), e in zip(places, whole, strict=True)
+    )
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("sublayers", [SUBLAYERS, ONE], ids=["stack", "one law"])
+def test_energy_of_the_stations(d, sublayers):
+    """Of linear displacements on both sides of a tilted facet; that of the mirrored stack is another one."""
+    facet, random = Facet(d), np.random.default_rng(3)
+    A, b, C, c = (random.normal(size=shape) for shape in ((d, d), d, (d, d), d))
+    V = fem.functionspace(facet.mesh, ("DG", 1, (d,)))
+    both, above = fem.Function(V), fem.Function(V)
+    both.interpolate(lambda x: C @ x[:d] + c[:, None])
+    above.interpolate(lambda x: A @ x[:d] + b[:, None], cells0=facet.upper)
+    laws = [(a, LinearElastic(lmbda, mu)) for a, lmbda, mu in sublayers]
+    law = Stack(*laws) if len(laws) > 1 else laws[0][1]
+    terms = surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS, 1)
+    wanted, mirrored = (
+        sum(
+            weight * exact(some, A @ x + b, C + A / 2, A, facet.normal)
+            for x, weight in zip(facet.places, facet.weights, strict=True)
+        )
+        for some in (sublayers, sublayers[::-1])
+    )
+    assert fem.assemble_scalar(fem.form(energy(terms, both + above))) == pytest.approx(wanted, rel=1e-11)
+    assert len(laws) == 1 or abs(mirrored / wanted - 1) > 1e-3
+
+
+# ---------------------------------------------------------------- what laws say
+@dataclass(frozen=True)
+class Locking(BulkLaw):
+    """Isotropic; the stations are those of all laws."""
+
+    lmbda: float
+    mu: float
+    powers = {"lmbda": 1, "mu": 1}
+    linear = True
+
+    def stress(self, step):
+        return lame(self.lmbda, self.mu, step.mid)
+
+
+@dataclass(frozen=True)
+class Free(Locking):
+    """With stations of its own."""
+
+    def stations(self):
+        def difference(law, faces):
+            e = faces.in_s(faces.difference)
+            return e - law.lmbda / (law.lmbda + 2 * law.mu) * ufl.tr(e) * faces.normal
+
+        return at_gauss_points(self, difference)
+
+
+def test_a_law_with_stations_of_its_own():
+    """They say up to which lmbda/mu they hold; with those of `LinearElastic` a law has its energy."""
+    assert {one.largest_ratio for one in Locking(1.0, 1.0).stations()} == {LOCKING}
+    plates = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0})
+    for law in (Locking, Free):
+        plates.interface(ThinLayer(law(11.9, 1.0), 0.1, order=1))
+    with pytest.raises(ModelError, match=r"order=1 of Locking with lmbda/mu = 12.1"):
+        plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1))
+    facet = Facet(2)
+    sides, u = (
+        Interface.between_bodies(facet.mesh, facet.dS),
+        fem.Function(fem.functionspace(facet.mesh, ("DG", 1, (2,)))),
+    )
+    u.x.array[:] = np.random.default_rng(5).normal(size=u.x.array.size)
+    work = [
+        sum(facet_energy(term, u, facet) for term in surface(law, sides, EPS, 1))
+        for law in (Free(9.0, 2.0), LinearElastic(9.0, 2.0), Locking(9.0, 2.0))
+    ]
+    assert work[0] == pytest.approx(work[1], rel=1e-12)
+    assert work[2] > (1 + 1e-6) * work[1]
+
+
+def facet_energy(term, u, facet):
+    """Half the work of the stress in the strain."""
+    e = term.strain(u)
+    return facet.integral(ufl.inner(lame(term.law.lmbda, term.law.mu, e), e) * term.weight) / 2
+
+
+def test_stations_go_with_the_stress():
+    """A law with another stress does not inherit them, nor the moduli with which a sublayer shares the jump."""
+
+    class Doubled(LinearElastic):
+        def stress(self, step):
+            return 2 * super().stress(step)
+
+    law = Doubled(60.0, 40.0)
+    assert type(law).stations is BulkLaw.stations
+    with pytest.raises(LawError, match="order=1 of a Stack with the sublayer"):
+        ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, law)), 0.1, order=1)
+    again = type("Again", (Doubled,), {name: vars(LinearElastic)[name] for name in ("stations", "elastic_moduli")})
+    assert len(ThinLayer(Stack((0.5, LinearElastic(60.0, 40.0)), (0.5, again(60.0, 40.0))), 0.1, 1).law.stations()) == 4
+
+
+def test_stations_of_laws_with_a_pressure():
+    """One with the mean strain, and the flow of its pressure; one with plane stress's law."""
+    for law, lateral in ((Rubber(900.0, 2.0), 2 * 900 * 2 / 904), (Incompressible(2.0), 4.0)):
+        whole, along = law.stations()
+        assert whole.law is law
+        assert (whole.share, along.share) == (1, 1 / 12)
+        assert whole.flow(law) == pytest.approx(1 / 24)
+        assert (along.law.lmbda, along.law.mu) == pytest.approx((lateral, 2.0))
+
+
+def test_functions_need_sides_that_know_them():
+    facet, law = Facet(2), LinearElastic(lambda x: 60 + x[0], 40.0)
+    with pytest.raises(LawError, match=r"parameters that are functions: the sides of S must know their values"):
+        surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS, 1)
+    assert len(surface(law, Interface.between_bodies(facet.mesh, facet.dS), EPS)) == 1
+    assert KelvinVoigt(3.0, 2.0, 0.3, 0.5).stations()[0].largest_ratio == LOCKING
