@@ -41,8 +41,8 @@ class ThinLayer:
         eps: thickness, a length > 0; multiplied by the profile if it varies along S.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
-            observed order stays below 1); needs bodies="kept" and elements of degree 2, not for a Stack; laws other than
-            `LinearElastic` with lmbda/mu <= 12 at rest.
+            observed order stays below 1); needs elements of degree 2, and on a curved S or with a profile bodies="extended"
+            in both models; laws other than `LinearElastic` with lmbda/mu <= 12 at rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
             > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
             those of the thickness eps, everywhere.
@@ -51,8 +51,7 @@ class ThinLayer:
             eps: it changes the limit only if it is itself of the size of [u]/eps.
 
     Raises:
-        LawError: a law of jumps or of nodes, which is a layer by itself; eps or order out of range; order 1 of a Stack or
-            of a varying thickness.
+        LawError: a law of jumps or of nodes, which is a layer by itself; eps or order out of range.
     """
 
     law: BulkLaw
