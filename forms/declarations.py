@@ -20,6 +20,9 @@ UPDATES = ("advance", "evolve")  # methods that give new internal variables
 OF_ONE_STRESS = (
     "stiffness",
     "stations",
+    "elastic_moduli",
+    "free_end",
+    "stations_at_ends",
     "plane_stress",
     "otherwise",
     "energetic",

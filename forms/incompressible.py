@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from forms.elastic import LinearElastic, LinearLaw, lame
 from forms.kinematics import Expr
-from forms.law import LawError, Step, positive
+from forms.law import Step, positive
 from forms.stations import Station, of_pressure
 
 
@@ -47,9 +47,7 @@ class Incompressible(LinearLaw):
 
     def stations(self) -> list[Station]:
         """The pressure is a field on S, which flows along S."""
-        if self.fields:
-            raise LawError("order=1 of Incompressible: its pressure needs a uniform modulus; use order=0")
-        return of_pressure(self, self.mu)
+        return of_pressure(self)
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return 2 * float(self.mu) * np.eye(6)

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from types import SimpleNamespace, UnionType
-from typing import Any, ClassVar, NamedTuple, Self, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, get_args, get_origin
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,10 @@ from forms.fields import OfPlaces, field_of, is_field, number_of
 from forms.kinematics import Expr
 from forms.stations import Station, at_gauss_points
 from forms.traits import Traits
+
+if TYPE_CHECKING:
+    from forms.ends.constants import FreeEnd
+    from forms.ends.weights import EndWeights
 
 
 class Step(NamedTuple):
@@ -295,6 +299,21 @@ class BulkLaw(Law):
         """UFL condition (ufl.lt, ufl.And, ...) for the points where the law holds; elsewhere `otherwise` is evaluated."""
         return None
 
+    def free_end(self) -> FreeEnd:
+        """Constants of a free end of a layer with this law.
+
+        Raises:
+            LawError: they are not known.
+        """
+        raise LawError(
+            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 "
+            "and parameters that are numbers"
+        )
+
+    def stations_at_ends(self, weights: EndWeights) -> list[Station]:
+        """As `stations`, with the weights of the layer's free ends; laws that have a `free_end` have them."""
+        raise LawError(f"{type(self).__name__} has no stations at free ends")
+
     def stations(self) -> list[Station]:
         """Where the law acts through the thickness in an interface law of order 1, and with which strains.
 
@@ -311,6 +330,18 @@ class BulkLaw(Law):
                 "layer, and the next term depends on where the sheets lie; use order=0"
             )
         return at_gauss_points(self)
+
+    def elastic_moduli(self) -> tuple[Any, Any]:
+        """Lame's moduli lmbda and mu of an isotropic linear elastic law.
+
+        Raises:
+            LawError: this is none.
+        """
+        raise LawError(
+            f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
+            "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
+            "layer (structure.full)"
+        )
 
     def own_step(self, step: Step) -> Step:
         """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""

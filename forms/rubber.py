@@ -36,7 +36,6 @@ class Rubber(LinearLaw):
     mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
     constrained: ClassVar = True
-    takes_fields: ClassVar = False
     stiffness = isotropic_stiffness
 
     @classmethod
@@ -62,4 +61,4 @@ class Rubber(LinearLaw):
 
     def stations(self) -> list[Station]:
         """The pressure is a field on S, which flows along S."""
-        return of_pressure(self, self.mu)
+        return of_pressure(self)

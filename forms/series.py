@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -14,7 +14,7 @@ from forms.base import is_number
 from forms.declarations import require_declarations
 from forms.fields import Array, Field
 from forms.law import BulkLaw, LawError, require
-from forms.sharing import Sharing
+from forms.sharing import in_series
 from forms.stations import Station
 from forms.traits import Traits
 
@@ -119,26 +119,16 @@ class Stack(BulkLaw):
     def stations(self) -> list[Station]:
         if len(self.laws) == 1:
             return self.laws[0].stations()
-        for law in self.laws:
-            known = law.traits
-            if not (known.linear and known.symmetric) or known.compiled:
-                raise LawError(
-                    f"order=1 of a Stack with the sublayer {law!r}: the next term is that of linear elastic sublayers, "
-                    "which share the jump in fixed proportions; use order=0, or mesh the layer (structure.full)"
-                )
-        return Sharing(self.sublayers).stations()
-
-    def with_parameters(self, values: Mapping[str, Any]) -> Stack:
-        """The same law with other values, those of sublayers by names such as "0.mu"; unchecked."""
-        own: list[dict[str, Any]] = [{} for _ in self.laws]
-        for name, value in values.items():
-            k, _, of_law = name.partition(".")
-            own[int(k)][of_law] = value
-        return self.with_laws([law.with_parameters(some) for law, some in zip(self.laws, own, strict=True)])
+        if self.fields:
+            raise LawError(
+                "order=1 of a Stack with parameters that are functions: the sublayers' shares of the jump would change "
+                "along S; use order=0, or mesh the layer (structure.full)"
+            )
+        return in_series(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """The same fractions with other laws, unchecked."""
-        return super().with_parameters({"laws": tuple(laws)})
+        return self.with_parameters({"laws": tuple(laws)})
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])

@@ -1,95 +1,106 @@
-"""Sharing: how linear elastic sublayers in series share the jump and the strains along S, for the law of order 1."""
+"""Sharing: isotropic elastic sublayers in series, in the interface law of order 1."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import ufl
-from ufl.classes import Zero
 
+from forms.elastic import LinearElastic
 from forms.kinematics import Expr, jump_strain, lift
-from forms.law import BulkLaw, LawError, Step
-from forms.stations import GAUSS, Faces, Station
+from forms.law import BulkLaw
+from forms.stations import Faces, Station
+
+
+class Moments(LinearElastic):
+    """Averages of elastic laws, whose moduli may be negative."""
+
+    def check(self) -> None:
+        """Nothing: the laws of the sublayers have been checked."""
 
 
 @dataclass(frozen=True)
-class Sharing:
-    """Linear elastic sublayers in series.
+class Across(Moments):
+    """All sublayers under tractions on planes parallel to S, which are equal in all of them.
 
-    Across the layer they share the jump as at order 0: displacements are <u> + (Phi - I/2) [u], where Phi, (d, d), is zero
-    at the lower face and grows by a_i S_i through the i-th sublayer to I at the upper one. With the acoustic tensors A_i
-    and R_i = A_i^-1 the shares are S_i = R_i R^-1, R = sum_i a_i R_i. Strains along S are those of these displacements,
-    so that the order of the sublayers matters.
-
-    The tractions of these strains on planes parallel to S would not be equal through the layer. They become so as each
-    sublayer is strained by a further sym(g_i (x) n), with mean zero: without that a nearly incompressible sublayer would
-    lock.
+    Averages are over the thickness; Phi_N and Phi_T as in `in_series`.
 
     Attributes:
-        sublayers: (fraction of the thickness, law), from the lower to the upper face. Laws are proportional and symmetric.
+        lmbda, mu: lmbda + 2 mu is the harmonic mean of lmbda + 2 mu, and mu that of mu.
+        lateral: mean of r = lmbda/(lmbda + 2 mu), by which a layer gets thinner as it is stretched along S.
+        lateral_normal, lateral_tangential: means of r Phi_N and r Phi_T.
+        normal, tangential: means of Phi_N and Phi_T.
     """
 
-    sublayers: tuple[tuple[float, BulkLaw], ...]
+    lateral: float
+    lateral_normal: float
+    lateral_tangential: float
+    normal: float
+    tangential: float
 
-    def stations(self) -> list[Station]:
-        """Two for each sublayer, at its Gauss points."""
-        return [Station(law, a / 2, self._strain(k, z)) for k, (a, law) in enumerate(self.sublayers) for z in GAUSS]
-
-    def _strain(self, k: int, z: float) -> Callable[[Faces], Expr]:
-        """Strain at the height z, from -1/2 to 1/2, of the k-th sublayer."""
-        law = self.sublayers[k][1]
-
-        def strain(faces: Faces) -> Expr:
-            n = faces.n
-            parts, stiffness = self._parts(faces)
-            mean = sum(a * R * traction(one, straight(0.0), n) for a, one, R, straight in parts)
-            _, _, R, straight = parts[k]
-            missing = stiffness * mean - traction(law, straight(z), n)
-            return straight(z) + jump_strain(R * missing, n)
-
-        return strain
-
-    def _parts(self, faces: Faces) -> tuple[list[tuple[float, BulkLaw, Expr, Callable[[float], Expr]]], Expr]:
-        """For each sublayer (fraction, law, R, height in it -> strain of the shared jump); and the whole's R^-1."""
-        n, (fractions, laws) = faces.n, zip(*self.sublayers, strict=True)
-        identity = ufl.Identity(len(n))
-        compliances = [ufl.inv(acoustic(law, n)) for law in laws]
-        stiffness = ufl.inv(sum(a * R for a, R in zip(fractions, compliances, strict=True)))
-        moved, height, found = -identity / 2, -0.5, []
-        for a, law, R in zip(fractions, laws, compliances, strict=True):
-            found.append((a, law, R, _straight(faces, a, R * stiffness, moved, height)))
-            moved, height = moved + a * R * stiffness, height + a
-        return found, stiffness
+    def strain(self, faces: Faces) -> Expr:
+        """The mean strain across the layer, and what strains along S add to it where no traction acts."""
+        n, across = lift(faces.n), faces.across() + faces.mean
+        thinned = faces.split(self.lateral_normal, self.lateral_tangential).difference
+        turned = faces.split(self.normal, self.tangential).difference
+        stretch = self.lateral * ufl.tr(faces.in_s(across)) + ufl.tr(faces.in_s(thinned))
+        shear = 2 * ufl.dot(across + turned, n)
+        shear -= ufl.dot(shear, n) * n
+        return (ufl.dot(n, ufl.dot(across, n)) + stretch) * faces.normal + jump_strain(shear, n)
 
 
-def _straight(faces: Faces, a: float, share: Expr, moved: Expr, height: float) -> Callable[[float], Expr]:
-    """Strain of a sublayer with this share of the jump, whose lower face has the displacement <u> + moved [u]."""
+def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station]:
+    """Stations of isotropic elastic sublayers, from the lower to the upper face.
 
-    def at(z: float) -> Expr:
-        along = faces.turned(moved + (z + 0.5) * a * share).difference
-        return faces.turned(share).across(height + (z + 0.5) * a) + faces.mean + along
+    Displacements through the layer are <u> + Phi [u]: the sublayers share the jump as at order 0, so that Phi_N along n and
+    Phi_T along S grow from -1/2 to 1/2 in proportion to 1/(lmbda + 2 mu) and to 1/mu. The stress is the traction on planes
+    parallel to S, equal in all sublayers as each is strained across S a little further, and what strains along S add to it;
+    the energies of both add up. (With the strains of <u> + Phi [u] alone a nearly incompressible sublayer would lock.)
 
-    return at
-
-
-def traction(law: BulkLaw, e: Expr, n: Expr) -> Expr:
-    """Traction (d,) of a linear law on a plane of normal n (d,), for a strain e."""
-    t = ufl.dot(law.stress(Step(e, n)), lift(n))
-    return ufl.as_vector([t[i] for i in range(len(n))])
-
-
-def acoustic(law: BulkLaw, n: Expr) -> Expr:
-    """Acoustic tensor (d, d) of a linear law.
+    The first station is `Across`. The others have the strains along S. Their energy is quadratic in Phi_T, so that three
+    places, Phi_T = -1/2, 0 and 1/2, with the right moments of the moduli give its integral over any number of sublayers.
 
     Raises:
-        LawError: the law has a stress without a strain.
+        LawError: a sublayer of another kind.
     """
-    if not isinstance(ufl.as_ufl(law.stress(Step(ufl.zero(3, 3), n))), Zero):
-        raise LawError(
-            f"order=1 of a Stack: the sublayer {type(law).__name__} has a stress at zero strain; use order=0, or give the "
-            "strain as an eigenstrain of the layer"
-        )
-    d = len(n)
-    columns = [traction(law, jump_strain(ufl.unit_vector(k, d), n), n) for k in range(d)]
-    return ufl.as_matrix([[column[i] for column in columns] for i in range(d)])
+    fractions, moduli = [a for a, _ in sublayers], [law.elastic_moduli() for _, law in sublayers]
+
+    def mean(values: Iterable[Any]) -> Any:
+        return sum(a * value for a, value in zip(fractions, values, strict=True))
+
+    stiffness, mu = [lmbda + 2 * mu for lmbda, mu in moduli], [mu for _, mu in moduli]
+    whole, sheared = 1 / mean(1 / one for one in stiffness), 1 / mean(1 / one for one in mu)
+    r = [lmbda / one for (lmbda, _), one in zip(moduli, stiffness, strict=True)]
+    normal, tangential, squared = [], [], []  # means of Phi_N, Phi_T and Phi_T^2 over each sublayer
+    at_n = at_t = -0.5
+    for a, one, shear in zip(fractions, stiffness, mu, strict=True):
+        step_n, step_t = a * whole / one, a * sheared / shear
+        normal.append(at_n + step_n / 2)
+        tangential.append(at_t + step_t / 2)
+        squared.append(at_t * at_t + at_t * step_t + step_t * step_t / 3)
+        at_n, at_t = at_n + step_n, at_t + step_t
+
+    def times(first: list[Any], second: list[Any]) -> list[Any]:
+        return [a * b for a, b in zip(first, second, strict=True)]
+
+    def along(phi: float, shares: list[Any]) -> Station:
+        law = Moments(2 * mean(times(times(shares, r), mu)), mean(times(shares, mu)))
+        return Station(law, 1, lambda law, faces: faces.in_s(faces.mean + phi * faces.difference))
+
+    across = Across(
+        whole - 2 * sheared,
+        sheared,
+        lateral=mean(r),
+        lateral_normal=mean(times(r, normal)),
+        lateral_tangential=mean(times(r, tangential)),
+        normal=mean(normal),
+        tangential=mean(tangential),
+    )
+    return [
+        Station(across, 1, lambda law, faces: law.strain(faces)),
+        along(-0.5, [2 * p - q for p, q in zip(squared, tangential, strict=True)]),
+        along(0.0, [1 - 4 * p for p in squared]),
+        along(0.5, [2 * p + q for p, q in zip(squared, tangential, strict=True)]),
+    ]

@@ -72,9 +72,12 @@ class Faces:
         along = ufl.Identity(3) - self.normal
         return along * e * along
 
-    def turned(self, a: Expr) -> Faces:
-        """The same faces with the jump a [u], a (d, d); a and n change so little along S that their slopes are left out."""
-        return replace(self, jump=ufl.dot(a, self.jump), gradient=ufl.dot(a, self.gradient))
+    def split(self, normal: Any, tangential: Any) -> Faces:
+        """The same faces with the jump multiplied by a number along n, and by another along S."""
+        n = self.n
+        jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
+        gradient = tangential * self.gradient + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.gradient))
+        return replace(self, jump=jump, gradient=gradient)
 
 
 @dataclass(frozen=True)
@@ -84,46 +87,48 @@ class Station:
     Attributes:
         law: the law.
         share: of the thickness.
-        strain: displaced faces -> strain (3, 3) of the law, linear in the displacements and in what is given.
-        flow: of a law with a pressure on S: flux along S over the slope of the pressure, over eps^3; else 0.
+        strain: the law, its parameters UFL expressions on S, and the displaced faces -> strain (3, 3), linear in the
+            displacements and in what is given beside them.
+        flow: the law, likewise -> of a law with a pressure on S: flux along S over the slope of the pressure, over eps^3.
         largest_ratio: lmbda/mu at rest beyond which the strain locks.
     """
 
     law: BulkLaw
     share: Any
-    strain: Callable[[Faces], Expr]
-    flow: Any = 0
+    strain: Callable[[Any, Faces], Expr]
+    flow: Callable[[Any], Expr] = lambda law: 0
     largest_ratio: float = math.inf
 
 
-def of_pressure(law: BulkLaw, mu: Any) -> list[Station]:
+def at_gauss_points(
+    law: BulkLaw, difference: Callable[[Any, Faces], Expr] | None = None, largest_ratio: float = math.inf
+) -> list[Station]:
+    """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
+
+    Args:
+        law: the law.
+        difference: the law and the displaced faces, as in `Station` -> strain (3, 3) at the upper face less that at the
+            lower one; by default displacements are linear through the layer, `Faces.change`, which locks for
+            lmbda/mu > `LOCKING`.
+        largest_ratio: as in `Station`.
+    """
+    if difference is None:
+        difference, largest_ratio = lambda law, faces: faces.change, LOCKING
+    change = difference
+
+    def at(z: float) -> Callable[[Any, Faces], Expr]:
+        return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)
+
+    return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS]
+
+
+def of_pressure(law: BulkLaw) -> list[Station]:
     """The stations of a law of shear modulus mu with a pressure, a field on S.
 
     It acts with the mean strain. The difference of the faces changes no tractions, so that it meets the stiffness of plane
     stress; and a slope of the pressure lets the layer flow along S.
     """
     return [
-        Station(law, 1, lambda faces: faces.across() + faces.mean, flow=1 / (12 * mu)),
-        Station(law.plane_stress(), 1 / 12, lambda faces: faces.in_s(faces.change)),
+        Station(law, 1, lambda law, faces: faces.across() + faces.mean, lambda law: 1 / (12 * law.mu)),
+        Station(law.plane_stress(), 1 / 12, lambda law, faces: faces.in_s(faces.change)),
     ]
-
-
-def at_gauss_points(
-    law: BulkLaw, difference: Callable[[Faces], Expr] | None = None, largest_ratio: float = math.inf
-) -> list[Station]:
-    """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
-
-    Args:
-        law: the law.
-        difference: displaced faces -> strain (3, 3) at the upper face less that at the lower one; by default
-            displacements are linear through the layer, `Faces.change`, which locks for lmbda/mu > `LOCKING`.
-        largest_ratio: as in `Station`.
-    """
-    if difference is None:
-        difference, largest_ratio = lambda faces: faces.change, LOCKING
-    change = difference
-
-    def at(z: float) -> Callable[[Faces], Expr]:
-        return lambda faces: faces.across() + faces.mean + z * change(faces)
-
-    return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS]

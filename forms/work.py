@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import ufl
 from ufl.classes import Zero
 
+from forms.ends.weights import EndWeights
 from forms.kinematics import Expr, jump_strain, lift
 from forms.law import BulkLaw, LawError, Step, explained, shaped
 from forms.planes import Kinematics
@@ -225,6 +227,7 @@ def surface(
     order: int = 0,
     given: Expr | None = None,
     slope: Expr | None = None,
+    ends: EndWeights | None = None,
 ) -> list[Term]:
     """A layer's law on S.
 
@@ -241,28 +244,28 @@ def surface(
         order: of the interface law.
         given: strain (3, 3), uniform through the layer, beside that of the displacements (`Term.given`).
         slope: gradient (d,) of the thickness along S; None: it is uniform.
+        ends: weights of free ends, for the stations of laws that know them; None: of an infinite layer.
 
     Raises:
         LawError: there is no law of order 1.
     """
-    n = sides.n
-
-    def term(law: BulkLaw, strain: Callable[[Expr], Expr], given: Expr | None, share: Any = 1, flow: Any = 0) -> Term:
-        weight = sides.factor * eps * share
-        return Term(law, strain, weight, sides.measure, n, given, kinematics=sides.kinematics, flow=eps**3 * flow)
-
+    n, d, weight = sides.n, len(sides.n), sides.factor * eps
+    term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
-        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, given)]
-
-    def of(station: Station) -> Callable[[Expr], Expr]:
-        return lambda u: station.strain(sides.faces(u, eps, slope))
-
-    d = len(n)
+        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, given=given)]
     held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics)
-    return [
-        term(at.law, of(known), None if given is None else known.strain(held), at.share, known.flow)
-        for at, known in zip(law.stations(), sides.known(law).stations(), strict=True)
-    ]
+
+    def at(station: Station) -> Term:
+        known = sides.known(station.law)
+        return term(
+            station.law,
+            lambda u: station.strain(known, sides.faces(u, eps, slope)),
+            weight * station.share,
+            given=None if given is None else station.strain(known, held),
+            flow=eps**3 * station.flow(known),
+        )
+
+    return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 
 def stress(term: Term, u: Expr) -> Expr:

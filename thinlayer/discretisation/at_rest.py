@@ -63,11 +63,19 @@ class AtRest:
         for _, law, C in self.sublayers:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
             if lmbda > largest * mu:
+                if law.traits.remembers or law.traits.rate:
+                    remedy = (
+                        "use order=0 or the meshed layer (structure.full): Rubber, whose pressure flows along S, has no "
+                        "such law, as its flow would have a memory and rate, too"
+                    )
+                else:
+                    remedy = (
+                        "use order=0, the meshed layer (structure.full), or Rubber or LinearElastic if it is isotropic"
+                    )
                 raise ModelError(
                     f"order=1 of {type(law).__name__} with lmbda/mu = {lmbda / mu:.4g} at rest (nu = "
                     f"{lmbda / (lmbda + mu) / 2:.4g}); allowed: at most {largest:g} (nu = "
-                    f"{largest / (largest + 1) / 2:.4f}), beyond which the next term locks; use order=0, the meshed layer "
-                    "(structure.full), or LinearElastic"
+                    f"{largest / (largest + 1) / 2:.4f}), beyond which the next term locks; {remedy}"
                 )
 
     def zero_tractions(self, planar: bool, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:

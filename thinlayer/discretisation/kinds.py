@@ -23,6 +23,7 @@ from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.apart import Middle, apart, require_same_room
 from thinlayer.discretisation.axis import require_revolution, require_shifts
+from thinlayer.discretisation.end_weights import end_weights, require_free_ends
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
@@ -37,6 +38,7 @@ from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all
 from thinlayer.pointwise.quadrature import quadrature_degree
 
+AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
@@ -252,6 +254,8 @@ class InterfaceModel(LayeredModel):
     def _check_layers(self) -> None:
         for one in self.layers.values():
             one.check(self._bodies)
+            if one.thin and one.thin.edges:
+                require_free_ends(one, self._bodies)
 
     def _check_beside(self, other: Self) -> None:
         self._check_layers()
@@ -326,7 +330,11 @@ class InterfaceModel(LayeredModel):
         else:
             eps = self._thickness(one.name, one.thin, sides)
             slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
-            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope)
+            ends = end_weights(self, one, law.free_end(), sides) if one.thin.edges else None
+            if ends is not None:
+                finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
+                sides = replace(sides, measure=measure.reconstruct(metadata=finer))
+            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
         return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:

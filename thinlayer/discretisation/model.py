@@ -27,7 +27,7 @@ from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added, at_time
-from thinlayer.discretisation.layer import BODIES, BODY, PRESSURE, constants, layers_of
+from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
@@ -370,10 +370,9 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        with_pressure = [one for one in several.values() if one.law.traits.constrained]
         found = {}
         for name, one in several.items():
-            keys = {one.key, PRESSURE if with_pressure == [one] else one.pressure_key}
+            keys = {one.key, one.pressure_key}
             found[name] = sum(value for key, value in values.items() if key.split("/")[0] in keys)
         return found
 

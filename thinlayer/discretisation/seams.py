@@ -57,7 +57,7 @@ class SeamLayer:
 
     @property
     def pressure_key(self) -> str:
-        """Key of the layer's pressure, where several seams have one."""
+        """Key of the layer's pressure, if its law has one."""
         return PRESSURE + self.key.removeprefix(LAYER)
 
     @property
@@ -150,8 +150,7 @@ class SeamLayer:
         if self.structure.degree != 2:
             element = self.structure.element
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
-        if bodies == "kept":
-            self._check_flat()
+        self._check_flat(bodies)
         if self.sheet.tip is not None:
             raise ModelError(
                 f"order=1 needs an S that does not end inside the bodies, and {self} ends at {place(self.sheet.tip)}: its "
@@ -163,24 +162,30 @@ class SeamLayer:
                 f"{place(self.sheet.junction)}: the next term leaves out what a junction adds, which is of the same order"
             )
 
-    def _check_flat(self) -> None:
-        """Raise ModelError unless bodies that meet on S are wrong by order 2 of the thickness only."""
-        hint = "use bodies='extended', for the interface and the full model alike"
+    def _check_flat(self, bodies: str) -> None:
+        """Raise ModelError for a bent layer whose next term would be wrong."""
+        assert self.thin
+        if (bent := self._bent) and bodies == "kept":
+            raise ModelError(
+                f"order=1 {bent} needs bodies at their true places: where they meet on S the next term is wrong; use "
+                "bodies='extended', for the interface and the full model alike"
+            )
+        if bent and len(self.thin.law.sublayers) > 1:
+            raise ModelError(
+                f"order=1 of a Stack {bent}: the next term leaves out that the sublayers' shares of the jump turn along S; "
+                "use order=0, or mesh the layer (structure.full)"
+            )
+
+    @property
+    def _bent(self) -> str | None:
+        """In what way the layer is not flat and of one thickness, if it is not."""
         if self.thin and self.thin.profile is not None:
-            raise ModelError(
-                "order=1 of a thickness that varies needs bodies at their true places: where they meet on S the next term "
-                f"is wrong; {hint}"
-            )
+            return "of a thickness that varies"
         if not self.sheet.planar:
-            raise ModelError(
-                "order=1 on a curved S needs bodies at their true places: where they meet on S the next term is wrong; "
-                f"{hint}"
-            )
+            return "on a curved S"
         if not is_across(self.structure.kinematics, self.sheet.mean_normal[None]):
-            raise ModelError(
-                "order=1 on an S that is not across the axis of revolution, its normal along y, needs bodies at their true "
-                f"places, as S is curved: where they meet on S the next term is wrong; {hint}"
-            )
+            return "on an S that is not across the axis of revolution, its normal along y, and so curved,"
+        return None
 
     def _check_contact(self, law: ContactLaw) -> None:
         """Raise ModelError unless displacements are of degree 1: contact laws act at the vertices of S."""
@@ -214,6 +219,7 @@ class SeamLayer:
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
             "profile": None if shape is None else described(shape),
+            **({"edges": thin.edges} if thin and thin.edges else {}),
             **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
 

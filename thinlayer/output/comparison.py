@@ -16,6 +16,7 @@ from geometry.seam import S
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.output.pressure_report import columns_of_pressure
 from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
@@ -47,7 +48,9 @@ def compare(
     Returns:
         eps, the largest thickness of the layers; error_traction and error_jump: L2(S) norms of the differences over
         those of the interface model's fields;
-        traction and jump: these norms (stress and length, times length^(1/2) in 2D).
+        traction and jump: these norms (stress and length, times length^(1/2) in 2D);
+        too_stiff ("too_stiff NAME" for each of several seams), for isotropic elastic layers whose law has no pressure on S:
+        the layer's law alone is that many times too stiff against the openings found (`PressureReport`).
 
     Raises:
         ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
@@ -87,7 +90,7 @@ def compare(
         by_law = field(interface)
         sizes[name] = surface.norm(by_law, part)
         row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if sizes[name] else math.nan
-    return row | sizes
+    return row | sizes | columns_of_pressure(interface, seam)
 
 
 def _state(one: State | History, at: float | None) -> State:

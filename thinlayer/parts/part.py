@@ -166,6 +166,8 @@ class Part(ABC):
         tie: (n, k) sparse, the displacements of this rank that follow all k own unknowns of the part, as those of a rigid
             plate do; other rows are empty. The forces on these displacements are added to the own residual. None: no
             displacement follows them.
+        own_mass: matrix of the integral of squares of the own unknowns over S. A multiple of it stands in block
+            preconditioners for what displacements add to the own equations. None: these do not suit the own unknowns.
         stress_width: number of stress components that states keep at each point of the memory; 0: none.
     """
 
@@ -177,6 +179,7 @@ class Part(ABC):
     distance: float = 0.0
     cancelling: float = 0.0
     tie: Any = None
+    own_mass: PETSc.Mat | None = None
     stress_width: int = 0
     interval: Interval
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -240,6 +240,15 @@ class Quadrature:
         f.x.array.reshape(-1, width)[points] = values[self.cells]
         f.x.scatter_forward()
         return f
+
+    def on_region(self, values: Mapping[str, Array]) -> dict[str, fem.Function]:
+        """Values (points,) by name as functions on `region.mesh`, for measures of the degree of `measure`. Collective."""
+        found = {}
+        for name, value in values.items():
+            found[name] = f = fem.Function(self._space(()))
+            f.x.array[: self.count] = value
+            f.x.scatter_forward()
+        return found
 
     @property
     def original(self) -> IntArray:

@@ -24,9 +24,10 @@ from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
 from thinlayer.solving.kept import Kept
 from thinlayer.solving.layout import Layout
-from thinlayer.solving.linear_solvers import orthonormal, rigid_modes
+from thinlayer.solving.linear_solvers import MULTIGRIDS, orthonormal, rigid_modes
 from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.reaction_sums import ReactionSums
+from thinlayer.solving.saddle import split
 from thinlayer.solving.substitution import Substitution
 from thinlayer.solving.tangent_matrix import DIFFERENT, TangentMatrix
 from thinlayer.solving.uniqueness import RigidMotions
@@ -134,6 +135,13 @@ class Equations(PartSum):
             K.axpy(1.0, other, DIFFERENT)
         return K
 
+    def hold(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
+        """Replace rows and columns of held unknowns in a tangent by those of a mean stiffness times the identity.
+
+        Their values x, if given, go to the right-hand side b: then the solution has them.
+        """
+        A.zeroRowsColumns(self.held_rows, self.mean_stiffness or 1.0, x, b)
+
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
         if not self.substitution:
@@ -148,6 +156,15 @@ class Equations(PartSum):
             self.substitution.start(values)
             found.append(x)
         return orthonormal(found)
+
+    def tell(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
+        """Tell the preconditioner of a tangent, with supports, what it can use: rigid motions, blocks of the unknowns."""
+        kind = ksp.getPC().getType()
+        if kind in MULTIGRIDS:
+            A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null(), comm=A.comm))
+        elif kind == "fieldsplit" and self._with_own:
+            masses = {part.key: part.own_mass for part in self._with_own}
+            split(ksp.getPC(), A, self._layout, self.held, masses, self.near_null())
 
     @cached_property
     def _reactions(self) -> ReactionSums:

@@ -17,7 +17,10 @@ from thinlayer.solving.options import PREFIX
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
 WORTH_REFINING = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
+NEEDED = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
 UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
+ROUNDED = 100.0  # residual over the rounding of stiffness times displacement, at most, that is taken for rounding
+LESS_STIFF = 10.0  # by how much residuals of rounding should fall below the allowed one
 OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
 UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
 
@@ -98,7 +101,8 @@ class Equilibrium:
         if self.nonlinear:
             self._retreat(x, r, d, move, forces)
             return self._newton(x, r)
-        return Found(x, iterations, self._refine(x, r, d))
+        residual, refining = self._refine(x, r, d)
+        return Found(x, iterations + refining, residual)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
@@ -132,13 +136,13 @@ class Equilibrium:
             self.reused = True
             return
         A = equations.tangent()
-        A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
+        equations.hold(A, move, b)
         if self.nonlinear:
             self._require_finite("tangent (the slope of the stress)", A.norm())
         else:
             equations.require_unique()
         mark(A, equations.model, saddle=equations.traits.saddle)
-        self.reused = self._factor.renew(A, key, equations.near_null) and not self.nonlinear
+        self.reused = self._factor.renew(A, key, equations.tell) and not self.nonlinear
 
     def _require_finite(self, quantity: str, size: float) -> None:
         """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
@@ -156,8 +160,8 @@ class Equilibrium:
         solve_linear(ksp, b, x)
         return int(ksp.getIterationNumber())
 
-    def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> float:
-        """Refine the linear solution x iteratively; returns its relative residual.
+    def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> tuple[float, int]:
+        """Refine the linear solution x iteratively; returns its relative residual, and the iterations of a Krylov method.
 
         Raises:
             SolveError: the solution is not unique, or its residual is too large.
@@ -166,10 +170,16 @@ class Equilibrium:
         assert ksp is not None
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
-        residual, first = self._relative(r), True
+        residual, first, iterations, rtol = self._relative(r), True, 0, ksp.getTolerances()[0]
         while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
             r.scale(-1.0)
-            solve_linear(ksp, r, d)
+            if not direct:  # no further than needed
+                ksp.setTolerances(rtol=max(rtol, NEEDED * REFINED_RESIDUAL[direct] / residual))
+            try:
+                solve_linear(ksp, r, d)
+            finally:
+                ksp.setTolerances(rtol=rtol)
+            iterations += ksp.getIterationNumber()
             size, change = self._displacements_at_play(x), _largest(d)
             if first and direct and change > UNDETERMINED * size:
                 share = f"by a share of {change / size:.1e}" if size else f"by {change:.1e}"
@@ -192,13 +202,22 @@ class Equilibrium:
             equations.residual(x, r)
             residual = self._relative(r)
         if not residual < ALLOWED:
+            rounding = equations.scale.relative(equations.scale.rounding(_largest(x)))
+            if residual < ROUNDED * rounding:
+                less = LESS_STIFF * residual / ALLOWED
+                raise SolveError(
+                    f"linear solve failed: {residual:.1e} of the forces is out of balance, allowed: {ALLOWED:g}: the "
+                    "bodies are so much stiffer than what holds them that their strains are lost in the rounding of their "
+                    "displacements",
+                    advice=f"take moduli of the bodies that are {less:.0e} times smaller, or larger cells",
+                )
             hints = "".join(f", or {part.hint}" for part in equations.parts if part.hint)
             raise SolveError(
                 f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "
                 "a body without supports and without a stiff enough layer can move freely, or a law is not as linear as it "
                 f"says{hints}; with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
             )
-        return residual
+        return residual, 0 if direct else iterations
 
     def _displacements_at_play(self, x: PETSc.Vec) -> float:
         """Largest displacement with which the rounding of a solution x is compared.

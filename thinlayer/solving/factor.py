@@ -7,7 +7,6 @@ from typing import Any
 
 from petsc4py import PETSc
 
-from thinlayer.solving.linear_solvers import tell_multigrid
 from thinlayer.solving.options import PREFIX
 
 
@@ -24,19 +23,19 @@ class Factor:
         self.of: Hashable = None
         self._options: dict[str, Any] = {}
 
-    def renew(self, A: PETSc.Mat, of: Hashable, modes: Callable[[], list[PETSc.Vec]]) -> bool:
+    def renew(self, A: PETSc.Mat, of: Hashable, tell: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
         """Take another matrix, which is factored by the next solve.
 
         Args:
             A: the matrix.
             of: what it depends on.
-            modes: function that returns its rigid motions.
+            tell: function that tells a solver what is known of the matrix, see `Equations.tell`.
 
         Returns:
             Whether the solver stays: it then orders the unknowns anew only if A has another nonzero pattern.
         """
         options = {name: value for name, value in PETSc.Options().getAll().items() if name.startswith(PREFIX)}
-        stays = self.ksp is not None and options == self._options
+        stays = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
         if not stays:
             self.destroy()
             self.ksp = PETSc.KSP().create(A.comm)
@@ -45,7 +44,7 @@ class Factor:
         self.ksp.setOperators(A)
         if not stays:
             self.ksp.setFromOptions()
-        tell_multigrid(self.ksp, A, modes)
+        tell(self.ksp, A)
         self._options, self.of = options, of
         return stays
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection, Sequence
 
 from petsc4py import PETSc
 
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.errors import SolveError
-from thinlayer.solving.options import OptionValue, require_known_values
+from thinlayer.parts.part import Part
+from thinlayer.solving.options import OptionError, OptionValue, require_known_values
 
 DIRECT: dict[str, OptionValue] = {
     "ksp_type": "preonly",
@@ -31,36 +32,74 @@ MULTIGRID: dict[str, OptionValue] = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
 }
+MULTIGRIDS = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
+# for saddle points: multigrid for the displacements after a factorisation for the pressures on S (`solving/saddle.py`). A
+# preconditioner that is not symmetric takes half the iterations of one for MINRES, and each costs the same.
+BLOCKS: dict[str, OptionValue] = {
+    "ksp_type": "gmres",
+    "ksp_pc_side": "right",  # then the residual itself is tested
+    "ksp_gmres_restart": 100,
+    "ksp_gmres_cgs_refinement_type": "refine_ifneeded",
+    "ksp_rtol": MULTIGRID["ksp_rtol"],
+    "ksp_max_it": MULTIGRID["ksp_max_it"],
+    "pc_type": "fieldsplit",
+    "pc_fieldsplit_type": "schur",
+    "pc_fieldsplit_schur_fact_type": "upper",
+    **{
+        f"fieldsplit_u_{name}": value
+        for name, value in MULTIGRID.items()
+        if name not in DIRECT and name != "ksp_max_it"
+    },
+    "fieldsplit_u_ksp_type": "preonly",
+    **{f"fieldsplit_p_{name}": value for name, value in DIRECT.items() if name != "ksp_rtol"},
+    "fieldsplit_p_pc_type": "cholesky",
+}
 MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}  # dimension -> number of unknowns below which factorising is faster
 
 
-def linear_solvers(model: Model) -> list[dict[str, OptionValue]]:
+def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[dict[str, OptionValue]]:
     """PETSc options to try in turn.
 
     The direct solver is MUMPS with AMF ordering: Cholesky for symmetric tangents, else LU. Large models try conjugate
     gradients (GMRES without symmetry) with algebraic multigrid first; it knows the rigid motions. Very stiff layers slow
-    multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: direct only; if MUMPS
-    fails, with more memory, then with smaller pivots too.
+    multigrid down so much that factorising is faster. Layers with a pressure lead to saddle points: if the pressures are on
+    S, large models try GMRES with blocks first; if MUMPS fails, it is tried with more memory, then with smaller pivots too.
+
+    Args:
+        model: the model.
+        parts: the parts of its balance.
+        chosen: the user's type of preconditioner; None: ours.
+
+    Raises:
+        OptionError: a type of preconditioner that does not suit the model.
     """
     direct = direct_solver(model)
     unknowns = model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs
-    saddle = any(p.law.traits.constrained for p in model.layer_terms)
-    if saddle:
-        return [direct, {**direct, **SPACIOUS}, {**direct, **LENIENT}]
-    if unknowns < MULTIGRID_FROM[model.joint.dim]:
-        return [direct]
-    return [{**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}, direct]
+    large = unknowns >= MULTIGRID_FROM[model.joint.dim]
+    if any(p.law.traits.constrained for p in model.layer_terms):
+        if chosen in MULTIGRIDS:
+            raise OptionError(
+                f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit"
+            )
+        factorising = [direct, {**direct, **SPACIOUS}, {**direct, **LENIENT}]
+        if chosen != "fieldsplit" and not large:
+            return factorising
+        unsuited = [part.key for part in parts if part.field is not None and part.own_mass is None]
+        if chosen == "fieldsplit" and unsuited:
+            raise OptionError(
+                f"pc_type fieldsplit is for displacements and pressures on S; the unknowns {unsuited[0]!r} are others (of "
+                "a meshed layer, a plate or a mean stress)"
+            )
+        return factorising if unsuited else [BLOCKS, *factorising]
+    iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}
+    if chosen in MULTIGRIDS:
+        return [iterative]
+    return [iterative, direct] if large else [direct]
 
 
 def direct_solver(model: Model) -> dict[str, OptionValue]:
     """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
     return {**DIRECT, "pc_type": "cholesky" if model.symmetric else "lu"}
-
-
-def tell_multigrid(ksp: PETSc.KSP, A: PETSc.Mat, modes: Callable[[], list[PETSc.Vec]]) -> None:
-    """Attach rigid motions, orthonormal, as the near null space of A if the preconditioner is algebraic multigrid."""
-    if ksp.getPC().getType() in ("gamg", "hypre", "ml"):
-        A.setNearNullSpace(PETSc.NullSpace().create(vectors=modes(), comm=A.comm))
 
 
 def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, ours: Collection[str] | None = None) -> None:

@@ -11,7 +11,7 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.balance import aim
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.force_scale import ALLOWED
-from thinlayer.solving.linear_solvers import solve_nonlinear, tell_multigrid
+from thinlayer.solving.linear_solvers import solve_nonlinear
 from thinlayer.solving.options import PREFIX, OptionError, OptionValue
 
 NEWTON: dict[str, OptionValue] = {
@@ -70,7 +70,7 @@ def newton(equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bo
 
     def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         equations.tangent()
-        P.zeroRowsColumns(equations.held_rows, 1.0)
+        equations.hold(P)
 
     def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
         nonlocal given_up
@@ -87,7 +87,7 @@ def newton(equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bo
         return Reason.CONVERGED_FNORM_ABS if norms[2] <= aim(equations, x) else False
 
     A = equations.tangent()
-    A.zeroRowsColumns(equations.held_rows, 1.0)
+    equations.hold(A)
     snes = PETSc.SNES().create(equations.comm)
     snes.setOptionsPrefix(PREFIX)
     r = x.duplicate()
@@ -96,7 +96,7 @@ def newton(equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bo
     if own_test:
         snes.setConvergenceTest(converged)
     snes.setFromOptions()
-    tell_multigrid(snes.getKSP(), A, equations.near_null)
+    equations.tell(snes.getKSP(), A)
     solve_nonlinear(snes, x, r)
     reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
     if own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN

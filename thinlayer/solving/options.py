@@ -44,6 +44,12 @@ def is_set(name: str, given: Mapping[str, OptionValue]) -> bool:
     return name in given or PREFIX + name in PETSc.Options().getAll()
 
 
+def value_of(name: str, given: Mapping[str, OptionValue]) -> str | None:
+    """The user's value of an option, in PETSc's database or in a script; None: not set."""
+    found = PETSc.Options().getAll().get(PREFIX + name, given.get(name))
+    return None if found is None else str(found)
+
+
 def given_elsewhere() -> str:
     """The options under our prefix in PETSc's database, written as on a command line."""
     found = sorted(PETSc.Options().getAll().items())

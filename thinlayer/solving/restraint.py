@@ -19,7 +19,7 @@ from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import Interval
 from thinlayer.solving.balance import aim
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import mark, solve_linear, tell_multigrid
+from thinlayer.solving.linear_solvers import mark, solve_linear
 from thinlayer.solving.options import PREFIX, OptionValue, defaults
 
 Result = TypeVar("Result")
@@ -125,7 +125,7 @@ class Restraint:
             vector.destroy()
         d.set(0.0)
         d.array[equations.held] = equations.prescribed - prescribed
-        A.zeroRowsColumns(equations.held_rows, 1.0, d, r)
+        equations.hold(A, d, r)
         self._solve_linear(A, r, self._trial)
         return float(self._trial.norm())
 
@@ -176,7 +176,7 @@ class Restraint:
         while len(sizes) <= ITERATIONS and math.isfinite(sizes[-1]):
             A = self.equations.tangent()
             A.shift(self._stiffness)
-            A.zeroRowsColumns(self.equations.held_rows, 1.0)
+            self.equations.hold(A)
             self._r.scale(-1.0)
             self._solve_linear(A, self._r, self._d)
             sizes.append(self._search(max(sizes[-COMPARED_RESIDUALS:])))
@@ -213,6 +213,6 @@ class Restraint:
                 self._ksp.setOptionsPrefix(PREFIX)
                 self._ksp.setOperators(A)
                 self._ksp.setFromOptions()
-                tell_multigrid(self._ksp, A, self.equations.near_null)
+                self.equations.tell(self._ksp, A)
             self._ksp.setOperators(A)
             solve_linear(self._ksp, b, x, self._options.keys())

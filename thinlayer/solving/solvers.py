@@ -35,6 +35,7 @@ from thinlayer.solving.options import (
     is_set,
     require_all_read,
     require_known_values,
+    value_of,
 )
 from thinlayer.solving.restraint import Restraint
 
@@ -156,11 +157,13 @@ class Solver:
         self._given = dict(options or {})
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)
-        self._linear = [{}] if self.method in METHODS else linear_solvers(model)  # without those that have failed
-        if len(self._linear) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
-            self._linear = self._linear[:1]
         self._log = logger("solve", model.comm)
         self.equations = Equations(model)
+        self._linear: list[dict[str, OptionValue]] = [{}]  # without those that have failed
+        if self.method not in METHODS:
+            self._linear = linear_solvers(model, self.equations.parts, value_of("pc_type", self._given))
+        if len(self._linear) > 1 and (is_set("ksp_type", self._given) or is_set("pc_type", self._given)):
+            self._linear = self._linear[:1]
         self._finder: Finder = (
             contact_finder(self.equations, self.method, like) if self.method in METHODS else self._equilibrium()
         )

@@ -1,0 +1,152 @@
+"""Benchmark: rubber bearings in 3D, solved iteratively, against an elastic layer on one mesh and against factorising."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+
+from forms import Incompressible, LinearElastic, Rubber
+from geometry import sandwich
+from thinlayer import State, Structure, ThinLayer, plotting
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.files.progress import track
+from thinlayer.files.table import Row
+from thinlayer.running.record import Record
+from thinlayer.solving.options import OptionValue
+from thinlayer.solving.solvers import Solver
+
+RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.5)  # Poisson's
+SIDE, PLATE, EPS = 100.0, 7.0, 12.0  # mm: a quarter of a bearing; height of a plate; thickness of the rubber
+MU = 1.2  # MPa: shear modulus of the rubber
+PRESSED: dict[str, Any] = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.1, "z": 0.0}}  # mm
+CELLS, QUICK_CELLS, FACTORED = 28, 9, 0.499  # cells along S; Poisson's ratio at which the matrix is factored, too
+ELASTIC: dict[str, OptionValue] = {"pc_type": "gamg"}
+BLOCKS: dict[str, OptionValue] = {"pc_type": "fieldsplit"}
+FACTORS: dict[str, OptionValue] = {"pc_type": "cholesky"}
+SLOWEST, UNEVEN, DISTANCE = 2.5, 2.0, 1e-8  # allowed: time over the elastic one; iterations, most over least; errors
+
+
+@dataclass(frozen=True)
+class Case:
+    """A bearing.
+
+    Attributes:
+        E: Young's modulus of the plates, MPa.
+        loaded: whether its upper plate carries a load that also turns it, held by the rubber alone; else it is moved.
+    """
+
+    E: float
+    loaded: bool
+
+    def model(self, cells: int) -> InterfaceModel:
+        """The bearing with an elastic layer of order 1, Poisson's ratio 0.3; two ends of the rubber are free."""
+        joint = sandwich(SIDE, PLATE, PLATE, SIDE / cells, depth=SIDE, structured=True)
+        rollers: dict[str, Any] = {"LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}  # the planes of symmetry
+        load = {"TOP": lambda x, t: ufl.as_vector((0.0, -1.0 - x[0] / SIDE, 0.0))}  # MPa
+        supports, tractions = ({"BOTTOM": 0.0}, load) if self.loaded else (PRESSED, {})
+        body = LinearElastic.young(E=self.E, nu=0.3)
+        structure = Structure(joint, body=body, supports=supports | rollers, tractions=tractions)
+        return structure.interface(ThinLayer(LinearElastic.shear(MU, 0.3).per_thickness(EPS), EPS, order=1))
+
+
+CASES = {
+    "steel plates, moved": Case(210e3, loaded=False),
+    "steel plates, loaded": Case(210e3, loaded=True),
+    "soft plates, loaded": Case(25.0, loaded=True),
+}
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Solve for all ratios in turn, beside the elastic layer.
+
+    Times are of the processor, from the parts' matrices to the accepted state.
+
+    Args:
+        record: where to write.
+        quick: 9 cells along a side of S in place of 28, without the limit of time.
+    """
+    cells = QUICK_CELLS if quick else CELLS
+    record.parameters = {"side_mm": SIDE, "eps_mm": EPS, "mu_MPa": MU, "cells": cells}
+    table = record.table("table.csv")
+    for name in track([*CASES], "saddle_points", "{}"):
+        for row in compared(name, CASES[name].model(cells)):
+            table.append(row)
+            record.say(row)
+    for name in CASES:
+        rows = [row for row in table.rows if row["case"] == name and row["solver"] == "fieldsplit"]
+        iterations = [int(row["iterations"] or 0) for row in rows]
+        record.check(f"{name}: iterations, most over least", max(iterations) / min(iterations), high=UNEVEN)
+        if not quick:
+            record.check(f"{name}: largest ratio of time", max(float(row["ratio"] or 0) for row in rows), high=SLOWEST)
+        apart = next(float(row["distance"] or 0) for row in rows if row["nu"] == FACTORED)
+        record.check(f"{name}: distance from the factored solution", apart, high=DISTANCE)
+
+
+def compared(name: str, elastic: InterfaceModel) -> Iterator[Row]:
+    """Rows of one case: the elastic layer, by multigrid and factored; rubber, factored; rubber for all ratios."""
+    works: list[tuple[str, float, dict[str, OptionValue]]] = [("elastic", 0.3, ELASTIC), ("elastic", 0.3, FACTORS)]
+    works += [("rubber", FACTORED, FACTORS), *(("rubber", nu, BLOCKS) for nu in RATIOS)]
+    usual, factored = math.nan, None
+    for layer, nu, options in works:
+        model = elastic if layer == "elastic" else elastic.with_layer(_rubber(nu))
+        seconds, state = timed(model, options)
+        usual = seconds if options is ELASTIC else usual
+        if layer == "rubber" and options is FACTORS:
+            factored = state
+        compared_to = factored if options is BLOCKS and nu == FACTORED else None
+        yield {
+            "case": name, "layer": layer, "nu": nu, "solver": options["pc_type"],
+            "unknowns": model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs,
+            "iterations": state.report.iterations, "residual": state.report.residual, "seconds": seconds,
+            "ratio": seconds / usual, "distance": None if compared_to is None else _distance(state, compared_to),
+        }  # fmt: skip
+
+
+def _distance(state: State, other: State) -> float:
+    """Largest difference of displacements, relative to the largest displacement."""
+    u, v = state.u.x.array, other.u.x.array
+    return float(np.abs(u - v).max() / np.abs(v).max())
+
+
+def timed(model: InterfaceModel, options: dict[str, OptionValue]) -> tuple[float, State]:
+    """Processor time of a solve with a new factor or hierarchy, and its state."""
+    with Solver(model, options=options) as solver:
+        solver.equations.factor.destroy()
+        begin = time.process_time()
+        state = solver.step(solver.rest(0.0), 0.0)
+        return time.process_time() - begin, state
+
+
+def _rubber(nu: float) -> ThinLayer:
+    law = Incompressible(MU) if nu == 0.5 else Rubber.shear(MU, nu)
+    return ThinLayer(law.per_thickness(EPS), EPS, order=1)
+
+
+def draw(record: Record) -> None:
+    """Draw iterations and times against the ratio of the moduli, from table.csv."""
+    rows = [
+        row for row in record.load("table.csv").rows if row["solver"] == "fieldsplit" and float(row["nu"] or 0) < 0.5
+    ]
+    panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
+    columns = {"iterations": "iterations", "ratio": "processor time"}
+    for column, label in columns.items():
+        panels[label] = {}
+        for name in CASES:
+            own = [row for row in rows if row["case"] == name]
+            nu = np.array([float(row["nu"] or 0) for row in own])
+            panels[label][name] = np.log10(2 * nu / (1 - 2 * nu)), np.array([float(row[column] or 0) for row in own])
+    plotting.panels(
+        panels,
+        xlabel="log10(lmbda/mu); 3.7: nu = 0.4999",
+        ylabels=dict(zip(panels, ("number", "over that of an elastic layer"), strict=True)),
+        styles=dict.fromkeys(CASES, "o-"),
+        colours=dict(zip(CASES, ("black", "tab:blue", "tab:red"), strict=True)),
+        ylims={label: (0.0, 1.1 * max(y.max() for _, y in lines.values())) for label, lines in panels.items()},
+        save=record.path("saddle_points.png"),
+    )
