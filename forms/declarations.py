@@ -19,7 +19,10 @@ RESPONSES = ("stress", "traction", "kernel", "source")  # attributes that give t
 UPDATES = ("advance", "evolve")  # methods that give new internal variables
 OF_ONE_STRESS = (
     "stiffness",
-    "gradient",
+    "stations",
+    "elastic_moduli",
+    "free_end",
+    "stations_at_ends",
     "plane_stress",
     "otherwise",
     "energetic",

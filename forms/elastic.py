@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,9 +13,12 @@ import ufl
 from scipy.spatial.transform import Rotation
 
 from forms.base import is_number
+from forms.ends.constants import FreeEnd, free_end
+from forms.ends.weights import EndWeights
 from forms.fields import Field, OutOfRange, Parameter, field_of
-from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame, lift
+from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
 from forms.law import BulkLaw, LawError, Step, choice, require
+from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 OUT_OF_PLANE = [2, 3, 4]
@@ -103,16 +107,46 @@ class LinearElastic(LinearLaw):
     def stress(self, step: Step) -> Expr:
         return lame(self.lmbda, self.mu, step.mid)
 
-    def gradient(self, e: Expr, n: Expr) -> Expr:
+    def elastic_moduli(self) -> tuple[Any, Any]:
+        return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
+
+    def stations(self) -> list[Station]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.
 
         The displacements are then parabolas through the thickness; with straight lines a nearly incompressible layer
         would lock.
         """
-        normal = ufl.outer(lift(n), lift(n))
-        along = ufl.Identity(3) - normal
-        in_plane = along * e * along
-        return in_plane - self.lmbda / (self.lmbda + 2 * self.mu) * ufl.tr(in_plane) * normal
+        return at_gauss_points(self, self._change)
+
+    @staticmethod
+    def _change(law: LinearElastic, faces: Faces) -> Expr:
+        in_s = faces.in_s(faces.change)
+        return in_s - law._share * ufl.tr(in_s) * faces.normal
+
+    @property
+    def _share(self) -> Any:
+        return self.lmbda / (self.lmbda + 2 * self.mu)
+
+    def free_end(self) -> FreeEnd:
+        """As of any law; in plane stress, where the law's moduli are those of `plane_stress`, its ratio is nu/(1 + nu).
+
+        Raises:
+            LawError: lmbda < 0, or parameters that are functions.
+        """
+        if self.fields:
+            return super().free_end()
+        nu = float(self.lmbda) / (float(self.lmbda) + float(self.mu)) / 2
+        if nu < 0:
+            raise LawError(f"edges='free' of {self!r}: Poisson's ratio is {nu:.4g}; allowed: from 0 on")
+        return free_end(nu)
+
+    def stations_at_ends(self, weights: EndWeights) -> list[Station]:
+        """Two strains give the energy of the mean strain (`forms.ends.weights`), a third one that of its change."""
+
+        def strain(k: int) -> Callable[[LinearElastic, Faces], Expr]:
+            return lambda law, faces: weights.strains(faces, law._share)[k]
+
+        return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._change)]
 
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from forms.elastic import LinearElastic, LinearLaw, lame
 from forms.kinematics import Expr
 from forms.law import Step, positive
+from forms.stations import Station, of_pressure
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,10 @@ class Incompressible(LinearLaw):
     def plane_stress(self) -> LinearElastic:
         """Not constrained in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
         return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})
+
+    def stations(self) -> list[Station]:
+        """The pressure is a field on S, which flows along S."""
+        return of_pressure(self)
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return 2 * float(self.mu) * np.eye(6)

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from types import SimpleNamespace, UnionType
-from typing import Any, ClassVar, NamedTuple, Self, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, get_args, get_origin
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,12 @@ from forms.declarations import SIZES, require_dataclass, require_declarations, r
 from forms.declarations import LawError as LawError
 from forms.fields import OfPlaces, field_of, is_field, number_of
 from forms.kinematics import Expr
+from forms.stations import Station, at_gauss_points
 from forms.traits import Traits
+
+if TYPE_CHECKING:
+    from forms.ends.constants import FreeEnd
+    from forms.ends.weights import EndWeights
 
 
 class Step(NamedTuple):
@@ -257,7 +262,6 @@ class BulkLaw(Law):
         return super()._traits_of_methods() | {
             "has_energy": kind.energy is not BulkLaw.energy,
             "eases": kind.eased is not BulkLaw.eased,
-            "relaxes": kind.gradient is not BulkLaw.gradient,
             "in_series": not (said.constrained or said.switches),
             "in_ufl": True,
             "compiled": said.rate or bool(self.internal) or said.varies or kind.holds is not BulkLaw.holds,
@@ -295,16 +299,49 @@ class BulkLaw(Law):
         """UFL condition (ufl.lt, ufl.And, ...) for the points where the law holds; elsewhere `otherwise` is evaluated."""
         return None
 
-    def gradient(self, e: Expr, n: Expr) -> Expr:
-        """Difference of strain between the upper and the lower face in an interface law of order 1, (3, 3).
+    def free_end(self) -> FreeEnd:
+        """Constants of a free end of a layer with this law.
 
-        Without this method displacements are linear through the layer.
-
-        Args:
-            e: this difference for displacements that are linear through the layer, sym(grad_S [u]), (3, 3).
-            n: director, (d,).
+        Raises:
+            LawError: they are not known.
         """
-        return e
+        raise LawError(
+            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 "
+            "and parameters that are numbers"
+        )
+
+    def stations_at_ends(self, weights: EndWeights) -> list[Station]:
+        """As `stations`, with the weights of the layer's free ends; laws that have a `free_end` have them."""
+        raise LawError(f"{type(self).__name__} has no stations at free ends")
+
+    def stations(self) -> list[Station]:
+        """Where the law acts through the thickness in an interface law of order 1, and with which strains.
+
+        By default at two Gauss points, with displacements that are linear through the layer.
+
+        Raises:
+            LawError: there is no such law.
+        """
+        if self.traits.switches:
+            raise LawError(f"order=1 of {type(self).__name__}: its phases are those of jumps alone; use order=0")
+        if self.traits.plateau:
+            raise LawError(
+                f"order=1 of {self!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
+                "layer, and the next term depends on where the sheets lie; use order=0"
+            )
+        return at_gauss_points(self)
+
+    def elastic_moduli(self) -> tuple[Any, Any]:
+        """Lame's moduli lmbda and mu of an isotropic linear elastic law.
+
+        Raises:
+            LawError: this is none.
+        """
+        raise LawError(
+            f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
+            "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
+            "layer (structure.full)"
+        )
 
     def own_step(self, step: Step) -> Step:
         """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""

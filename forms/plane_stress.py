@@ -40,7 +40,7 @@ class PlaneStress(BulkLaw):
     @cached_property
     def traits(self) -> Traits:
         varies = self.law.traits.varies or bool(self.law.fields)  # and areas are free to change, whatever flows
-        return replace(self.law.traits, compiled=True, relaxes=False, varies=varies, isochoric=False)
+        return replace(self.law.traits, compiled=True, varies=varies, isochoric=False)
 
     @property
     def powers(self) -> Mapping[str, float]:  # type: ignore[override]

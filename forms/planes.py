@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -37,6 +36,10 @@ class Kinematics:
     def on(self, mesh: Any) -> Self:
         """The same kinematics at the places of a mesh."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
+
+    def at(self, x: Expr) -> Self:
+        """The same kinematics at other places (d,) UFL, as those of S that are not the places of the mesh's facets."""
+        return replace(self, x=x)
 
     def slots(self, d: int) -> tuple[int, ...]:
         """Mandel components that the strains of displacements (d,) have; the others are zero."""
@@ -75,10 +78,9 @@ class Kinematics:
         """Strain (3, 3) of a displacement in a body or in a meshed layer."""
         return strain(u)
 
-    def along(self, u: Expr, side: Callable[[Expr], Expr], n: Expr) -> Expr:
-        """Strain (3, 3) along S, of normal n (d,), of the displacements on one side."""
-        tangential = ufl.Identity(len(n)) - ufl.outer(n, n)
-        return lift(ufl.sym(ufl.dot(side(ufl.grad(u)), tangential)))
+    def along(self, gradient: Expr, u: Expr) -> Expr:
+        """Strain (3, 3) along S of displacements u (d,) with this gradient along S (d, d)."""
+        return lift(ufl.sym(gradient))
 
     def seen(self, a: Expr) -> Expr:
         """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
@@ -135,8 +137,8 @@ class Axisymmetric(Kinematics):
     def strain(self, u: Expr) -> Expr:
         return strain(u) + self._hoops(u)
 
-    def along(self, u: Expr, side: Callable[[Expr], Expr], n: Expr) -> Expr:
-        return super().along(u, side, n) + self._hoops(side(u))
+    def along(self, gradient: Expr, u: Expr) -> Expr:
+        return super().along(gradient, u) + self._hoops(u)
 
     @property
     def _r(self) -> Expr:

@@ -9,6 +9,7 @@ from typing import ClassVar
 from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame
 from forms.kinematics import Expr
 from forms.law import Step, positive, require
+from forms.stations import Station, of_pressure
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,6 @@ class Rubber(LinearLaw):
     mu: float
     powers: ClassVar = {"lmbda": 1, "mu": 1}
     constrained: ClassVar = True
-    takes_fields: ClassVar = False
     stiffness = isotropic_stiffness
 
     @classmethod
@@ -57,6 +57,8 @@ class Rubber(LinearLaw):
         return 1 / self.lmbda
 
     def plane_stress(self) -> LinearElastic:
-        return LinearElastic(1.0, 1.0).with_parameters(
-            {"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu), "mu": self.mu}
-        )
+        return LinearElastic(1.0, 1.0).with_parameters(self.parameters()).plane_stress()
+
+    def stations(self) -> list[Station]:
+        """The pressure is a field on S, which flows along S."""
+        return of_pressure(self)

@@ -14,6 +14,8 @@ from forms.base import is_number
 from forms.declarations import require_declarations
 from forms.fields import Array, Field
 from forms.law import BulkLaw, LawError, require
+from forms.sharing import in_series
+from forms.stations import Station
 from forms.traits import Traits
 
 
@@ -65,6 +67,19 @@ class Stack(BulkLaw):
             allowed = "laws that give a stress for a strain, point by point"
             require(isinstance(law, BulkLaw) and law.traits.in_series, self, "a sublayer", law, allowed)
 
+    @classmethod
+    def graded(cls, law: Callable[[float], BulkLaw], n: int) -> Stack:
+        """A layer whose law changes through the thickness, as n sublayers of equal thickness.
+
+        Args:
+            law: place in the layer -> its law there, from 0 at the lower to 1 at the upper face. Each sublayer has that of
+                its middle, so that the error is O(1/n^2).
+            n: number of sublayers, >= 1.
+        """
+        if not (is_number(n) and n >= 1 and n == int(n)):
+            raise LawError(f"Stack.graded: the number of sublayers is {n!r}; allowed: whole numbers >= 1")
+        return cls(*((1 / int(n), law((k + 0.5) / int(n))) for k in range(int(n))))
+
     @property
     def sublayers(self) -> tuple[tuple[float, BulkLaw], ...]:
         return tuple(zip(self.fractions, self.laws, strict=True))
@@ -100,6 +115,16 @@ class Stack(BulkLaw):
 
     def eased(self, ease: float) -> Stack:
         return self.with_laws([law.eased(ease) for law in self.laws])
+
+    def stations(self) -> list[Station]:
+        if len(self.laws) == 1:
+            return self.laws[0].stations()
+        if self.fields:
+            raise LawError(
+                "order=1 of a Stack with parameters that are functions: the sublayers' shares of the jump would change "
+                "along S; use order=0, or mesh the layer (structure.full)"
+            )
+        return in_series(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """The same fractions with other laws, unchecked."""

@@ -219,6 +219,14 @@ def average_lame(C: Array) -> tuple[float, float]:
     return float(bulk - 2 * mu / 3), float(mu)
 
 
+def is_isotropic(C: Array) -> bool:
+    """Whether a tangent (6, 6) is that of an isotropic material."""
+    lmbda, mu = average_lame(C)
+    same = 2 * mu * np.eye(6)
+    same[:3, :3] += lmbda
+    return bool(np.abs(C - same).max() <= UNCOUPLED * np.abs(C).max())
+
+
 def in_plane_modulus(C: Array, n: Array) -> float:
     """Stiffness of a sheet against strains in its plane where its faces are free; in 3D the mean over directions.
 

@@ -65,7 +65,8 @@ class TractionLaw(Law):
     """
 
     ignored: ClassVar = (
-        *("stress", "advance", "dissipated", "holds", "otherwise", "eased", "gradient", "stiffness", "plane_stress"),
+        *("stress", "advance", "dissipated", "holds", "otherwise", "eased", "stiffness", "plane_stress"),
+        *("stations", "elastic_moduli"),
     )
 
     def __post_init__(self) -> None:

@@ -46,7 +46,6 @@ class Traits:
     Traits that follow from the methods of a law:
         has_energy: stored energy and dissipation are declared.
         eases: `eased` gives laws whose equilibrium is easier to find, for continuation.
-        relaxes: `gradient` gives the change of strain through the layer, for the interface law of order 1.
         in_series: the law can be a sublayer of a Stack.
         remembers: the law has internal variables.
         in_ufl: the equations are written in UFL.
@@ -70,7 +69,6 @@ class Traits:
     switches: bool = trait(any)
     has_energy: bool = trait(all)
     eases: bool = trait(any)
-    relaxes: bool = trait(all)
     in_series: bool = trait(all)
     remembers: bool = trait(any)
     in_ufl: bool = trait(all)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import ufl
 from ufl.classes import Zero
 
+from forms.ends.weights import EndWeights
 from forms.kinematics import Expr, jump_strain, lift
-from forms.law import BulkLaw, Step, explained, shaped
+from forms.law import BulkLaw, LawError, Step, explained, shaped
 from forms.planes import Kinematics
+from forms.stations import Faces, Station
 
-GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
 LIFTED = Kinematics()  # plane strain in 2D, all strains in 3D
 
 
@@ -68,34 +70,132 @@ class Term:
             return shaped(law, "stress", law.stress(Step(ufl.zero(3, 3), n)), (3, 3))
 
 
+def of_numbers(law: BulkLaw) -> BulkLaw:
+    """A law of numbers or UFL expressions, itself.
+
+    Raises:
+        LawError: parameters of the law are functions of the place, and the mesh is not known.
+    """
+    if law.fields:
+        raise LawError(
+            f"order=1 of {type(law).__name__} with parameters that are functions: the sides of S must know their values; "
+            "use it in a Model, or give `Interface(known=...)`"
+        )
+    return law
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of S.
+
+    Attributes:
+        restrict: gives a function's value on this side.
+        back: (d, d) gradient of the motion from S to the facet of this side, where they are apart; None: they are not.
+    """
+
+    restrict: Callable[[Expr], Expr]
+    back: Expr | None = None
+
+    def __call__(self, f: Expr) -> Expr:
+        """A function on this side."""
+        return self.restrict(f)
+
+    def gradient(self, f: Expr) -> Expr:
+        """The gradient of a function on this side; along S it is that of its values on S."""
+        gradient = self.restrict(ufl.grad(f))
+        return gradient if self.back is None else ufl.dot(gradient, self.back)
+
+
 @dataclass(frozen=True)
 class Interface:
     """The two sides of S.
 
+    S lies on the facets of the mesh; or midway between the facets of its two sides, where these are apart. The strains of a
+    layer between them are those of a shell with the fibres that lead from one to the other: rigid motions cause none.
+
     Attributes:
         measure: dS restricted to S between two bodies, ds on a rigid base.
+        x: places on S, (d,).
         n: unit normal from the lower to the upper body, (d,).
+        fibre: (d,) what leads from the lower to the upper body, of unit length along n; it is n unless these are apart.
         upper, lower: restrict a function to this side of S.
+        kinematics: those of places on S.
+        area: area of S per area of the measure.
+        known: law -> the same law with UFL expressions on S for its parameters, also for those that are functions, as
+            strains of order 1 need them.
     """
 
     measure: ufl.Measure
+    x: Expr
     n: Expr
-    upper: Callable[[Expr], Expr]
-    lower: Callable[[Expr], Expr]
+    fibre: Expr
+    upper: Side
+    lower: Side
+    kinematics: Kinematics = LIFTED
+    area: Expr = 1
+    known: Callable[[BulkLaw], BulkLaw] = of_numbers
 
     @classmethod
-    def between_bodies(cls, mesh: Any, measure: ufl.Measure) -> Interface:
-        """S inside the mesh; the measure's "+" is the upper body."""
-        return cls(measure, ufl.FacetNormal(mesh)("-"), lambda v: v("+"), lambda v: v("-"))
+    def between_bodies(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
+    ) -> Interface:
+        """S inside the mesh; the measure's "+" is the upper body.
+
+        Args:
+            mesh: the mesh.
+            measure: of the facets.
+            kinematics: of the mesh.
+            to_s: (d,) how far S is from the facets' places, on either side; None: it is there.
+        """
+        upper, lower = Side(lambda v: v("+")), Side(lambda v: v("-"))
+        if to_s is None:
+            x, n = upper(ufl.SpatialCoordinate(mesh)), ufl.FacetNormal(mesh)("-")
+            return cls(measure, x, n, n, upper, lower, kinematics)
+        return cls._apart(mesh, measure, kinematics, to_s, upper, Side(lower.restrict, _back(to_s)("-")))
 
     @classmethod
-    def on_rigid_base(cls, mesh: Any, measure: ufl.Measure) -> Interface:
-        """S on the boundary of the upper body; the base below does not move."""
-        return cls(measure, -ufl.FacetNormal(mesh), lambda v: v, lambda v: 0 * v)
+    def on_rigid_base(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None
+    ) -> Interface:
+        """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
+        upper, lower = Side(lambda v: v), Side(lambda v: 0 * v)
+        if to_s is None:
+            n = -ufl.FacetNormal(mesh)
+            return cls(measure, ufl.SpatialCoordinate(mesh), n, n, upper, lower, kinematics)
+        return cls._apart(mesh, measure, kinematics, to_s, upper, lower)
+
+    @classmethod
+    def _apart(
+        cls, mesh: Any, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: Side, lower: Side
+    ) -> Interface:
+        """S apart from the facets of the mesh, seen from the upper side, whose facets the measure is of (Nanson)."""
+        back = upper(_back(to_s))
+        N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
+        length = ufl.sqrt(ufl.dot(N, N))
+        n, x = N / length, upper(ufl.SpatialCoordinate(mesh) + to_s)
+        fibre = upper(to_s) / ufl.dot(upper(to_s), n)
+        area = length / abs(ufl.det(back))
+        return cls(measure, x, n, fibre, Side(upper.restrict, back), lower, kinematics.at(x), area)
+
+    @property
+    def factor(self) -> Any:
+        """Factor of the measure for integrals over S."""
+        return self.kinematics.factor * self.area
 
     def jump(self, v: Expr) -> Expr:
         """[v] = v(upper) - v(lower)."""
         return self.upper(v) - self.lower(v)
+
+    def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
+        """The faces of a layer of thickness eps, of gradient `slope` along S, under displacements u."""
+        along_s = ufl.Identity(len(self.n)) - ufl.outer(self.fibre, self.n)
+        upper, lower = (ufl.dot(side.gradient(u), along_s) for side in (self.upper, self.lower))
+        mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2)
+        return Faces(self.n, eps, self.jump(u), upper - lower, mean, self.kinematics, slope)
+
+
+def _back(to_s: Expr) -> Expr:
+    return ufl.inv(ufl.Identity(len(to_s)) + ufl.grad(to_s))
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED, volume: int | None = None) -> Term:
@@ -108,15 +208,15 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = L
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
-def of_jumps(law: BulkLaw, sides: Interface, kinematics: Kinematics = LIFTED) -> Term:
+def of_jumps(law: BulkLaw, sides: Interface) -> Term:
     """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
     return Term(
         law,
         lambda u: jump_strain(sides.jump(u), sides.n),
-        kinematics.factor,
+        sides.factor,
         sides.measure,
         sides.n,
-        kinematics=kinematics,
+        kinematics=sides.kinematics,
     )
 
 
@@ -125,60 +225,47 @@ def surface(
     sides: Interface,
     eps: Expr,
     order: int = 0,
-    kinematics: Kinematics = LIFTED,
-    relaxed: BulkLaw | None = None,
+    given: Expr | None = None,
+    slope: Expr | None = None,
+    ends: EndWeights | None = None,
 ) -> list[Term]:
     """A layer's law on S.
 
-    Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: the strain grows linearly through the layer,
-    e0 + z e1 at the two Gauss points z = -+1/(2 sqrt 3), weight eps/2 each, with e0 = sym([u] (x) n)/eps + sym(grad_S <u>),
-    e1 = `BulkLaw.gradient` of sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the
-    thickness integral of eps e0:C:e0/2 + eps/12 e1:C:e1/2.
-
-    Laws with a pressure have at order 1 the strain e0 of weight eps, the part in S of sym(grad_S [u]) of weight eps/12 with
-    their law of plane stress, as the faces' difference does not change the tractions, and the pressure's flow along S.
+    Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: a term for each of the law's stations through the
+    thickness (`BulkLaw.stations`), of weight eps times its share. By default these are two Gauss points: the strain grows
+    linearly through the layer, e0 + z e1 at z = -+1/(2 sqrt 3), with e0 = sym([u] (x) n)/eps + sym(grad_S <u>), e1 =
+    sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the thickness integral of
+    eps e0:C:e0/2 + eps/12 e1:C:e1/2.
 
     Args:
         law: the law, with real parameters.
         sides: the sides of S.
         eps: the thickness.
         order: of the interface law.
-        kinematics: of the displacements.
-        relaxed: the law whose `gradient` is taken (default: `law`), with expressions on S where the law's parameters are
-            functions.
+        given: strain (3, 3), uniform through the layer, beside that of the displacements (`Term.given`).
+        slope: gradient (d,) of the thickness along S; None: it is uniform.
+        ends: weights of free ends, for the stations of laws that know them; None: of an infinite layer.
+
+    Raises:
+        LawError: there is no law of order 1.
     """
-    relaxed = relaxed or law
-
-    def jump_part(u: Expr) -> Expr:
-        return jump_strain(sides.jump(u), sides.n) / eps
-
+    n, d, weight = sides.n, len(sides.n), sides.factor * eps
+    term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
-        return [Term(law, jump_part, kinematics.factor * eps, sides.measure, sides.n, kinematics=kinematics)]
+        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, given=given)]
+    held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics)
 
-    def along(u: Expr) -> tuple[Expr, Expr]:
-        upper, lower = (kinematics.along(u, side, sides.n) for side in (sides.upper, sides.lower))
-        return (upper + lower) / 2, upper - lower
+    def at(station: Station) -> Term:
+        known = sides.known(station.law)
+        return term(
+            station.law,
+            lambda u: station.strain(known, sides.faces(u, eps, slope)),
+            weight * station.share,
+            given=None if given is None else station.strain(known, held),
+            flow=eps**3 * station.flow(known),
+        )
 
-    def term(law: BulkLaw, strain: Callable[[Expr], Expr], share: float, flow: Any = 0) -> Term:
-        weight = kinematics.factor * eps * share
-        return Term(law, strain, weight, sides.measure, sides.n, kinematics=kinematics, flow=flow)
-
-    if law.traits.constrained:
-        in_s = ufl.Identity(3) - ufl.outer(lift(sides.n), lift(sides.n))
-        flow = eps**3 / (12 * law.parameters()["mu"])
-        return [
-            term(law, lambda u: jump_part(u) + along(u)[0], 1, flow),
-            term(law.plane_stress(), lambda u: in_s * along(u)[1] * in_s, 1 / 12),
-        ]
-
-    def at(z: float) -> Callable[[Expr], Expr]:
-        def point_strain(u: Expr) -> Expr:
-            mean, difference = along(u)
-            return jump_part(u) + mean + z * relaxed.gradient(difference, sides.n)
-
-        return point_strain
-
-    return [term(law, at(z), 1 / 2) for z in GAUSS]
+    return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 
 def stress(term: Term, u: Expr) -> Expr:

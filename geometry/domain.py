@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from geometry.compat import create_mesh
+from geometry.compat import create_mesh, with_cell_points
 from geometry.errors import GeometryError, unknown
 from geometry.facets import facets_of_cells, vertices_of_facets
 from geometry.joint import Joint
@@ -61,6 +61,8 @@ class Domain:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
         mesh = create_mesh(comm, joint.points, joint.cells, joint.cell_type)
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
+        if joint.parted is not None:
+            mesh = with_cell_points(mesh, joint.parted[original])
         numbers = np.arange(len(original), dtype=np.int32)
         cell_tags = dolfinx.mesh.meshtags(mesh, joint.dim, numbers, (joint.region[original] + 1).astype(np.int32))
         rows, combination, values = _name_combinations(joint)

@@ -91,6 +91,8 @@ class Joint:
         seams: name of a seam -> which of its sides is the upper one. A single seam is named "S"; of several none is.
         band: how the layer was meshed; None while S is a surface.
         periods: which sides are identified with each other, if the joint is a cell that repeats; None: none are.
+        parted: (n_cells, k, d) places of the nodes of each cell where bodies have made room for layers that have no cells,
+            see `inflating.parting`; None: they are at `points`.
 
     Raises:
         GeometryError: a seam is missing, empty or not oriented, or shares a facet with another one; a set of facets is
@@ -107,6 +109,7 @@ class Joint:
     seams: Mapping[str, Seam]
     band: Band | None = field(default=None, repr=False)
     periods: Periods | None = None
+    parted: FloatArray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.cell_type not in CELL_TYPES:
@@ -192,6 +195,11 @@ class Joint:
     def corners(self) -> IntArray:
         """(n_cells, k) vertices of each cell."""
         return self.cells[:, : corner_count(self.cell_type)]
+
+    @property
+    def cell_points(self) -> FloatArray:
+        """(n_cells, k, d) places of the nodes of each cell."""
+        return self.points[self.cells] if self.parted is None else self.parted
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -404,10 +412,11 @@ class Joint:
 
     def identity(self) -> dict[str, Any]:
         """Identity of the joint, as JSON: counts and hashes of its cells, places, regions and named facets."""
-        weights = np.cos(np.arange(self.points.size)).reshape(self.points.shape)
+        x = self.points if self.parted is None else np.concatenate([self.points, np.concatenate(self.parted)])
+        weights = np.cos(np.arange(x.size)).reshape(x.shape)
         return {
             "cells": len(self.cells),
-            "coordinates": [float(f"{(self.points * w).sum():.8g}") for w in (weights, weights**2)],
+            "coordinates": [float(f"{(x * w).sum():.8g}") for w in (weights, weights**2)],
             "mesh": _digest(self.cells, self.region),
             "regions": list(self.regions),
             "seams": {name: [list(s.lower), list(s.upper), s.direction] for name, s in self.seams.items()},

@@ -12,8 +12,8 @@ from forms import LinearElastic
 from tests.meshes import upper_cells
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
+from thinlayer.ranges.excess import pressure_excess
 from thinlayer.ranges.faces import Faces
-from thinlayer.ranges.pressure import pressure_excess
 from thinlayer.ranges.sublayers import sublayers_of
 
 STIFF = LinearElastic.young(1e5, 0.3)
@@ -38,7 +38,7 @@ def opened(model, upper):
 
 def excess(model, upper):
     (layer,) = sublayers_of(model.layers["S"])
-    return pressure_excess(opened(model, upper), layer)
+    return pressure_excess(opened(model, upper), layer).work
 
 
 def strip_excess(x):

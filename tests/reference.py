@@ -48,7 +48,11 @@ def next_order(lmbda: float, mu: float, eps: float, locked: bool = False) -> np.
     e1 = np.array(
         [[K, 0, 0, 0], [0, 0, 0, 0], [0, -K, 0, 0]] if locked else [[K, 0, 0, 0], [-lmbda * K / M, 0, 0, 0], [0] * 4]
     )
-    energy = eps * e0.T @ C @ e0 + eps / 12 * e1.T @ C @ e1
+    return across(eps * e0.T @ C @ e0 + eps / 12 * e1.T @ C @ e1)
+
+
+def across(energy: np.ndarray) -> np.ndarray:
+    """Transfer across an interface law from twice its energy (4, 4) in jumps and means (U, V), over half a wave."""
     faces = np.block([[-np.eye(2), np.eye(2)], [np.eye(2) / 2, np.eye(2) / 2]])  # jumps and means of (lower, upper)
     stiffness = faces.T @ energy @ faces
     below, across, above = stiffness[:2, :2], stiffness[:2, 2:], stiffness[2:, 2:]
@@ -58,13 +62,60 @@ def next_order(lmbda: float, mu: float, eps: float, locked: bool = False) -> np.
 
 def next_order_errors(lmbda: float, mu: float, eps: float, locked: bool = False) -> tuple[float, float]:
     """Errors as in `sweep_errors` of the law of order 1, for moduli per thickness, in kept geometry."""
-    body, layer = expm(strip(*BODY) * HEIGHT), expm(strip(lmbda * eps, mu * eps) * eps)
-    limit = next_order(lmbda * eps, mu * eps, eps, locked)
-    found = []
+    layer = expm(strip(lmbda * eps, mu * eps) * eps)
+    return errors(layer, next_order(lmbda * eps, mu * eps, eps, locked))[:2]
+
+
+def errors(layer: np.ndarray, limit: np.ndarray) -> tuple[float, float, float]:
+    """Relative errors of traction, jump and compliance that a law's transfer leaves in kept geometry."""
+    body, found = expm(strip(*BODY) * HEIGHT), []
     for between in (layer, limit):
-        _, below, above, _ = clamped(body, between, body)
-        found.append(((below[2:] + above[2:]) / 2, (above - below)[:2]))
+        _, below, above, top = clamped(body, between, body)
+        found.append(((below[2:] + above[2:]) / 2, (above - below)[:2], TOP @ top[:2]))
     return tuple(float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in zip(*found, strict=True))
+
+
+def stacked(sublayers: list, eps: float) -> np.ndarray:
+    """Transfer through sublayers (fraction, lmbda, mu), from the lower to the upper one, with moduli per thickness."""
+    layer = np.eye(4)
+    for a, lmbda, mu in sublayers:
+        layer = expm(strip(lmbda * eps, mu * eps) * a * eps) @ layer
+    return layer
+
+
+def in_series(sublayers: list, eps: float, way: str = "") -> np.ndarray:
+    """Transfer across the interface law of order 1 of such sublayers, at two Gauss points in each.
+
+    Displacements are <u> + Phi [u], Phi from -1/2 to 1/2 in proportion to the compliances. Strains are such that tractions
+    are equal in all sublayers; "straight": those of these displacements alone; "no moments": as if the means of Phi and of
+    lmbda/(lmbda + 2 mu) Phi were zero, as in a symmetric stack.
+    """
+    M = 1 / sum(a / (lmbda + 2 * shear) for a, lmbda, shear in sublayers)
+    mu = 1 / sum(a / shear for a, _, shear in sublayers)
+    phi_n = phi_t = -0.5
+    points, A, B, r = [], 0.0, 0.0, 0.0
+    for a, lmbda, shear in sublayers:
+        stiff, lateral = lmbda + 2 * shear, lmbda / (lmbda + 2 * shear)
+        across_n, across_t = a * M / stiff, a * mu / shear
+        A, B = A + a * lateral * (phi_t + across_t / 2), B + a * (phi_n + across_n / 2)
+        r += a * lateral
+        for y in (0.5 - 12**-0.5, 0.5 + 12**-0.5):
+            points.append((a, lmbda, shear, M / stiff, mu / shear, phi_n + y * across_n, phi_t + y * across_t))
+        phi_n, phi_t = phi_n + across_n, phi_t + across_t
+    if way == "no moments":
+        A = B = 0.0
+    opening, turned = np.array([K * A, 1 / eps, K * r, 0]), np.array([1 / eps, -K * B, 0, -K])
+    energy = np.zeros((4, 4))
+    for a, lmbda, shear, s_n, s_t, p_n, p_t in points:
+        e_11 = np.array([K * p_t, 0, K, 0])
+        e_22 = s_n * opening - lmbda / (lmbda + 2 * shear) * e_11
+        gamma = s_t * turned
+        if way == "straight":
+            e_22, gamma = np.array([0, s_n / eps, 0, 0]), np.array([s_t / eps, -K * p_n, 0, -K])
+        C = eps * np.array([[lmbda + 2 * shear, lmbda, 0], [lmbda, lmbda + 2 * shear, 0], [0, 0, shear]])
+        e = np.array([e_11, e_22, gamma])
+        energy += a * eps / 2 * e.T @ C @ e
+    return across(energy)
 
 
 def clamped(*factors: np.ndarray) -> list[np.ndarray]:

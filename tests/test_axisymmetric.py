@@ -250,7 +250,7 @@ def _rods(**options):
         (lambda: structure(tubes(r_S=0.0, inner=1.5).moved((-1.0, 0.0)), {}), "allowed: x >= 0"),
         (lambda: structure(sandwich(1, 1, 1, 0.5, depth=0.5), {}), "plane='axisymmetric' needs a two-dimensional joint"),
         (lambda: _tubes().full(ThinLayer(GLUE, EPS)), r"cannot move away from its axis; use bodies='extended'"),
-        (lambda: _tubes().interface(ThinLayer(GLUE, EPS, order=1)), "order=1 needs an S across the axis"),
+        (lambda: _tubes().interface(ThinLayer(GLUE, EPS, order=1)), "order=1 on an S that is not across the axis"),
         (lambda: solve(structure(rods(), {"LEFT": {"x": 0.1}, "BOTTOM": 0}).bonded()), "on the axis of revolution x = 0"),
         (lambda: _rods(tractions={"LEFT": (1.0, 0.0)}).bonded(), "are the axis of revolution"),
         (lambda: _rods(parts=[Springs("LEFT", normal=1.0)]).bonded(), "springs on 'LEFT': these facets are the axis"),

@@ -149,8 +149,11 @@ def test_free_ends():
 def test_refused():
     joint, layer = sandwich(1.0, 0.5, 0.5, 0.25), ThinLayer(FOURIER_LAYER, 0.1, order=1)
     setup = {"body": FOURIER_LAYER, "supports": {"BOTTOM": 0.0}}
-    with pytest.raises(ModelError, match="order=1 needs bodies='kept'"):
-        Structure(joint, **setup).full(layer, bodies="extended")
+    full, limit = (Structure(joint, **setup) for _ in range(2))
+    with pytest.raises(
+        ModelError, match="order=1: bodies are extended in the full model and kept in the interface model"
+    ):
+        compare(solve(full.full(layer, bodies="extended")), solve(limit.interface(layer)))
     for build in (Structure.full, Structure.interface):
         with pytest.raises(ModelError, match="order=1 needs elements of degree 2"):
             build(Structure(joint, **setup, element="P1"), layer)

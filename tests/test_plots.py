@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
 
 from tests.contact_bars import bar, coulomb
-from thinlayer import Table, plotting
+from thinlayer import ModelError, Table, plotting
 
 
 def test_rates_have_the_slope_they_say():
@@ -34,3 +35,26 @@ def test_contact_along_s():
     edges = np.concatenate([s[:1], (s[1:] + s[:-1]) / 2, s[-1:]])
     assert [patch.get_x() for patch in strip.patches] == pytest.approx(edges[:-1])
     assert [patch.get_width() for patch in strip.patches] == pytest.approx(np.diff(edges))
+
+
+def test_maps_have_a_colour_for_each_range():
+    """Cells by the range of their value, the first row lowest, with their texts; what is no number stays white."""
+    values = [[0.5, 1.5, np.nan], [2.5, 0.2, 7.0]]
+    texts = [["a", "b", ""], ["c", "d", "e"]]
+    given = {"x": ["1", "2", "3"], "y": ["low", "high"], "xlabel": "x", "ylabel": "y"}
+    picture = plotting.maps({"one": values}, texts={"one": texts}, levels=(1, 2), names=list("LMH"), **given)
+    (axes,) = picture.axes
+    (mesh,) = axes.collections
+    colours = mesh.to_rgba(mesh.get_array()).reshape(2, 3, 4)
+    low, middle, high = (to_rgba(patch.get_facecolor()) for patch in picture.legends[0].get_patches())
+    assert colours[0, :2].tolist() == [list(low), list(middle)]
+    assert colours[1].tolist() == [list(high), list(low), list(high)]
+    assert colours[0, 2, 3] == 0
+    assert {text.get_text(): text.get_position() for text in axes.texts} == {
+        "a": (0.5, 0.5), "b": (1.5, 0.5), "": (2.5, 0.5), "c": (0.5, 1.5), "d": (1.5, 1.5), "e": (2.5, 1.5)
+    }  # fmt: skip
+    for wrong in ({"levels": (2, 1)}, {"names": ["L", "H"]}, {"x": ["1", "2"]}, {"texts": {}}):
+        with pytest.raises(ModelError, match="maps"):
+            plotting.maps(
+                {"one": values}, **({"texts": {"one": texts}, "levels": (1, 2), "names": list("LMH")} | given | wrong)
+            )

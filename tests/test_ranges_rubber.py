@@ -127,7 +127,7 @@ def test_rubber_is_told_before_and_after():
     eps = 1 / 16
     for nu, before, after in (
         (0.3, None, None),
-        (0.45, "1.12", None),
+        (0.45, "1.12", "1.12"),
         (0.49, "1.34", "1.34"),
         (0.4999, "20.7", "20.6"),
     ):

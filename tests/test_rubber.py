@@ -209,14 +209,14 @@ def test_free_ends():
         ({"LEFT": {"x": 0.0}}, (False, True)),
         ({"LEFT/LAYER": 0.0}, (False, True)),
     ):
-        structure = Structure(joint, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}, **sides})
+        structure = Structure(joint, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}, **sides})
         state, said = told(lambda structure=structure: solve(structure.interface(layer)))
         assert said == []
         x = state.p.function_space.tabulate_dof_coordinates()[:, 0]
         ends = np.abs(state.p.x.array[[np.argmin(x), np.argmax(x)]]) < 1e-12 * np.abs(state.p.x.array).max()
         assert tuple(ends) == zero
     coarse = sandwich(1.0, 0.5, 0.5, 1 / 8)
-    structure = Structure(coarse, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}})
+    structure = Structure(coarse, body=stiff, supports={"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}})
     thin = ThinLayer(Rubber.shear(1.0, 0.3).per_thickness(eps), eps, order=1)
     _, said = told(lambda: solve(structure.interface(thin)))
     assert len(said) == 1
@@ -225,7 +225,7 @@ def test_free_ends():
 
 def test_one_free_end_at_the_origin():
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=1 / 40).moved((-1.0, 0.0))
-    held = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": 0.01}, "LEFT": {"x": 0.0}}
+    held = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": -0.01}, "LEFT": {"x": 0.0}}
     layer = ThinLayer(Rubber.shear(1.0, 0.49).per_thickness(1 / 16), 1 / 16, order=1)
     p = solve(Structure(joint, body=LinearElastic.young(1e5, 0.3), supports=held).interface(layer)).p
     x = p.function_space.tabulate_dof_coordinates()[:, 0]
@@ -257,7 +257,9 @@ def test_refused():
     tip = partly(joint, lambda x: x[:, 0] < 0.5)
     with pytest.raises(ModelError, match="end inside the bodies"):
         Structure(tip, **setup).interface(layer)
-    with pytest.raises(LawError, match=r"lmbda is .*function.*allowed: a number"):
-        Rubber(lambda x: 1 + x[0], 1.0)
+    negative = ThinLayer(Rubber(lambda x: 90.0 - 100 * x[0], 3.0), 0.1, order=1)
+    for build in (Structure.full, Structure.interface):
+        with pytest.raises(LawError, match=r"lmbda is -.*allowed: > 0.*, at x = "):
+            build(Structure(joint, **setup), negative)
     with pytest.raises(ModelError, match="Rubber is for layers"):
         Structure(joint, **setup | {"body": Rubber(2.0, 1.0)})

@@ -36,6 +36,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.ensemble import ensemble
     from thinlayer.output.homogenised import homogenised_stiffness
     from thinlayer.output.layer_report import LayerReport
+    from thinlayer.output.pressure_report import PressureReport
     from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
@@ -70,6 +71,7 @@ _NAMES = {
     "output.contact_report": ["ContactReport"],
     "output.homogenised": ["homogenised_stiffness"],
     "output.layer_report": ["LayerReport"],
+    "output.pressure_report": ["PressureReport"],
     "output.probe": ["Probe"],
     "output.surface": ["Surface"],
     "output.ensemble": ["ensemble"],

@@ -19,8 +19,6 @@ from forms.tangent import (
 )
 from thinlayer.errors import ModelError
 
-LOCKING = 12.0  # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
-
 
 class AtRest:
     """The law of a layer, or those of its sublayers, under small strains from rest.
@@ -35,7 +33,7 @@ class AtRest:
     """
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
-        self.n = n
+        self.law, self.n = law, n
         self.sublayers = [
             (share, one, tangent_at_rest(one, n) if is_checked_at_rest(one) else one.stiffness(n))
             for share, one in law.sublayers
@@ -61,16 +59,24 @@ class AtRest:
 
     def require_no_locking(self) -> None:
         """Raise ModelError for laws of order 1 that would lock because displacements are linear through the layer."""
-        _, law, C = self.sublayers[0]
-        if law.traits.relaxes or law.traits.constrained or C is None:
-            return
-        lmbda, mu = average_lame(C)
-        if lmbda > LOCKING * mu:
-            raise ModelError(
-                f"order=1 of {type(law).__name__} with lmbda/mu = {lmbda / mu:.4g} at rest (nu = "
-                f"{lmbda / (lmbda + mu) / 2:.4g}); allowed: at most {LOCKING:g} (nu = {LOCKING / (LOCKING + 1) / 2:.4f}), "
-                "beyond which the next term locks; use order=0, the meshed layer (structure.full), or LinearElastic"
-            )
+        largest = min(station.largest_ratio for station in self.law.stations())
+        for _, law, C in self.sublayers:
+            lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
+            if lmbda > largest * mu:
+                if law.traits.remembers or law.traits.rate:
+                    remedy = (
+                        "use order=0 or the meshed layer (structure.full): Rubber, whose pressure flows along S, has no "
+                        "such law, as its flow would have a memory and rate, too"
+                    )
+                else:
+                    remedy = (
+                        "use order=0, the meshed layer (structure.full), or Rubber or LinearElastic if it is isotropic"
+                    )
+                raise ModelError(
+                    f"order=1 of {type(law).__name__} with lmbda/mu = {lmbda / mu:.4g} at rest (nu = "
+                    f"{lmbda / (lmbda + mu) / 2:.4g}); allowed: at most {largest:g} (nu = "
+                    f"{largest / (largest + 1) / 2:.4f}), beyond which the next term locks; {remedy}"
+                )
 
     def zero_tractions(self, planar: bool, moving: bool) -> tuple[npt.NDArray[np.bool_], bool]:
         """Which tractions are zero because supports of both bodies hold the jump at zero.

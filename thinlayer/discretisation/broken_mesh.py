@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import basix.ufl
@@ -15,7 +16,7 @@ from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
-from forms.law import LawError
+from forms.law import BulkLaw, LawError
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
@@ -25,7 +26,8 @@ from thinlayer.compiling.compat import interior_facet_entities
 from thinlayer.discretisation.axis import ON_AXIS
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.contact_nodes import ContactSurface
-from thinlayer.discretisation.layer import ThinLayer, constants, real_law
+from thinlayer.discretisation.layer import ThinLayer, for_terms, real_law
+from thinlayer.discretisation.placed import known_at
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
 from thinlayer.parallel.communicator import communicator
@@ -134,8 +136,8 @@ class BrokenMesh:
         self._require(tag)
         if tag in self._bases:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
-            return Interface.on_rigid_base(self.mesh, ds(tag))
-        return Interface.between_bodies(self.mesh, self.dS(tag))
+            return Interface.on_rigid_base(self.mesh, ds(tag), self.kinematics)
+        return Interface.between_bodies(self.mesh, self.dS(tag), self.kinematics)
 
     def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
         """The terms of a layer's law on the facets of S with a tag: for `work`, or for `StepProblem`.
@@ -145,7 +147,8 @@ class BrokenMesh:
             layer: the law and the thickness; a law of jumps (`TractionLaw`) may stand alone.
 
         Raises:
-            LawError: a law of contact (see `contact_surface`), or one that needs a pressure of its own.
+            LawError: a law of contact (see `contact_surface`), or one that needs a pressure of its own; order 1 of a
+                thickness that varies.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
             raise LawError(
@@ -155,13 +158,17 @@ class BrokenMesh:
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
+        if thin and thin.order and thin.profile is not None:
+            raise LawError(
+                "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
+                "use order=0, or Structure.interface(layer, bodies='extended')"
+            )
         sides, eps = self.interface(tag), fem.Constant(self.mesh, float(thin.eps) if thin else 1.0)
         if thin and thin.profile is not None:
             eps = eps * sides.upper(self._relative_thickness(thin.profile))
-        if law.fields and thin and thin.order and law.traits.relaxes:
-            raise LawError(f"order=1 of {type(law).__name__} with parameters that are functions: use it in a Model")
-        known = law.for_points() if law.fields else law if law.traits.compiled else constants(law, self.mesh)
-        return surface(known, sides, eps, thin.order if thin else 0, self.kinematics)
+        sides = replace(sides, known=partial(self._law_on, tag))
+        terms = surface(law, sides, eps, thin.order if thin else 0)
+        return [replace(term, law=for_terms(term.law, self.mesh)) for term in terms]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
         """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.
@@ -188,6 +195,20 @@ class BrokenMesh:
     def _require(self, tag: int) -> None:
         if tag not in self._tags:
             raise ModelError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
+
+    def _law_on(self, tag: int, law: BulkLaw) -> BulkLaw:
+        """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
+        P1, upper, on_s = fem.functionspace(self.mesh, ("Lagrange", 1)), self.interface(tag).upper, {}
+        facets = self.facet_tags.find(tag)
+        dofs = fem.locate_dofs_topological(P1, self._dim - 1, facets)
+        with on_all(self.comm):
+            found = law.fields_at(P1.tabulate_dof_coordinates()[dofs, : self._dim].T)
+        for name, values in found.items():
+            f = fem.Function(P1)
+            f.x.array[dofs] = values
+            f.x.scatter_forward()
+            on_s[name] = upper(f)
+        return known_at(law, self.mesh, on_s)
 
     def _relative_thickness(self, profile: Profile) -> fem.Function:
         """A profile at the vertices, linear in between."""

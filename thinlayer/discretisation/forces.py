@@ -33,14 +33,14 @@ class Weighted:
 
     Attributes:
         measure: of its cells, or of its seam.
-        weight: factor of the measure: 1, or the thickness.
+        weight: factor of the measure, times the thickness on S.
         value: how a function of place and time is taken there.
         mean: mean over the thickness of displacements there.
         on_base: the part of this mean that is of a rigid base, for motions that move it as well; None: there is no base.
     """
 
     measure: ufl.Measure
-    weight: Expr = 1
+    weight: Expr
     value: Callable[[Expr], Expr] = lambda f: f
     mean: Callable[[Expr], Expr] = lambda v: v
     on_base: Callable[[Expr], Expr] | None = None
@@ -92,6 +92,8 @@ class Forces:
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             self._warn_of_gaps(name)
             side = f"{name.split('/')[0]}/{LAYER}"
+            if side not in tractions:
+                self._refuse_end(name, side)
             if side not in tractions and (share := self._share(name)):
                 what, loaded, _ = self._loads[-1]
                 self._loads.append((what, share * loaded, ds(domain.values(side))))
@@ -103,17 +105,18 @@ class Forces:
             self._concentrated += [(one.what, density, measure) for density, measure in forms().terms(one)]
         self._everywhere = dx
 
-    def add_layer(self, name: str, load: Load, places: Sequence[Weighted]) -> None:
+    def add_layer(self, name: str, load: Load, places: Sequence[Weighted], at: Coordinates) -> None:
         """Add a force per volume of a layer.
 
         Args:
             name: of its seam.
             load: the force.
             places: where the layer is: its weight, and how the work of displacements there is told, see `Weighted`.
+            at: coordinates there, with the time of the other loads.
         """
         what = f"body force in the layer {name!r}"
         self.given[what] = load
-        force = vector(load, self.at, self.domain.joint.dim, what)
+        force = vector(load, at, self.domain.joint.dim, what)
         for one in places:
             self._in_layers.append((what, one.value(force) * one.weight, one))
             self._seams.append(name)
@@ -159,6 +162,15 @@ class Forces:
                     "the load is smaller than the interface model's. Use bodies='kept'",
                     self.domain.comm,
                 )
+
+    def _refuse_end(self, name: str, side: str) -> None:
+        """Raise ModelError if bodies gave up a part of a loaded face to the side of a layer without cells."""
+        joint, whole = self.domain.joint, name.split("/")[0]
+        if joint.parted is not None and whole in joint.facets and Sheet(joint).rim.on(joint.facets[whole]).any():
+            raise ModelError(
+                f"traction on {name!r}: S ends there, and bodies='extended' gave a part of this face to the side of the "
+                f"layer, which has no facets to carry it; give {side!r} a traction of its own, zero if that side is free"
+            )
 
     def _share(self, name: str) -> float:
         """Share of a traction on bodies that also acts on the layer's side: the room that these bodies gave up.
@@ -215,7 +227,7 @@ class Forces:
         for _, load, measure in self._concentrated:
             form += ufl.inner(load, v) * measure
         for _, load, one in self._in_layers:
-            form += ufl.inner(load, one.mean(v)) * self._kinematics.factor * one.measure
+            form += ufl.inner(load, one.mean(v)) * one.measure
         return moment.of(form)
 
     def work_on_bases(self, v: Expr, moment: Moment) -> dict[str, Expr]:
@@ -223,7 +235,7 @@ class Forces:
         found: dict[str, Expr] = {}
         for name, (_, load, one) in zip(self._seams, self._in_layers, strict=True):
             if one.on_base:
-                work = ufl.inner(load, one.on_base(v)) * self._kinematics.factor * one.measure
+                work = ufl.inner(load, one.on_base(v)) * one.measure
                 found[name] = found[name] + work if name in found else work
         return {name: moment.of(form) for name, form in found.items()}
 

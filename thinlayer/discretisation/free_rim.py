@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet
+from geometry.topology import FloatArray
 from thinlayer.discretisation.axis import on_axis
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
@@ -33,19 +32,27 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
     return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
 
 
-def fall_of_pressure(one: SeamLayer) -> float:
-    """Length eps sqrt(lmbda/(12 mu)) over which the pressure of a law with a pressure falls to zero at free ends."""
+def fall_of_pressure(one: SeamLayer, rim: Rim) -> FloatArray:
+    """Lengths (n,) over which the pressure of a layer of order 1 falls to zero at free ends.
+
+    They are eps sqrt(lmbda/(12 mu)), infinite where the volume stays the same.
+    """
     assert one.thin
-    law = real_law(one.layer, one.structure.kinematics)
-    compliance = 12 * law.parameters()["mu"] * law.volume_compliance
-    return float(one.thin.eps) / math.sqrt(compliance) if compliance else math.inf
+    joint, law = one.structure.joint, real_law(one.layer, one.structure.kinematics)
+    laws = law.at_places(joint.points[rim.vertices].mean(axis=1).T) if law.fields else [law] * len(rim.vertices)
+    squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
+    relative = joint.relative_thickness(one.thin.profile, one.name)[rim.vertices].mean(axis=1)
+    with np.errstate(divide="ignore"):
+        return np.asarray(one.thin.eps * relative / np.sqrt(squares))
 
 
-def free_of_pressure(model: Model, one: SeamLayer) -> Rim:
-    """The free ends where the pressure of a layer of order 1 is zero: cells there resolve its fall (`fall_of_pressure`).
+def free_of_pressure(model: Model, one: SeamLayer) -> tuple[Rim, Rim, FloatArray]:
+    """The free ends where the pressure of a layer of order 1 is zero, those where it is not, and its fall at the latter.
 
-    Where cells are larger there is no flow across the end instead, as if it were held: a pressure of zero at the end would
-    be too small over a whole cell.
+    Where cells are larger than its fall (`fall_of_pressure`) there is no flow across the end, as if it were held: a
+    pressure of zero at the end would be too small over a whole cell.
     """
     rim = free_rim(model, one.sheet)
-    return rim[rim.depth <= fall_of_pressure(one)]
+    fall = fall_of_pressure(one, rim)
+    fine = rim.depth <= fall
+    return rim[fine], rim[~fine], fall[~fine]

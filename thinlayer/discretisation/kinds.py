@@ -19,13 +19,15 @@ from forms.tangent import needs_director
 from geometry.errors import unknown
 from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
+from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
+from thinlayer.discretisation.end_weights import end_weights, require_free_ends
 from thinlayer.discretisation.forces import Weighted
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
-from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, gaps_of, real_law
-from thinlayer.discretisation.loads import Load
+from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
+from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.placed import known_at
@@ -34,7 +36,9 @@ from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all
+from thinlayer.pointwise.quadrature import quadrature_degree
 
+AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
@@ -61,7 +65,7 @@ class LayeredModel(Model):
         new.layer = layer
         new._lay(layer, partial(new._check_beside, self))
         with on_all(self.comm):
-            new.given_on = {name: one.given(self.coordinates) for name, one in new.layers.items()}
+            new.given_on = {name: new._given_on(one) for name, one in new.layers.items()}
         new.layer_terms = new._strained(new._terms_of_layers())
         with on_all(self.comm):
             new.forces = new._forces(new.structure)
@@ -164,9 +168,7 @@ class FullModel(LayeredModel):
         layer = one.layer
         if isinstance(layer, LawOnS):
             raise ModelError(f"{type(layer).__name__} is a law of jump and traction: it has no meshed layer")
-        one.check()
-        if layer.order == 1 and self._bodies != "kept":
-            raise ModelError("order=1 needs bodies='kept': on extended bodies its energy has no lower bound")
+        one.check(self._bodies)
         if layer.law.traits.softens:
             raise ModelError(
                 f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
@@ -226,7 +228,8 @@ class FullModel(LayeredModel):
         band = self.domain.joint.band
         assert band is not None
         shared = [region for region, seam in band.junctions.items() if seam == one.name]
-        return [Weighted(self.dx(self.domain.cell_values(*band.of_seam[one.name], *shared)))]
+        cells = self.dx(self.domain.cell_values(*band.of_seam[one.name], *shared))
+        return [Weighted(cells, self.kinematics.factor)]
 
 
 class InterfaceModel(LayeredModel):
@@ -235,17 +238,67 @@ class InterfaceModel(LayeredModel):
     name = "interface"
     broken = True
 
-    def __init__(self, structure: Setup, layer: Layers) -> None:
-        self.layer = layer
-        super().__init__(structure, layer)
+    def __init__(self, structure: Setup, layer: Layers, *, bodies: str = "kept") -> None:
+        self.layer, self._bodies = layer, bodies
+        super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
     def _checked(self) -> Joint:
-        self._check_beside(self)
-        return self.joint
+        check_layering(1, self._bodies)
+        self._check_layers()
+        if self._bodies == "kept":
+            return self.joint
+        if self.joint.seams_meet:
+            raise ModelError(
+                "bodies='extended' of an interface model needs seams that do not meet or branch: S has no middle there"
+            )
+        thin = {name: one.thin for name, one in self.layers.items() if one.thin}
+        if len(thin) < len(self.joint.seams):
+            missing = next(name for name in self.joint.seams if name not in thin)
+            raise ModelError(
+                f"bodies='extended' of an interface model: {missing!r} has no ThinLayer, so that no thickness tells where "
+                "bodies are; use bodies='kept'"
+            )
+        joint = parted(
+            self.joint,
+            {name: layer.eps for name, layer in thin.items()},
+            profile={name: layer.profile for name, layer in thin.items()},
+        )
+        require_revolution(self.structure.kinematics, joint)
+        return joint
+
+    def _check_layers(self) -> None:
+        for one in self.layers.values():
+            one.check(self._bodies)
+            if one.thin and one.thin.edges:
+                require_free_ends(one, self._bodies)
 
     def _check_beside(self, other: Self) -> None:
-        for one in self.layers.values():
-            one.check()
+        self._check_layers()
+        if self._bodies == "kept":
+            return
+        for name, one in self.layers.items():
+            shapes = [_shape(self.joint, each.thin) for each in (one, other.layers[name])]
+            if shapes[0] != shapes[1]:
+                raise ModelError(
+                    f"the bodies have made room for a layer {name!r} of (thickness, profile) {shapes[1]}, not {shapes[0]}; "
+                    "make a model of its own, structure.interface(layer, bodies='extended')"
+                )
+
+    @cached_property
+    def _to_s(self) -> fem.Function | None:
+        """(d,) how far S is from the facets' places on either side; None: it is there."""
+        joint = self.domain.joint
+        if joint.parted is None:
+            return None
+        return cellwise(self.domain, ("DG", joint.degree, (joint.dim,)), to_middle(joint))
+
+    def _coordinates_on(self, at: Coordinates) -> Coordinates:
+        """Coordinates of the places of S, for functions that are then restricted to a side."""
+        return at if self._to_s is None else replace(at, x=at.x + self._to_s)
+
+    def _given_on(self, one: SeamLayer) -> Expr | None:
+        given = one.given(self._coordinates_on(self.coordinates))
+        return given if given is None or self._to_s is None else self.sides_of(one.name).upper(given)
 
     @cached_property
     def dS(self) -> ufl.Measure:
@@ -269,11 +322,13 @@ class InterfaceModel(LayeredModel):
         names = tuple(joint.seams) if name == S else (name,)
         based = [one in joint.base_seams for one in names]
         if all(based):
-            return forms.Interface.on_rigid_base(mesh, self.ds(self.domain.values(name)))
+            measure = self.ds(self.domain.values(name))
+            return forms.Interface.on_rigid_base(mesh, measure, self.kinematics, self._to_s)
         if any(based):
             raise ModelError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
         numbers = tuple(list(joint.seams).index(one) + 1 for one in names)
-        return forms.Interface.between_bodies(mesh, self.dS(numbers if len(numbers) > 1 else numbers[0]))
+        measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
+        return forms.Interface.between_bodies(mesh, measure, self.kinematics, self._to_s)
 
     @cached_property
     def sides(self) -> forms.Interface:
@@ -290,22 +345,37 @@ class InterfaceModel(LayeredModel):
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
-        mesh, law, layer = self.domain.mesh, real_law(one.layer, self.kinematics), one.thin
-        relaxed = self._relaxed(law, one) if law.fields and layer and layer.order else None
-        law = law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
-        sides = self.sides_of(one.name)
-        sides = replace(sides, measure=sides.measure.reconstruct(**self._rule(sides.measure)))
-        if layer is None:
-            return [replace(forms.of_jumps(law, sides, self.kinematics), key=one.key)]
-        eps = self._thickness(one.name, layer, sides)
-        terms = forms.surface(law, sides, eps, layer.order, self.kinematics, relaxed)
-        return [replace(term, key=one.key, given=self.given_on[one.name]) for term in terms]
+        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
+        measure = sides.measure.reconstruct(**self._rule(sides.measure))
+        if self._to_s is not None:  # whose slopes and lengths UFL takes for functions of a high degree
+            degree = quadrature_degree(self.V, measure) + self.kinematics.degree
+            measure = measure(metadata={"quadrature_degree": degree})
+        sides = replace(sides, measure=measure, known=partial(self._known, one))
+        if one.thin is None:
+            terms = [forms.of_jumps(law, sides)]
+        else:
+            eps, slope = self._thickness(one.name, one.thin, sides), self._slope(one.thin, sides)
+            ends = end_weights(self, one, law.free_end(), sides) if one.thin.edges else None
+            if ends is not None:
+                finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
+                sides = replace(sides, measure=measure.reconstruct(metadata=finer))
+            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
+        return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
+        if self._to_s is not None:  # on either side S is half of it away
+            return -2 * ufl.dot(sides.upper(self._to_s), sides.n)
         eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
         return eps
+
+    def _slope(self, layer: ThinLayer, sides: forms.Interface) -> Expr | None:
+        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S and the order is 0."""
+        if layer.profile is None or self._to_s is None:
+            return None
+        slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self._to_s))
+        return slope - ufl.dot(slope, sides.fibre) * sides.n
 
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
@@ -313,10 +383,11 @@ class InterfaceModel(LayeredModel):
         assert one.thin is not None
         eps = self._thickness(one.name, one.thin, sides)
         on_base = (lambda v: sides.upper(v) / 2) if one.name in self.joint.base_seams else None
-        return [Weighted(sides.measure, eps, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, on_base)]
+        weight = eps * sides.factor
+        return [Weighted(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, on_base)]
 
-    def _relaxed(self, law: BulkLaw, one: SeamLayer) -> BulkLaw:
-        """The law with parameters that are functions as expressions on S, linear between vertices, for `gradient`."""
+    def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:
+        """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
         joint, upper, on_s = self.joint, self.sides_of(one.name).upper, {}
         vertices = np.unique(joint.table.vertices[joint.rows_of(one.name)])
         for name, found in law.fields_at(joint.points[vertices].T).items():
@@ -346,3 +417,10 @@ class BondedModel(Model):
 
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
         return []
+
+
+def _shape(joint: Joint, thin: ThinLayer | None) -> tuple[object, ...]:
+    """What the places of bodies depend on, beside a layer."""
+    if thin is None:
+        return ()
+    return (thin.eps, described(joint.relative_thickness(thin.profile)) if thin.profile else None)

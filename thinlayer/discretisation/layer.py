@@ -41,18 +41,22 @@ class ThinLayer:
         eps: thickness, a length > 0; multiplied by the profile if it varies along S.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
             of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
-            observed order stays below 1); needs bodies="kept" and elements of degree 2, not for a Stack; laws other than
-            `LinearElastic` with lmbda/mu <= 12 at rest.
+            observed order stays below 1, see `edges`); needs elements of degree 2, and bodies="extended" where S is
+            curved or the thickness varies; a Stack of `LinearElastic` sublayers alone; other laws than `LinearElastic`
+            and `Rubber` with lmbda/mu <= 12 at rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
             > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
             those of the thickness eps, everywhere.
         eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through the
             thickness. On S the strain is [u] (x) n/eps less it, so that it enters the tractions of a soft layer at order
             eps: it changes the limit only if it is itself of the size of [u]/eps.
+        edges: "free": at free ends of S, straight ones, the interface law of order 1 is corrected by what a layer lacks
+            there, so that its error is O(eps^2) away from them, too (`forms.ends.weights`); for `LinearElastic` with nu
+            from 0 to 0.45 between much stiffer bodies. None: it is not.
 
     Raises:
-        LawError: a law of jumps or of nodes, which is a layer by itself; eps or order out of range; order 1 of a Stack or
-            of a varying thickness.
+        LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; a law without
+            one of order 1, or without constants of free ends.
     """
 
     law: BulkLaw
@@ -60,6 +64,7 @@ class ThinLayer:
     order: int = 0
     profile: Profile | None = None
     eigenstrain: Given | None = None
+    edges: str | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.law, LawOnS):
@@ -72,21 +77,22 @@ class ThinLayer:
         _check_thickness("layer's thickness", self.eps)
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")
-        if self.order == 1 and len(self.law.sublayers) > 1:
-            raise LawError("order=1 of a Stack: the next term depends on the sublayers' places; use order=0")
-        if self.order == 1 and self.law.traits.constrained and self.law.fields:
-            raise LawError(f"order=1 of {type(self.law).__name__}: its pressure needs a uniform modulus; use order=0")
-        if self.order == 1 and self.law.traits.switches:
-            raise LawError(f"order=1 of {type(self.law).__name__}: its phases are those of jumps alone; use order=0")
-        if self.order == 1 and self.law.traits.plateau:
-            raise LawError(
-                f"order=1 of {self.law!r}: where phases mix in sheets parallel to S, strains are not uniform through the "
-                "layer, and the next term depends on where the sheets lie; use order=0"
-            )
+        if self.order == 1:
+            self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
-        if self.order == 1 and self.profile is not None:
-            raise LawError("order=1 needs a uniform thickness; use order=0")
+        if self.edges is not None:
+            self._check_edges()
+
+    def _check_edges(self) -> None:
+        if self.edges != "free":
+            raise LawError(f"edges is {self.edges!r}; allowed: None, 'free'")
+        if self.order != 1:
+            raise LawError("edges='free' corrects the interface law of order 1; use order=1")
+        for name, given in (("profile", self.profile), ("eigenstrain", self.eigenstrain)):
+            if given is not None:
+                raise LawError(f"edges='free' of a layer with {name}=...: constants of its free ends are not known")
+        self.law.free_end()  # raises errors of laws without one
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -161,3 +167,8 @@ def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     A law with parameters that are functions is given back as it is: `placed` makes what forms need.
     """
     return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
+
+
+def for_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
+    """A law as the terms on S have it: compiled, with its numbers, or with Constants in UFL forms."""
+    return law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)

@@ -27,7 +27,7 @@ from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.family import Family
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added, at_time
-from thinlayer.discretisation.layer import BODIES, BODY, PRESSURE, constants, layers_of
+from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
 from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
@@ -106,7 +106,7 @@ class Model(ABC):
         with on_all(self.comm):
             self.supports = self._supports(structure.supports)
             self.given = {name: self._given(name) for name in self.body_laws}
-            self.given_on = {name: one.given(self.coordinates) for name, one in self.layers.items()}
+            self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
@@ -155,6 +155,10 @@ class Model(ABC):
         body = Matter(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return given_strain(self.structure.eigenstrains.get(name), body)
 
+    def _given_on(self, one: SeamLayer) -> Expr | None:
+        """The strain that is added to that of the displacements in a layer."""
+        return one.given(self.coordinates)
+
     def _alike(self) -> list[list[str]]:
         """Names of the bodies, those of one law and one eigenstrain together."""
         found: dict[tuple[int, int], list[str]] = {}
@@ -192,8 +196,12 @@ class Model(ABC):
         given = structure.tractions, structure.body_force, at, structure.loads
         forces = Forces(self.domain, *given, forms, self.kinematics)
         for name, load in self._loads_of_layers(structure).items():
-            forces.add_layer(name, load, self._places_of(self.layers[name]))
+            forces.add_layer(name, load, self._places_of(self.layers[name]), self._coordinates_on(at))
         return forces
+
+    def _coordinates_on(self, at: Coordinates) -> Coordinates:
+        """Coordinates of the places of layers."""
+        return at
 
     def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:
         """Name of a seam -> force per volume of its layer."""
@@ -362,10 +370,9 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        with_pressure = [one for one in several.values() if one.law.traits.constrained]
         found = {}
         for name, one in several.items():
-            keys = {one.key, PRESSURE if with_pressure == [one] else one.pressure_key}
+            keys = {one.key, one.pressure_key}
             found[name] = sum(value for key, value in values.items() if key.split("/")[0] in keys)
         return found
 

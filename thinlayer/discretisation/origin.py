@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from geometry.domain import Domain
+from geometry.inflating.parting import points_on_middle, to_middle
 from geometry.joint import Joint
+from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.loads import Coordinates
 from thinlayer.pointwise.quadrature import Origin
 
@@ -17,7 +19,12 @@ Array = npt.NDArray[np.float64]
 
 def origin_of(domain: Domain) -> Origin:
     """The joint that a domain was made from."""
-    return Origin(domain.comm, Coordinates.of(domain).x, domain.numbers, partial(column_numbers, domain.joint))
+    joint, x = domain.joint, Coordinates.of(domain).x
+    columns = partial(column_numbers, joint)
+    if joint.parted is None:
+        return Origin(domain.comm, x, domain.numbers, columns)
+    on_s = x + cellwise(domain, ("DG", joint.degree, (joint.dim,)), to_middle(joint))
+    return Origin(domain.comm, x, domain.numbers, columns, on_s, points_on_middle(joint))
 
 
 def column_numbers(joint: Joint) -> tuple[npt.NDArray[np.int64], Array]:

@@ -68,16 +68,17 @@ class ConcentratedForms:
     def _in_space(self, nodes: Nodes) -> tuple[Array, Array]:
         """Places (n, k, d) of nodes, as arguments of loads, and weights (n, k)."""
         joint = self.domain.joint
-        shown = joint.points if joint.band is None or joint.band.bodies == "extended" else joint.reference
+        kept = joint.band is not None and joint.band.bodies == "kept"
+        shown = joint.reference[joint.cells] if kept else joint.cell_points
         element = basix.create_element(
             basix.ElementFamily.P, basix.CellType[joint.cell_type], joint.degree, basix.LagrangeVariant.equispaced
         )
         places, weights = np.zeros_like(nodes.points), np.ones(nodes.points.shape[:2])
         for row, cell in enumerate(nodes.cells):
             table = element.tabulate(1, nodes.points[row])[..., 0]
-            places[row] = table[0] @ shown[joint.cells[cell]]
+            places[row] = table[0] @ shown[cell]
             if nodes.along is not None:
-                J = np.einsum("jkn,ni->kij", table[1:], joint.points[joint.cells[cell]])
+                J = np.einsum("jkn,ni->kij", table[1:], joint.cell_points[cell])
                 weights[row] = np.linalg.norm(np.einsum("kij,kj->ki", J, nodes.along[row]), axis=1)
         return places, weights
 

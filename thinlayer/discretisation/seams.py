@@ -57,7 +57,7 @@ class SeamLayer:
 
     @property
     def pressure_key(self) -> str:
-        """Key of the layer's pressure, where several seams have one."""
+        """Key of the layer's pressure, if its law has one."""
         return PRESSURE + self.key.removeprefix(LAYER)
 
     @property
@@ -113,8 +113,12 @@ class SeamLayer:
         matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics, at)
         return given_strain(self.thin.eigenstrain, matter)
 
-    def check(self) -> None:
-        """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable."""
+    def check(self, bodies: str) -> None:
+        """Raise ModelError or LawError if the layer does not suit the joint or the elements, or is not stable.
+
+        Args:
+            bodies: "kept", or "extended": at their true places.
+        """
         joint, element = self.structure.joint, self.structure.element
         if not isinstance(self.layer, ThinLayer | LawOnS):
             raise ModelError(
@@ -126,7 +130,7 @@ class SeamLayer:
             return
         if self.thin:
             if self.thin.order == 1:
-                self._check_order_1()
+                self._check_order_1(bodies)
             if self.thin.law.traits.constrained and element not in ("P2", "Q2"):
                 raise ModelError(
                     f"an incompressible layer needs elements P2 or Q2 for its displacements, not {element}"
@@ -137,7 +141,7 @@ class SeamLayer:
                 one.at_rest.require_no_locking()
             one.at_rest.require_stable()
 
-    def _check_order_1(self) -> None:
+    def _check_order_1(self, bodies: str) -> None:
         if self.thin and self.thin.law.traits.constrained and self.structure.plane == "stress":
             raise ModelError(
                 f"order=1 of {type(self.thin.law).__name__} in plane stress: no pressure builds up in a sheet; use "
@@ -146,13 +150,7 @@ class SeamLayer:
         if self.structure.degree != 2:
             element = self.structure.element
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
-        if not self.sheet.planar:
-            raise ModelError("order=1 needs a planar S: its law leaves out the curvature's part of the next term")
-        if not is_across(self.structure.kinematics, self.sheet.mean_normal[None]):
-            raise ModelError(
-                "order=1 needs an S across the axis of revolution, its normal along y: that of a tube is curved, and the "
-                "law leaves out the curvature's part of the next term"
-            )
+        self._check_flat(bodies)
         if self.sheet.tip is not None:
             raise ModelError(
                 f"order=1 needs an S that does not end inside the bodies, and {self} ends at {place(self.sheet.tip)}: its "
@@ -163,6 +161,31 @@ class SeamLayer:
                 f"order=1 needs an S without junctions, and {self} meets another one, or branches, at "
                 f"{place(self.sheet.junction)}: the next term leaves out what a junction adds, which is of the same order"
             )
+
+    def _check_flat(self, bodies: str) -> None:
+        """Raise ModelError for a bent layer whose next term would be wrong."""
+        assert self.thin
+        if (bent := self._bent) and bodies == "kept":
+            raise ModelError(
+                f"order=1 {bent} needs bodies at their true places: where they meet on S the next term is wrong; use "
+                "bodies='extended', for the interface and the full model alike"
+            )
+        if bent and len(self.thin.law.sublayers) > 1:
+            raise ModelError(
+                f"order=1 of a Stack {bent}: the next term leaves out that the sublayers' shares of the jump turn along S; "
+                "use order=0, or mesh the layer (structure.full)"
+            )
+
+    @property
+    def _bent(self) -> str | None:
+        """In what way the layer is not flat and of one thickness, if it is not."""
+        if self.thin and self.thin.profile is not None:
+            return "of a thickness that varies"
+        if not self.sheet.planar:
+            return "on a curved S"
+        if not is_across(self.structure.kinematics, self.sheet.mean_normal[None]):
+            return "on an S that is not across the axis of revolution, its normal along y, and so curved,"
+        return None
 
     def _check_contact(self, law: ContactLaw) -> None:
         """Raise ModelError unless displacements are of degree 1: contact laws act at the vertices of S."""
@@ -196,6 +219,7 @@ class SeamLayer:
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
             "profile": None if shape is None else described(shape),
+            **({"edges": thin.edges} if thin and thin.edges else {}),
             **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
 

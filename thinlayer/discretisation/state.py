@@ -127,13 +127,13 @@ class State(Configuration):
     def p(self) -> fem.Function | None:
         """Pressure in an incompressible layer, on the cells of the meshed layers or on S; None if there is none.
 
-        If several seams have one on S, they are `fields["pressure NAME"]`, by the seam's name, and asking for `p` is a
-        ModelError.
+        In a joint with several seams its name is "pressure NAME", by the seam's. If several of them have one, take
+        `fields["pressure NAME"]`; asking for `p` is a ModelError.
         """
-        several = [key for key in self.fields if key.startswith(f"{PRESSURE} ")]
-        if several:
-            raise ModelError(f"the layers have several pressures; take state.fields[...] of {', '.join(several)}")
-        return self.fields.get(PRESSURE)
+        found = [key for key in self.fields if key.split(" ")[0] == PRESSURE]
+        if len(found) > 1:
+            raise ModelError(f"the layers have several pressures; take state.fields[...] of {', '.join(found)}")
+        return self.fields[found[0]] if found else None
 
     def __repr__(self) -> str:
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"

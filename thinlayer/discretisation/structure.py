@@ -68,17 +68,20 @@ class Structure(Setup):
         """
         return FullModel(self, layer, bodies=bodies, cells_through=cells_through, junctions=junctions)
 
-    def interface(self, layer: Layers) -> InterfaceModel:
+    def interface(self, layer: Layers, *, bodies: str = "kept") -> InterfaceModel:
         """The model whose layer is replaced by its interface law on S. Collective.
 
         Args:
             layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; of a joint with several seams,
                 {name of a seam: its layer; None or a `Gap` for an open joint}, or one layer for all.
+            bodies: "kept": bodies meet on S. "extended": they stand where `full(layer, bodies="extended")` has them, each
+                half of the thickness away from S (on a rigid base all of it): order 1 on a curved S, or with a thickness
+                that varies, needs this. All layers then have a thickness, and seams do not meet.
 
         Raises:
             ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
         """
-        return InterfaceModel(self, layer)
+        return InterfaceModel(self, layer, bodies=bodies)
 
     def bonded(self) -> BondedModel:
         """The model without a layer: bodies perfectly bonded on S (on a rigid base S does not move). Collective.

@@ -16,6 +16,7 @@ from geometry.seam import S
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.output.pressure_report import columns_of_pressure
 from thinlayer.output.surface import Surface
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.time.history import SAME_TIME, History
@@ -47,7 +48,9 @@ def compare(
     Returns:
         eps, the largest thickness of the layers; error_traction and error_jump: L2(S) norms of the differences over
         those of the interface model's fields;
-        traction and jump: these norms (stress and length, times length^(1/2) in 2D).
+        traction and jump: these norms (stress and length, times length^(1/2) in 2D);
+        too_stiff ("too_stiff NAME" for each of several seams), for isotropic elastic layers whose law has no pressure on S:
+        the layer's law alone is that many times too stiff against the openings found (`PressureReport`).
 
     Raises:
         ModelError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
@@ -77,6 +80,7 @@ def compare(
         thin, other = meshed.layers[name].thin, layer.thin
         if thin and other and thin.eps != other.eps:
             raise ModelError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
+    _require_same_places(meshed, limit)
     on_root(meshed.comm, lambda: _require_same_structure(meshed, limit))
     surface = Surface(limit, seam)
     part = 1 if where is None else _part(surface, where)
@@ -86,7 +90,7 @@ def compare(
         by_law = field(interface)
         sizes[name] = surface.norm(by_law, part)
         row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if sizes[name] else math.nan
-    return row | sizes
+    return row | sizes | columns_of_pressure(interface, seam)
 
 
 def _state(one: State | History, at: float | None) -> State:
@@ -97,6 +101,18 @@ def _state(one: State | History, at: float | None) -> State:
             )
         return one
     return one.last if at is None else one.at(at)
+
+
+def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
+    """Raise ModelError where a law of order 1 has its bodies at other places than the full model."""
+    band = full.domain.joint.band
+    here = "kept" if interface.domain.joint.parted is None else "extended"
+    assert band is not None
+    if band.bodies != here and any(one.thin and one.thin.order for one in interface.layers.values()):
+        raise ModelError(
+            f"compare, order=1: bodies are {band.bodies} in the full model and {here} in the interface model, which is a "
+            "difference of order 1 by itself; give both the same bodies='...'"
+        )
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:

@@ -21,7 +21,7 @@ from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms, quadratures
 from thinlayer.discretisation.state import State
-from thinlayer.pointwise.quadrature import Quadrature, Region
+from thinlayer.pointwise.quadrature import Quadrature
 
 Array = npt.NDArray[np.float64]
 MEMORY = "memory"  # name of the internal values of a law that does not name them
@@ -63,15 +63,10 @@ class LawPoints:
         """Pressure (points,) of an incompressible law, a part of its stress; else zero."""
         if not self.term.law.traits.constrained:
             return np.zeros(self.quadrature.count)
-        model, region = self.state.model, self.quadrature.region
-        same = [p for p in model.layer_terms if p.law.traits.constrained and p.strain == self.term.strain]
-        tags = tuple(tag for p in same for tag in np.atleast_1d(p.measure.subdomain_id()).tolist())
-        whole = Region(model.domain.mesh, same[0].measure.reconstruct(subdomain_id=tags))
-        own = PRESSURE + same[0].key.removeprefix(LAYER)
-        p = self.state.fields[own if own in self.state.fields else PRESSURE]
-        of_cells = p.x.array[p.function_space.dofmap.list][np.searchsorted(whole.parent, region.parent)]
+        region = self.quadrature.region
+        p = self.state.fields[PRESSURE + self.term.key.removeprefix(LAYER)]
         here = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
-        here.x.array[here.function_space.dofmap.list] = of_cells
+        here.x.array[here.function_space.dofmap.list] = p.x.array[p.function_space.dofmap.list]
         return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
 
     def internal(self) -> list[dict[str, Array]]:

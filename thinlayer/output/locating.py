@@ -54,7 +54,7 @@ class Located:
             found = np.empty((0, 0))
         if found.ndim != 2 or found.shape[1] != joint.dim or not np.isfinite(found).all():
             raise ModelError(f"places are {x!r:.80}; they need {joint.dim} finite coordinates each, (n, {joint.dim})")
-        nodes = joint.points[joint.cells]
+        nodes = joint.cell_points
         low, high = nodes.min(axis=1), nodes.max(axis=1)
         margin = (high - low).max(axis=1, keepdims=True) * (BULGE if joint.degree > 1 else INSIDE)
         low, high = low - margin, high + margin
@@ -125,7 +125,7 @@ class Located:
 
 def _pulled_back(joint: Joint, cells: IntArray, x: Array) -> Array:
     """Coordinates (n, d) in the reference cell of places x (n, d) in cells (n,), outside it for places elsewhere."""
-    element, nodes = lagrange(joint.cell_type, joint.degree), joint.points[joint.cells[cells]]
+    element, nodes = lagrange(joint.cell_type, joint.degree), joint.cell_points[cells]
     X = np.tile(basix.geometry(basix.CellType[joint.cell_type]).mean(axis=0), (len(x), 1))
     for _ in range(STEPS):
         table = element.tabulate(1, X)[..., 0]

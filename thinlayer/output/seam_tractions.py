@@ -105,5 +105,5 @@ class SeamTractions:
         """Mass matrix of the sides of S that are bodies: on a rigid base the upper one, else both."""
         bodies = (self._sides.upper,) if self._other is None else (self._sides.upper, self._sides.lower)
         u, v = ufl.TrialFunction(self._V), ufl.TestFunction(self._V)
-        form = sum(ufl.inner(side(u), side(v)) for side in bodies) * self.model.kinematics.factor * self._sides.measure
+        form = sum(ufl.inner(side(u), side(v)) for side in bodies) * self._sides.factor * self._sides.measure
         return SurfaceMass(self.model, self._V, form)

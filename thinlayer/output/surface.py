@@ -202,7 +202,7 @@ class Surface:
 
     def integral(self, f: Expr) -> float:
         """Integral over S of a scalar expression. Collective."""
-        form = self._expression(f, ()) * self.model.kinematics.factor * self.sides.measure
+        form = self._expression(f, ()) * self.sides.factor * self.sides.measure
         form = integrated(form, partial(fem.form, entity_maps=self.entity_maps))
         return float(self.model.comm.allreduce(fem.assemble_scalar(form)))
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 import pyvista
-import ufl
 
 from forms.contact import Status
 from geometry.joint import Joint
@@ -51,7 +50,7 @@ def surface_block(
     for name in joint.seams if mixed else (S,):
         surface = Surface(model, name)
         nodes, sides, u = FacetNodes(surface), surface.sides, surface.displacement(state)
-        x = sides.upper(ufl.SpatialCoordinate(model.domain.mesh))
+        x = sides.x
         fields = (x, sides.n, surface.traction(state), sides.upper(u), sides.lower(u))
         found = [nodes.values(one) for one in fields]
         pieces += model.comm.gather((nodes.rows, *found), root=0) or []

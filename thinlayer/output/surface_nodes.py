@@ -38,7 +38,7 @@ class SurfaceNodes:
     def project(self, f: Expr) -> fem.Function:
         """L2 projection of a vector expression, (d,)."""
         v = ufl.TestFunction(self.space)
-        form = ufl.inner(f, self._sides.upper(v)) * self.model.kinematics.factor * self._sides.measure
+        form = ufl.inner(f, self._sides.upper(v)) * self._sides.factor * self._sides.measure
         r = integrated(form, partial(nodal_forces, self.space, maps=self._maps))
         return self._mass.divide(r, np.zeros(len(r.x.array), bool))
 
@@ -84,5 +84,5 @@ class SurfaceNodes:
     def _mass(self) -> SurfaceMass:
         """Mass matrix of the upper side."""
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        form = ufl.inner(self._sides.upper(u), self._sides.upper(v)) * self.model.kinematics.factor
+        form = ufl.inner(self._sides.upper(u), self._sides.upper(v)) * self._sides.factor
         return SurfaceMass(self.model, self.space, form * self._sides.measure, self._maps)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import basix.ufl
 import numpy as np
 import numpy.typing as npt
@@ -16,15 +14,14 @@ from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.reactions import Array, count
 from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part
-
-if TYPE_CHECKING:
-    from thinlayer.parts.plates import RigidPlate
+from thinlayer.parts.plate_data import PlateData
+from thinlayer.parts.plate_nodes import require_agreement, tie
 
 
 class PlatePart(Part):
     """The motions q of a plate, rotations times a length, and its given forces and moments, these over the length."""
 
-    def __init__(self, given: RigidPlate, model: Host) -> None:
+    def __init__(self, given: PlateData, model: Host) -> None:
         self.key, self._given, self._model = given.key, given, model
         self._dim, mesh = model.joint.dim, model.V.mesh
         element = basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(count(self._dim),))
@@ -33,7 +30,7 @@ class PlatePart(Part):
         self.field = fem.Function(broken_space(model.comm, Keys(whole, one, one)))
         self._scale = np.ones(count(self._dim))
         self._scale[self._dim :] = given.size(model)
-        self.tie = given.tie(model, given.point(model), given.size(model))
+        self.tie = tie(given, model, given.point(model), given.size(model))
         self._load: Array = np.zeros(0)
 
     # ---------------------------------------------------------------- a step
@@ -87,7 +84,7 @@ class PlatePart(Part):
         if t is not None:
             motions = self._given.motions(self._model, t)
             values[:] = [motions[k] for k in numbers]
-            self._given.require_agreement(self._model, motions, t)
+            require_agreement(self._given, self._model, motions, t)
         first = self.own_size if not self.own_size else len(numbers)
         return numbers[:first], (values * self._scale[numbers])[:first]
 

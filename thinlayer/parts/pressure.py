@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from functools import cached_property
 
+import basix.ufl
 import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
-from ufl.algorithms.analysis import extract_constants
 from ufl.classes import Zero
 
 from forms.kinematics import Expr
 from forms.work import Term
+from geometry.compat import cell_nodes
+from geometry.topology import IntArray
+from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.given import OverStep
-from thinlayer.discretisation.layer import PRESSURE
+from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.state import Configuration
+from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
-from thinlayer.pointwise.quadrature import Origin, Region
+from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
 
 SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
 
@@ -31,8 +35,8 @@ class PressurePart(Part):
     """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1, beside displacements of degree 2.
 
     The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room. c is the
-    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). On its free ends p is
-    then zero.
+    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). On its free
+    ends p is then zero.
 
     In the meshed layer this is the pair of Taylor and Hood. On S a pressure of degree 1 meets jumps of degree 2.
 
@@ -42,11 +46,12 @@ class PressurePart(Part):
         stiffness: stiffness of the bodies at a node, force per displacement, > 0. It makes the rows of G forces, so that
             residuals of both kinds have one unit.
         origin: original numbers of the cells of the mesh, for files.
-        key: of the pressure, among the fields of states.
-        parts: the terms of which `term` is made up, each with its law and given strains; by default the term alone.
         free: (n, d) vertices of S where p is zero.
+        masters: vertices of the joint with which periodic sides identify its vertices (`Joint.masters`); None: the joint is
+            not periodic.
 
     Attributes:
+        key: of the pressure, among the fields of states: that of the term, with "pressure" for "layer".
         region: the cells of the meshed layer, or S.
         unit: factor of G; `field` is the pressure divided by it.
         G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
@@ -62,23 +67,29 @@ class PressurePart(Part):
         term: Term,
         stiffness: float,
         origin: Origin | None = None,
-        key: str = PRESSURE,
-        parts: Sequence[Term] | None = None,
         free: Array | None = None,
+        masters: IntArray | None = None,
     ) -> None:
-        self.key, self._origin, self._kinematics = key, origin, term.kinematics
-        self.region = region = Region(V.mesh, term.measure)
-        space = fem.functionspace(region.mesh, ("Lagrange", 1))
+        self.key, self._origin, self._kinematics = PRESSURE + term.key.removeprefix(LAYER), origin, term.kinematics
+        points = Quadrature(V, term, origin) if term.law.fields else None
+        self.region = region = points.region if points else Region(V.mesh, term.measure)
+        if has_flow(term) and origin and origin.middle is not None:
+            region.move(origin.middle)
+        self._whole = fem.functionspace(region.mesh, ("Lagrange", 1))
+        space = self._whole if masters is None else self._identified(masters)
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
         form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
         self.G = dolfinx.fem.petsc.assemble_matrix(fem.form(form, entity_maps=region.maps))
         self.G.assemble()
+        self.C = self._compliance(space, term, points)
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
+        if self.C is not None:  # else the rounding of volumes beside stiff bodies would count as much as forces
+            self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
+            self.C.scale(self.unit**2)
         self.G.scale(self.unit)
-        self.C = self._compliance(space, parts or [term])
         self._zero = _at_places(space, free) if free is not None and len(free) else np.empty(0, np.int64)
-        strained = [p for p in parts or [term] if p.given is not None]
+        strained = [term] if term.given is not None else []
         self._over = OverStep(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
         self._room = fem.form(room, entity_maps=region.maps) if strained else None
@@ -88,14 +99,33 @@ class PressurePart(Part):
         self._squeezed = self.G.createVecLeft()
         self._filled: Array | None = None
 
-    def _compliance(self, space: fem.FunctionSpace, parts: Sequence[Term]) -> PETSc.Mat | None:
-        region, p, q = self.region, ufl.TrialFunction(space), ufl.TestFunction(space)
-        volumes, forms = [ufl.as_ufl(one.law.volume_compliance) for one in parts], []
-        if not all(isinstance(c, Zero) for c in volumes):
-            both = region.side(p) * region.side(q)
-            forms.append(sum(c * both * one.weight * one.measure for c, one in zip(volumes, parts, strict=True)))
-        if has_flow(parts[0]):  # on S, where there is one term: gradients of functions of its mesh are along S
-            flow = _on(region, parts[0].flow) * parts[0].kinematics.on(region.mesh).factor
+    def _identified(self, masters: IntArray) -> fem.FunctionSpace:
+        """Pressures that are the same at vertices that periodic sides identify. Collective."""
+        mesh = self.region.mesh
+        element = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
+        corners = cell_nodes(mesh)[:, : element.basix_element.dim]
+        vertices = np.asarray(mesh.geometry.input_global_indices, np.int64)[corners]
+        comm = communicator(self.region.parent_mesh)
+        return broken_space(comm, Keys.of_entities(comm, mesh, element, [masters[vertices]]))
+
+    def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
+        """C, for a law whose parameters are functions with their values at `points`. Collective."""
+        region, law, measure, p, q = (
+            self.region,
+            term.law,
+            term.measure,
+            ufl.TrialFunction(space),
+            ufl.TestFunction(space),
+        )
+        forms = []
+        if points:
+            known = points.on_region(law.fields_at(points.joint_x))
+            law = law.with_parameters({name: region.side(f) for name, f in known.items()})
+            measure = points.measure
+        if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
+            forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
+        if has_flow(term):  # on S: gradients of functions of its mesh are along S
+            flow = self._nodal(space, term.flow) * term.kinematics.on(region.mesh).factor
             forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         matrices = [dolfinx.fem.petsc.assemble_matrix(fem.form(one, entity_maps=region.maps)) for one in forms]
         for matrix in matrices:
@@ -106,8 +136,21 @@ class PressurePart(Part):
         for other in others:
             C.axpy(1.0, other)
             other.destroy()
-        C.scale(self.unit**2)
         return C
+
+    def _nodal(self, space: fem.FunctionSpace, f: Expr) -> fem.Function:
+        """The interpolant of an expression on the region, from integrals by a rule whose points are the vertices."""
+        at_vertices = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+        measure, q = self.region.measure(metadata=at_vertices), self.region.side(ufl.TestFunction(space))
+        sums = []
+        for one in (f, fem.Constant(self.region.parent_mesh, 1.0)):
+            vector = fem.assemble_vector(fem.form(one * q * measure, entity_maps=self.region.maps))
+            vector.scatter_reverse(la.InsertMode.add)
+            vector.scatter_forward()
+            sums.append(vector.array)
+        found = fem.Function(space)
+        found.x.array[:] = sums[0] / sums[1]
+        return found
 
     @cached_property
     def own_mass(self) -> PETSc.Mat | None:  # type: ignore[override]
@@ -208,10 +251,13 @@ class PressurePart(Part):
     @property
     def own_file_order(self) -> FileOrder:
         assert self._origin is not None, "a mesh without a joint"
-        space, region = self._p.function_space, self.region
-        cells = np.asarray(space.dofmap.list)
-        x = space.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
-        return FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
+        whole, region = self._whole, self.region
+        cells, x = np.asarray(whole.dofmap.list), whole.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
+        numbers = self._origin.numbers(region.dim, region.parent)[: len(cells)]
+        ordered = FileOrder.by_place(numbers, cells, x)
+        number = np.empty(len(x), np.int64)
+        number[cells] = self._p.function_space.dofmap.list  # identified vertices have several places
+        return FileOrder(ordered.numbers, number[ordered.order])
 
     def destroy(self) -> None:
         mass = vars(self).get("own_mass")
@@ -223,12 +269,6 @@ class PressurePart(Part):
 def has_flow(term: Term) -> bool:
     """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
-
-
-def _on(region: Region, constant: Expr) -> Expr:
-    """An expression of constants of the parent mesh as one of constants of the region's mesh."""
-    known = {one: fem.Constant(region.mesh, one.value) for one in extract_constants(ufl.as_ufl(constant))}
-    return ufl.replace(constant, known)
 
 
 def _at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:

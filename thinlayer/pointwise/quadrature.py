@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,12 +39,16 @@ class Origin:
         numbers: dimension, local cells or facets -> their numbers in the joint.
         columns: function that returns the column of each cell (-1 outside the layer) or facet of the joint, and the
             centres (columns, d) of the columns.
+        x_on_s: the same on S, for expressions with a side, where S is apart from the facets of the mesh; None: it is not.
+        middle: (n_points, d) places of the joint's points, on S midway between its sides.
     """
 
     comm: MPI.Intracomm
     x: Expr
     numbers: Callable[[int, npt.NDArray[np.int32]], IntArray]
     columns: Callable[[], tuple[IntArray, Array]]
+    x_on_s: Expr | None = None
+    middle: Array | None = None
 
 
 class Region:
@@ -68,6 +72,11 @@ class Region:
         self.measure, self.parent_mesh = measure, mesh
         self.dim = mesh.topology.dim - (measure.integral_type() != "cell")
         self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
+
+    def move(self, places: Array) -> None:
+        """Put the mesh of facets of S, which may have a place on either side, at places (n, d) of the joint's points."""
+        geometry = self.mesh.geometry
+        geometry.x[:, : places.shape[1]] = places[np.asarray(geometry.input_global_indices, np.int64)]
 
     def side(self, f: Expr) -> Expr:
         """A function on `mesh`, restricted as integrands of the measure require."""
@@ -213,6 +222,8 @@ class Quadrature:
     def joint_x(self) -> Array:
         """Places (d, points) of the points in the joint before inflating; in a mesh without a joint their places."""
         x = self.origin.x if self.origin else None
+        if self.origin and self.origin.x_on_s is not None and self.region.dim < self.dim:
+            x = self.origin.x_on_s
         if x is None or isinstance(x, ufl.SpatialCoordinate):
             return np.ascontiguousarray(self.x.T)
         q = self.region.side(ufl.TestFunction(self._space((self.dim,))))
@@ -229,6 +240,15 @@ class Quadrature:
         f.x.array.reshape(-1, width)[points] = values[self.cells]
         f.x.scatter_forward()
         return f
+
+    def on_region(self, values: Mapping[str, Array]) -> dict[str, fem.Function]:
+        """Values (points,) by name as functions on `region.mesh`, for measures of the degree of `measure`. Collective."""
+        found = {}
+        for name, value in values.items():
+            found[name] = f = fem.Function(self._space(()))
+            f.x.array[: self.count] = value
+            f.x.scatter_forward()
+        return found
 
     @property
     def original(self) -> IntArray:

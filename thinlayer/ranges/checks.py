@@ -13,8 +13,10 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.ranges.areas import Areas
+from thinlayer.ranges.cavitation import warn_of_cavitation
+from thinlayer.ranges.excess import LEAST_ERROR
 from thinlayer.ranges.faces import Faces
-from thinlayer.ranges.pressure import LEAST_ERROR, warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
+from thinlayer.ranges.pressure import warn_of_coarse_ends, warn_of_free_ends, warn_of_pressure
 from thinlayer.ranges.strains import warn_of_strains
 from thinlayer.ranges.sublayers import Sublayer, acts_on_jumps, stiffness_of_jumps, sublayers_of
 
@@ -36,10 +38,12 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
             _warn_of_thickness(model, one)
             _warn_of_hard_layer(model, one, sublayers)
         if one.flows:
-            warn_of_coarse_ends(model, one)
             continue
         at_once = [] if lasting and one.law.traits.rate else [sublayers]
         warn_of_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
+    for one in model.layers.values() if model.broken else ():
+        if one.flows:
+            warn_of_coarse_ends(model, one)
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -53,6 +57,9 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     model = states[0].model
     warn_of_strains(states)
+    for one in model.layers.values() if model.broken else ():
+        if one.flows:
+            warn_of_cavitation(one, states)
     for one in _thin(model):
         found = [faces for faces in (Faces.of(state, one) for state in states) if faces]
         if not found:

@@ -69,10 +69,13 @@ class Faces:
     @property
     def slip_squared(self) -> FloatArray:
         """(n, d) |w_T|^2 plus the square of the rounding of displacements."""
-        jump = self.upper - self.lower
-        slip = jump - self.opening[..., None] * self.sheet.normals
-        rounding = JUMP_ROUNDING * max(np.abs(self.lower).max(), np.abs(self.upper).max())
-        return np.asarray((slip**2).sum(axis=2) + rounding**2)
+        slip = self.upper - self.lower - self.opening[..., None] * self.sheet.normals
+        return np.asarray((slip**2).sum(axis=2) + self.rounding**2)
+
+    @property
+    def rounding(self) -> float:
+        """Rounding of jumps."""
+        return JUMP_ROUNDING * float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
 
     @property
     def closing(self) -> FloatArray:

@@ -6,22 +6,19 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 
-from geometry.topology import FloatArray, IntArray
-from thinlayer.discretisation.free_rim import fall_of_pressure, free_of_pressure, free_rim
+from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
 from thinlayer.ranges.areas import Areas
+from thinlayer.ranges.excess import LEAST_ERROR, pressure_excess
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
 
-LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
-LONG_PRESSURE = 1.0  # (nu = 6/13) a shorter length, relative to eps, changes jumps only within a thickness of free ends
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
+LONG_PRESSURE = 1.0  # (nu = 6/13) of a shorter length, relative to eps, sheared layers feel no more than near peaks
 LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
 
 
@@ -62,17 +59,17 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
         warn(
             f"{one} is nearly incompressible{worst.when}: its pressure falls to zero at the free ends of S over delta "
             f"= {delta:.3g}, {y:.2g} of the area of S over the length of its free ends ({width:.3g}); between "
-            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; use forms.Rubber "
-            "with order=1, mesh the layer (structure.full), or support its sides if they are held",
+            f"rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps; "
+            f"{_remedy(one)}, or support its sides if they are held",
             model.comm,
         )
 
 
 def warn_of_coarse_ends(model: Model, one: SeamLayer) -> None:
     """Warn if cells at free ends are too large for the pressure of a law with flow to fall to zero there."""
-    free, zero = free_rim(model, one.sheet), free_of_pressure(model, one)
-    if len(zero.depth) < len(free.depth):
-        delta, largest = fall_of_pressure(one), float(free.depth.max())
+    _, coarse, falls = free_of_pressure(model, one)
+    if len(coarse.depth):
+        delta, largest = falls.min(), coarse.depth.max()
         warn(
             f"the pressure of {one} falls to zero at the free ends of S over delta = {delta:.3g}, and cells there are up "
             f"to {largest:.3g} long: the pressure is not set to zero at such ends, as if they were held; make cells there "
@@ -121,58 +118,22 @@ def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start
     for faces in (found[k] for k in sorted({most, last})):
         state = faces.state
         sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
-        if len(sublayers) != 1 or not LONG_PRESSURE < sublayers[0].length < math.inf:
+        if len(sublayers) != 1 or not sublayers[0].nearly or sublayers[0].length == math.inf:
             continue
         excess = pressure_excess(faces, sublayers[0])
-        if excess > worst:
-            worst, sublayer = excess, sublayers[0]
+        told = excess.opening if excess.hidden and sublayers[0].length > LONG_PRESSURE else excess.work
+        if told > worst:
+            worst, sublayer = told, sublayers[0]
     if sublayer:
         warn(
             f"{one} is nearly incompressible{sublayer.when} (lmbda/mu = {sublayer.lmbda / sublayer.mu:.4g}): with the "
             f"jumps found, the layer alone is {1 + worst:.3g} times too stiff, as its interface law lets no material "
-            "flow along S; the structure is off by less where the bodies are soft; use forms.Rubber "
-            "with order=1, or mesh the layer (structure.full)",
+            f"flow along S; the structure is off by less where the bodies are soft; {_remedy(one)}",
             model.comm,
         )
 
 
-def pressure_excess(faces: Faces, layer: Sublayer) -> float:
-    """Excess of the law's work over the work of the layer, int (p_0 - p) wb/(int p wb + int mu/eps |w_T|^2).
-
-    The law is 1 + excess times too stiff for the jumps found; the excess is zero if they only shear the layer. With
-    wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, and the pressure p of the layer solves
-
-        (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through the others,
-
-    continuous and of degree 1. If cells at a free end are larger than the length of the pressure, p is not set to zero
-    there, as it cannot fall within a cell. On straight facets of a curved S slip opens the layer at one end of a facet and
-    closes it at the other, and the law resists that, too. Jumps as small as the rounding of displacements count as shear.
-    """
-    sheet, areas, eps = faces.sheet, faces.areas, faces.thickness.mean(axis=1)
-    stretch = areas.divergence((faces.lower + faces.upper) / 2)
-    wb = faces.opening + (eps * stretch)[:, None]
-    used, number = np.unique(sheet.vertices, return_inverse=True)
-    number = number.reshape(sheet.vertices.shape)
-    mass = areas.mass
-    stiff = areas.of_simplices[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
-    volume = _assemble(mass * (eps / layer.lmbda)[:, None, None], number)
-    flow = _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
-    moments = (mass @ wb[..., None])[..., 0]
-    b = np.bincount(number.ravel(), moments.ravel(), len(used))
-    rim = free_rim(faces.state.model, sheet)
-    fine = rim[rim.depth <= layer.length * eps[rim.simplex]]
-    inside = np.setdiff1d(np.arange(len(used)), np.searchsorted(used, fine.vertices))
-    if not b[inside].any():
-        return 0.0
-    p = scipy.sparse.linalg.spsolve((volume + flow)[inside][:, inside], b[inside])
-    work_0 = float(layer.lmbda / eps @ (wb * moments).sum(axis=1))
-    work = float(b[inside] @ p)
-    shear = layer.mu * float((areas.at_vertices * faces.slip_squared / eps[:, None]).sum())
-    return (work_0 - work) / (work + shear)
-
-
-def _assemble(blocks: FloatArray, number: IntArray) -> scipy.sparse.csc_matrix:
-    """Assemble the blocks (n, d, d) of simplices whose vertices have these numbers (n, d)."""
-    rows = np.broadcast_to(number[:, :, None], blocks.shape).ravel()
-    columns = np.broadcast_to(number[:, None, :], blocks.shape).ravel()
-    return scipy.sparse.coo_matrix((blocks.ravel(), (rows, columns))).tocsc()
+def _remedy(one: SeamLayer) -> str:
+    if one.remembers or len(one.law.sublayers) > 1:
+        return "mesh the layer (structure.full; forms.Rubber has no memory, and is no sublayer)"
+    return "use forms.Rubber with order=1, or mesh the layer (structure.full)"

@@ -62,8 +62,8 @@ def _set_signals() -> None:
 
 def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
     out = folder(parser, chosen)
-    if not (out / "table.csv").is_file():
-        parser.error(f"no table.csv in {out}; run the study first")
+    if not any(out.glob("*.csv")):
+        parser.error(f"no table in {out}; run the study first")
     from thinlayer import ModelError
     from thinlayer.running.record import Record
 
@@ -75,7 +75,7 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
     except ModelError as error:
         parser.error(str(error))
     except KeyError as error:
-        parser.error(f"table.csv in {out} is not one of {chosen.study}: it has no column {error}")
+        parser.error(f"a table in {out} is not one of {chosen.study}: it has no column {error}")
     except FileNotFoundError as error:
         parser.error(f"{out} is not a whole run of {chosen.study}: there is no {error.filename}")
     except OSError as error:

@@ -78,7 +78,7 @@ class ReactionSums:
         """Keys of the terms and parts of a layer, sublayers and pressure included."""
         pressure = PRESSURE + key.removeprefix(LAYER)
         alone = len(self.model.joint.seams) == 1
-        keys = {key, pressure, PRESSURE} if alone else {key, pressure}
+        keys = {key, pressure}
         for one in [*(part.key for part in self.parts), *(p.key for p in self.model.layer_terms)]:
             if one.startswith(f"{key}/") or (alone and one.startswith(f"{key} ")):
                 keys.add(one)

@@ -4,6 +4,7 @@ from thinlayer.output.plotting.contacts import contact
 from thinlayer.output.plotting.curves import COLOURS, ERRORS, curves, panels, rates
 from thinlayer.output.plotting.layers import layers
 from thinlayer.output.plotting.lines import along
+from thinlayer.output.plotting.maps import maps
 from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.picture import Picture
 from thinlayer.output.plotting.scene import VIEWS
@@ -19,6 +20,7 @@ __all__ = [
     "curves",
     "deformed",
     "layers",
+    "maps",
     "movie",
     "panels",
     "rates",

@@ -1,0 +1,124 @@
+"""Constants of a free end of a layer, by Poisson's ratio."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import chebyshev
+from scipy.optimize import brentq
+
+from forms.declarations import LawError
+
+Array = npt.NDArray[np.float64]
+
+COLUMNS = ("nu", "c_N", "m_N", "rho_N", "c_T", "m_T")
+TABLE = Path(__file__).parent / "table.csv"
+
+
+@dataclass(frozen=True)
+class FreeEnd:
+    """Constants of a free end that stands at a right angle on an isotropic layer between faces much stiffer than it.
+
+    Plane strain, or plane stress with the ratio nu/(1 + nu). Lengths are over the thickness, stresses over mu, and
+    M = lmbda + 2 mu. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `forms.ends.half_strip`.
+
+    Attributes:
+        nu: Poisson's ratio of the layer.
+        c_N: a layer of length L under an opening w_N bears the force M w_N (L - c_N) per such end.
+        m_N: first moment, about the end, of the normal tractions that are missing, over M w_N.
+        rho_N: mean distance from the end of the tractions along S that balance lmbda w_N.
+        c_T: as c_N, of the force mu w_T; also the mean distance of the tractions across S that balance its moment.
+        m_T: first moment of the shear tractions that are missing, over mu w_T.
+        kappa: factor of the flow along S of a pressure (`forms.rubber`) within one thickness of the end, with which the
+            pressure alone gives c_N.
+    """
+
+    nu: float
+    c_N: float
+    m_N: float
+    rho_N: float
+    c_T: float
+    m_T: float
+    kappa: float
+
+
+def lame_over_mu(nu: float) -> float:
+    """The first Lame modulus over mu, 2 nu/(1 - 2 nu); math.inf for nu = 0.5.
+
+    Raises:
+        LawError: nu is not in [0, 0.5].
+    """
+    if not 0 <= nu <= 0.5:
+        raise LawError(f"free end of a layer: Poisson's ratio is {nu!r}; allowed: from 0 to 0.5")
+    return 2 * nu / (1 - 2 * nu) if nu < 0.5 else math.inf
+
+
+def free_end(nu: float) -> FreeEnd:
+    """Constants of a free end for Poisson's ratio nu from 0 to 0.5, to nine digits, from a table.
+
+    With s = sqrt(1 - 2 nu) the numbers c_N M mu/(lmbda^2 s), m_N M s^2/lmbda, rho_N s, c_T and m_T are analytic for s
+    from 0 to 1, and polynomials of s; the first one is sqrt(1/12) at s = 0.
+
+    Raises:
+        LawError: nu out of range.
+    """
+    lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
+    found: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
+    growth, moment, mean, c_T, m_T = map(float, found)
+    if s == 0:
+        return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * growth))
+    root = math.sqrt(1 / 12 + s * growth)
+    delta, excess = math.sqrt(lmbda / 12), (1 - s**2) * ((1 - s**2) * growth - s / 12) / s
+    return FreeEnd(
+        nu,
+        c_N=root * s * lmbda**2 / (lmbda + 2),
+        m_N=moment / s**2 * lmbda / (lmbda + 2),
+        rho_N=mean / s,
+        c_T=c_T,
+        m_T=m_T,
+        kappa=flow_factor(delta, excess / (root * s * lmbda + delta)) if lmbda else 0.0,
+    )
+
+
+def nodes(n: int) -> Array:
+    """Poisson's ratios of a table of n rows: Chebyshev's points in s, from the largest to the smallest ratio."""
+    s = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n)) / 2
+    return np.asarray((1 - s**2) / 2)
+
+
+@cache
+def shipped() -> dict[str, Array]:
+    """The table that comes with the package: name of a column -> values, in the order of `nodes`."""
+    rows = np.loadtxt(TABLE, delimiter=",", skiprows=1)
+    return dict(zip(COLUMNS, rows.T, strict=True))
+
+
+@cache
+def _coefficients() -> Array:
+    """Chebyshev coefficients of the five analytic numbers of `free_end` in 2 s - 1, (rows of the table, 5)."""
+    table = shipped()
+    nu = table["nu"]
+    lmbda, s = 2 * nu / (1 - 2 * nu), np.sqrt(1 - 2 * nu)
+    M = lmbda + 2
+    growth = ((table["c_N"] * M / (lmbda**2 * s)) ** 2 - 1 / 12) / s
+    values = [growth, table["m_N"] * M * s**2 / lmbda, table["rho_N"] * s, table["c_T"], table["m_T"]]
+    return np.asarray(chebyshev.chebfit(2 * s - 1, np.stack(values, axis=1), len(nu) - 1))
+
+
+def flow_factor(delta: float, excess: float) -> float:
+    """Factor f of the flow on 0 < x < 1 with which int (1 - p) dx over x > 0 is delta + excess.
+
+    The pressure p solves delta^2 (f p')' = p - 1 with p(0) = 0; f = 1 for x > 1. With r = sqrt(f) and t = tanh(1/(r delta))
+    the integral is r delta (1 + r t)/(t + r).
+    """
+
+    def missing(r: float) -> float:
+        t = math.tanh(1 / (r * delta))
+        return delta * t * (r**2 - 1) / (t + r) - excess
+
+    return float(brentq(missing, 1e-9, 3.0, xtol=1e-15, rtol=1e-14)) ** 2

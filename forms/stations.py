@@ -1,0 +1,134 @@
+"""Stations: the places through a layer's thickness at which laws act in its interface law of order 1."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import ufl
+
+from forms.kinematics import Expr, jump_strain, lift
+
+if TYPE_CHECKING:
+    from forms.law import BulkLaw
+    from forms.planes import Kinematics
+
+GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
+LOCKING = 12.0  # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
+
+
+@dataclass(frozen=True)
+class Faces:
+    """How the two faces of a layer are displaced at a place of S.
+
+    Attributes:
+        n: director, (d,).
+        eps: thickness.
+        jump: [u], (d,).
+        gradient: of [u] along S, (d, d).
+        mean: strain (3, 3) along S of <u>, and what is given beside the displacements, uniform through the layer.
+        kinematics: of the displacements.
+        slope: grad_S eps, (d,); None: the thickness is uniform.
+    """
+
+    n: Expr
+    eps: Expr
+    jump: Expr
+    gradient: Expr
+    mean: Expr
+    kinematics: Kinematics
+    slope: Expr | None = None
+
+    def across(self, z: float = 0.0) -> Expr:
+        """Strain (3, 3) of the jump at the height z eps above the middle of the layer, sym([u] (x) (n - z grad_S eps))/eps.
+
+        Where the thickness varies, places of one height share z lie on a surface that rises by z grad_S eps.
+        """
+        n = self.n if self.slope is None or z == 0 else self.n - z * self.slope
+        return jump_strain(self.jump, n) / self.eps
+
+    @property
+    def difference(self) -> Expr:
+        """Strain (3, 3) along S of [u], sym(grad_S [u])."""
+        return self.kinematics.along(self.gradient, self.jump)
+
+    @property
+    def change(self) -> Expr:
+        """Strain (3, 3) at the upper face less that at the lower one, for displacements linear through the layer.
+
+        It is `difference`; where the thickness varies eps sym(grad_S ([u]/eps)).
+        """
+        return self.difference + self.across(0.5) - self.across(-0.5) if self.slope is not None else self.difference
+
+    @property
+    def normal(self) -> Expr:
+        """n (x) n, (3, 3)."""
+        return ufl.outer(lift(self.n), lift(self.n))
+
+    def in_s(self, e: Expr) -> Expr:
+        """The part P e P of a strain (3, 3) that lies in S, P = I - n (x) n."""
+        along = ufl.Identity(3) - self.normal
+        return along * e * along
+
+    def split(self, normal: Any, tangential: Any) -> Faces:
+        """The same faces with the jump multiplied by a number along n, and by another along S."""
+        n = self.n
+        jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
+        gradient = tangential * self.gradient + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.gradient))
+        return replace(self, jump=jump, gradient=gradient)
+
+
+@dataclass(frozen=True)
+class Station:
+    """A place through the thickness at which a law acts, in the interface law of order 1.
+
+    Attributes:
+        law: the law.
+        share: of the thickness.
+        strain: the law, its parameters UFL expressions on S, and the displaced faces -> strain (3, 3), linear in the
+            displacements and in what is given beside them.
+        flow: the law, likewise -> of a law with a pressure on S: flux along S over the slope of the pressure, over eps^3.
+        largest_ratio: lmbda/mu at rest beyond which the strain locks.
+    """
+
+    law: BulkLaw
+    share: Any
+    strain: Callable[[Any, Faces], Expr]
+    flow: Callable[[Any], Expr] = lambda law: 0
+    largest_ratio: float = math.inf
+
+
+def at_gauss_points(
+    law: BulkLaw, difference: Callable[[Any, Faces], Expr] | None = None, largest_ratio: float = math.inf
+) -> list[Station]:
+    """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
+
+    Args:
+        law: the law.
+        difference: the law and the displaced faces, as in `Station` -> strain (3, 3) at the upper face less that at the
+            lower one; by default displacements are linear through the layer, `Faces.change`, which locks for
+            lmbda/mu > `LOCKING`.
+        largest_ratio: as in `Station`.
+    """
+    if difference is None:
+        difference, largest_ratio = lambda law, faces: faces.change, LOCKING
+    change = difference
+
+    def at(z: float) -> Callable[[Any, Faces], Expr]:
+        return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)
+
+    return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS]
+
+
+def of_pressure(law: BulkLaw) -> list[Station]:
+    """The stations of a law of shear modulus mu with a pressure, a field on S.
+
+    It acts with the mean strain. The difference of the faces changes no tractions, so that it meets the stiffness of plane
+    stress; and a slope of the pressure lets the layer flow along S.
+    """
+    return [
+        Station(law, 1, lambda law, faces: faces.across() + faces.mean, lambda law: 1 / (12 * law.mu)),
+        Station(law.plane_stress(), 1 / 12, lambda law, faces: faces.in_s(faces.change)),
+    ]

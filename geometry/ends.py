@@ -1,0 +1,83 @@
+"""Straight ends of a planar S, and the strips along them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from geometry.errors import GeometryError, place
+from geometry.joint import FLAT
+from geometry.sheet import Rim, Sheet
+from geometry.topology import FloatArray
+
+CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
+
+
+@dataclass(frozen=True)
+class StraightEnd:
+    """A straight free end of a planar S, or several on one line.
+
+    Attributes:
+        m: unit normal in S, outward, (d,).
+        offset: m . x of its points.
+        along: (d,) unit vector along it; zero in 2D.
+        reach: least and largest along . x of its points.
+    """
+
+    m: FloatArray
+    offset: float
+    along: FloatArray
+    reach: tuple[float, float]
+
+    def distance(self, x: FloatArray) -> FloatArray:
+        """Distance (...) of places (..., d) of S from it."""
+        return np.asarray(self.offset - x @ self.m)
+
+    def faces(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether places (n, d) of S lie beside it, inwards."""
+        at, (low, high) = x @ self.along, self.reach
+        return np.asarray((at >= low) & (at <= high) & (self.distance(x) > 0))
+
+
+def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
+    """The free ends of S, ridges on one line together.
+
+    Raises:
+        GeometryError: they are curved.
+    """
+    joint, size = sheet.joint, float(np.ptp(sheet.joint.points, axis=0).max())
+    x = joint.points[rim.vertices]  # (n, d - 1, d)
+    left, ends = np.arange(len(x)), []
+    offsets = np.einsum("nd,nd->n", x[:, 0], rim.outward)
+    while len(left):
+        m, offset = rim.outward[left[0]], offsets[left[0]]
+        cosine = rim.outward @ m
+        same = (cosine > 1 - FLAT) & (np.abs(offsets - offset) <= FLAT * size)
+        on_it, others = rim[same], rim[(cosine > CORNER) & (cosine <= 1 - FLAT)]
+        meeting = np.isin(others.vertices, on_it.vertices).any(axis=1)
+        if meeting.any():
+            raise GeometryError(
+                f"ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at "
+                f"{place(joint.points[others.vertices[meeting][0, 0]])}"
+            )
+        along = x[left[0], -1] - x[left[0], 0]
+        length = np.linalg.norm(along)
+        along = along / length if length else along
+        at = x[same].reshape(-1, x.shape[2]) @ along
+        ends.append(StraightEnd(m, float(offset), along, (float(at.min()), float(at.max()))))
+        left = left[~same[left]]
+    return ends
+
+
+def share_within(d: FloatArray, length: float) -> FloatArray:
+    """Part (n,) of segments (n, 2) or triangles (n, 3) where a linear function of values d at corners is below a length."""
+    low, *middle, high = np.sort(d, axis=1).T
+    if not middle:
+        return np.asarray(np.clip((length - low) / (high - low), 0.0, 1.0)) if len(d) else low
+    (mid,) = middle
+    with np.errstate(divide="ignore", invalid="ignore"):
+        below = (length - low) ** 2 / ((mid - low) * (high - low))
+        above = 1 - (high - length) ** 2 / ((high - low) * (high - mid))
+    return np.select([length <= low, length >= high, length <= mid], [0.0, 1.0, below], above)

@@ -1,0 +1,250 @@
+"""Which law, when: errors of orders 0 and 1 and of Rubber over thickness, Poisson's ratio, stiffness of the bodies."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from forms import Incompressible, LinearElastic, Rubber
+from geometry import sandwich
+from geometry.parallel import world
+from studies.problems import FOURIER_BODY, fourier
+from studies.transfer import Wave
+from thinlayer import PressureReport, RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer.files.progress import track
+from thinlayer.running.record import Record
+
+EPS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)  # over the half-wave of the load, or over the width of S; these are 1
+NUS = (0.0, 0.2, 0.3, 0.4, 0.45, 0.48, 0.49, 0.499, 0.4999, 0.5)
+QUICK_NUS = (0.3, 0.45, 0.49, 0.499, 0.5)
+CONTRASTS = (10, 200, 200_000)  # Young's modulus of the bodies, which is 100, over the shear modulus of the layer
+LAWS = {"order_0": "order 0", "order_1": "LinearElastic, order 1", "rubber": "Rubber, order 1"}
+QUANTITIES = ("traction", "jump", "compliance")
+LEVELS = (0.001, 0.01, 0.05, 0.2)  # errors at which cells of the maps change their colour
+WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
+TOLD = 0.1  # error of order 1 from which on there has to be a warning
+INNER = 0.25  # free ends: errors are measured up to this distance from the middle of S
+SET_UPS = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
+
+Array = npt.NDArray[np.float64]
+Compared = Callable[[State], tuple[float, ...]]
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Measure the errors of the laws in two set-ups, against exact layers (rollers) and meshed ones (free ends).
+
+    Args:
+        record: where to write.
+        quick: three thicknesses and five ratios, a coarser mesh.
+    """
+    record.parameters = {"E of the bodies": 100.0, "E over mu": list(CONTRASTS), "laws": LAWS}
+    table = record.table("table.csv")
+    for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
+        cases = [(c, nu, e) for c in CONTRASTS for nu in (QUICK_NUS if quick else NUS) for e in EPS[:: 1 + quick]]
+        for contrast, nu, eps in track(cases, name, "E/mu, nu, eps = {}"):
+            table.append(
+                {"sides": name, "E/mu": contrast, "nu": nu, "eps": eps}
+                | _row(record, set_up, 100.0 / contrast, nu, eps)
+            )
+        part = _part(table, name)
+        record.say(f"{SET_UPS[name]}: the larger of the errors of traction and jump\n{_summary(part)}")
+        _check(record, name, part)
+
+
+def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
+    """Errors of the laws; how much too stiff order 0 is told to be; whether a warning comes with each law."""
+    lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
+    compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
+    errors: dict[str, float | None] = {f"{quantity}_{law}": None for law in LAWS for quantity in QUANTITIES}
+    told: dict[str, float | None] = dict.fromkeys(["too_stiff", *(f"warned_{law}" for law in LAWS)])
+    for law, layer in _layers(lmbda, mu, eps).items():
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            state = record.solved(solve(structure.interface(layer)))
+        warned = any(issubclass(one.category, RangeWarning) for one in found)
+        told[f"warned_{law}"] = float(world().bcast(warned))  # rank 0 warns
+        errors |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
+        if law == "order_0" and nu < 0.5:
+            told["too_stiff"] = PressureReport(state).too_stiff["S"]
+    return errors | told
+
+
+def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
+    """The laws that take a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
+    if math.isinf(lmbda):
+        law = Incompressible(mu).per_thickness(eps)
+        return {"order_0": ThinLayer(law, eps), "rubber": ThinLayer(law, eps, order=1)}
+    elastic = LinearElastic(lmbda, mu).per_thickness(eps)
+    layers = {"order_0": ThinLayer(elastic, eps), "order_1": ThinLayer(elastic, eps, order=1)}
+    return layers | ({"rubber": ThinLayer(_rubber(lmbda, mu, eps), eps, order=1)} if lmbda else {})
+
+
+def _rubber(lmbda: float, mu: float, eps: float) -> Rubber | Incompressible | LinearElastic:
+    """The law whose meshed layer does not lock."""
+    law = Incompressible(mu) if math.isinf(lmbda) else Rubber(lmbda, mu) if lmbda else LinearElastic(lmbda, mu)
+    return law.per_thickness(eps)
+
+
+class Rollers:
+    """Blocks of height 1/2 between rollers, under one half-wave of length 1; exact layers by transfer matrices."""
+
+    def __init__(self, h: float) -> None:
+        joint, setup = fourier(h, cell="quadrilateral")
+        self._structure = Structure(joint, **setup)
+        self._wave = Wave(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5, 1.0))
+
+    def structure(self, eps: float) -> Structure:
+        """The blocks."""
+        return self._structure
+
+    def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
+        """Relative errors of the traction, the jump (both L2 on S) and the compliance of a state."""
+        *exact, work = self._wave.solved(lmbda, mu, eps)
+
+        def errors(state: State) -> tuple[float, ...]:
+            surface = Surface(state.model)
+            x = ufl.SpatialCoordinate(state.model.domain.mesh)[0]
+            shape = ufl.sin(ufl.pi * x), ufl.cos(ufl.pi * x)
+            found = []
+            for field, wanted in zip((surface.traction(state), surface.jump(state)), exact, strict=True):
+                amplitudes = [2 * surface.integral(field[k] * shape[k]) for k in range(2)]
+                found.append(float(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted)))
+            return (*found, abs(state.energies()["loads"] / work - 1))
+
+        return errors
+
+
+class FreeEnds:
+    """Blocks of height 1/2 and width 1, pressed and sheared, with free sides; meshed layers that do not lock."""
+
+    def __init__(self, quick: bool) -> None:
+        self._cells, self._structures = (16, 10, 2) if quick else (32, 15, 4), dict[float, Structure]()
+
+    def structure(self, eps: float) -> Structure:
+        """The blocks, with cells at the ends that are a part of the thickness."""
+        along, ends, _ = self._cells
+        if eps not in self._structures:
+            h_ends = min(eps, 1 / 8) / ends
+            joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_S=1 / along, h_ends=h_ends, cell="quadrilateral")
+            supports, tractions = {"BOTTOM": 0.0}, {"TOP": (0.3, -1.0)}
+            self._structures[eps] = Structure(joint, body=FOURIER_BODY, supports=supports, tractions=tractions)
+        return self._structures[eps]
+
+    def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
+        """Relative errors of the traction, the jump (both L2 on the inner half of S) and the compliance of a state."""
+        layer = ThinLayer(_rubber(lmbda, mu, eps), eps)
+        full = record.solved(solve(self.structure(eps).full(layer, cells_through=self._cells[2])))
+        work = full.energies()["loads"]
+
+        def errors(state: State) -> tuple[float, ...]:
+            surface, found = Surface(state.model), []
+            x = ufl.SpatialCoordinate(state.model.domain.mesh)[0]
+            inner = ufl.conditional(ufl.lt(abs(x - 0.5), INNER), 1.0, 0.0)
+            for field in (surface.traction, surface.jump):
+                meshed = field(full)
+                found.append(surface.norm(field(state) - meshed, inner) / surface.norm(meshed, inner))
+            return (*found, abs(state.energies()["loads"] / work - 1))
+
+        return errors
+
+
+def _part(table: Table, sides: str) -> Table:
+    return Table(row for row in table.rows if row["sides"] == sides)
+
+
+def _worst(table: Table, law: str) -> Array:
+    """(rows,) larger of the errors of traction and jump."""
+    return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
+
+
+def _summary(table: Table) -> Table:
+    columns = {name: table[name] for name in ("E/mu", "nu", "eps")} | {law: _worst(table, law) for law in LAWS}
+    columns["too_stiff"] = table["too_stiff"]
+    rows = zip(*columns.values(), strict=True)
+    return Table({k: None if math.isnan(v) else float(v) for k, v in zip(columns, row, strict=True)} for row in rows)
+
+
+def _check(record: Record, name: str, table: Table) -> None:
+    """Rubber: of order 2 on rollers and 1 at free ends; LinearElastic of order 1: no large error without a warning."""
+    eps, errors = table["eps"], _worst(table, "rubber")
+    order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.3, eps < 0.1)
+    record.check(f"{name}: largest error of Rubber over eps^{order}", np.nanmax((errors / eps**order)[fine]), high=high)
+    silent = (_worst(table, "order_1") > TOLD) & (table["warned_order_1"] == 0)
+    record.check(f"{name}: errors of LinearElastic, order 1, above 10 % without a warning", silent.sum(), high=0)
+    missed = (_worst(table, "rubber") > TOLD) & (eps < 0.2)
+    record.check(f"{name}: errors of Rubber above 10 %, eps < 1/5", missed.sum(), high=0)
+
+
+def draw(record: Record) -> None:
+    """Draw the errors of each law, and the cheapest law for 1 % and 5 %, over eps and nu, from the tables."""
+    for name, what in SET_UPS.items():
+        table = _part(record.load("table.csv"), name)
+        nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
+        axes: dict[str, Any] = {
+            "x": [f"{nu:g}" for nu in nus],
+            "y": [f"1/{round(1 / e)}" for e in eps],
+            "xlabel": "Poisson's ratio nu",
+            "ylabel": "eps/l",
+        }
+        errors: dict[str, Array] = {}
+        texts: dict[str, Any] = {}
+        for contrast in CONTRASTS:
+            at = table["E/mu"] == contrast
+            for law, label in LAWS.items():
+                panel = f"{label}; E/mu = {contrast:,}"
+                errors[panel] = _grid(_worst(table, law)[at], nus)
+                warned = _grid(table[f"warned_{law}"][at], nus) > 0
+                texts[panel] = np.vectorize(_percent)(errors[panel], warned)
+        plotting.maps(
+            errors,
+            texts=texts,
+            levels=LEVELS,
+            names=["< 0.1 %", "0.1 to 1 %", "1 to 5 %", "5 to 20 %", "> 20 %"],
+            title=f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}",
+            save=record.path(f"errors_{name}.png"),
+            **axes,
+        )
+        _cheapest(record, f"cheapest_{name}.png", what, errors, axes)
+
+
+def _cheapest(record: Record, picture: str, what: str, errors: Mapping[str, Array], axes: Mapping[str, Any]) -> None:
+    """Draw the first law whose error is below each of `WANTED`; none: the meshed layer."""
+    names = [*LAWS.values(), "meshed layer"]
+    parts, texts = {}, {}
+    for contrast in CONTRASTS:
+        stack = np.array([errors[f"{label}; E/mu = {contrast:,}"] for label in LAWS.values()])
+        for wanted in WANTED:
+            panel = f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"
+            good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
+            parts[panel] = good.argmax(axis=0)
+            texts[panel] = np.array(["0", "1", "R", "m"])[parts[panel]]
+    plotting.maps(
+        parts,
+        texts=texts,
+        levels=(0.5, 1.5, 2.5),
+        names=[f"{text}: {name}" for text, name in zip("01Rm", names, strict=True)],
+        title=f"cheapest law; {what}",
+        columns=len(WANTED),
+        save=record.path(picture),
+        **axes,
+    )
+
+
+def _grid(values: Array, nus: Array) -> Array:
+    """(thicknesses, ratios) from rows of a table, ordered by ratio and then by thickness."""
+    return values.reshape(len(nus), -1).T
+
+
+def _percent(error: float, warned: bool) -> str:
+    """In per cent, of two digits; "-" for a law that does not take the material."""
+    if math.isnan(error):
+        return "-"
+    number = 100 * error
+    digits = ">999" if number > 999.5 else f"{number:.0f}" if number >= 10 else f"{number:.{1 if number < 0.1 else 2}g}"
+    return digits + "!" * bool(warned)

@@ -1,0 +1,41 @@
+"""Structures with free ends of a layer; as a script, numbers that do not depend on the number of ranks."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from mpi4py import MPI
+
+from forms import LinearElastic
+from geometry import sandwich
+from thinlayer import Structure, Surface, ThinLayer, solve
+
+BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
+SIZES = {2: {}, 3: {"depth": 0.7}}
+LOAD = (0.3, -1.0, 0.2)
+LAYER = ThinLayer(GLUE, 0.05, order=1, edges="free")
+
+
+def structure(dim: int, angle: float = 0.3) -> Structure:
+    """Two turned blocks of triangles or tetrahedra, cells at the ends of S larger than the strips of the layer's ends."""
+    joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15, **SIZES[dim])
+    turn = np.eye(dim)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    load = tuple(turn @ LOAD[:dim])
+    return Structure(joint.rotated(angle), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
+
+
+def numbers(dim: int) -> dict[str, float]:
+    """The work of the loads, and norms of jump and traction."""
+    state = solve(structure(dim).interface(LAYER))
+    surface = Surface(state.model)
+    fields = {"jump": surface.jump(state), "traction": surface.traction(state)}
+    squares = {name: surface.integral(sum(one**2 for one in field)) for name, field in fields.items()}
+    return {f"{dim}D {name}": value for name, value in ({"loads": state.energies()["loads"]} | squares).items()}
+
+
+if __name__ == "__main__":
+    found = numbers(2) | numbers(3)
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(found))

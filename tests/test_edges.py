@@ -1,0 +1,248 @@
+"""Free ends of a layer in its interface law of order 1: energy, weights, orders of the errors, what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+import ufl
+
+from forms import Anisotropic, LawError, LinearElastic, Rubber
+from forms.ends import free_end
+from forms.ends.weights import EndWeights, Strips
+from forms.law import Step
+from forms.planes import Kinematics
+from forms.stations import Faces
+from geometry import block, disc, sandwich
+from geometry.ends import share_within, straight_ends
+from geometry.sheet import Sheet
+from tests.edges_run import numbers, structure
+from tests.ranks import mpirun
+from thinlayer import ModelError, Structure, ThinLayer, compare, observed_orders, solve
+from thinlayer.discretisation.end_weights import FacetWeights
+
+BODY = LinearElastic.young(E=100.0, nu=0.3)
+EPS = (1 / 16, 1 / 32)
+
+
+# ---------------------------------------------------------------- the energy
+def vectors(dim: int) -> tuple[np.ndarray, np.ndarray]:
+    """A unit normal n of S, and one m in S."""
+    turn, _ = np.linalg.qr(np.random.default_rng(dim).normal(size=(dim, dim)))
+    return turn[:, 0], turn[:, 1]
+
+
+def written(law, eps, n, m, jump, gradient, a_N, a_T, f_N, f_T):
+    """Energy per volume at two faces with the jump [u] and the same gradient of the mean displacements, by components."""
+    dim, M = len(n), law.lmbda + 2 * law.mu
+    along = np.eye(dim) - np.outer(n, n)
+    in_s = gradient @ along
+    e_S = along @ (in_s + in_s.T) @ along / 2
+    tr, e_N, g, h = np.trace(e_S), jump @ n / eps, along @ jump / eps, in_s.T @ n
+    rest = g + h - ((g + h) @ m) * m
+    normal = M * (1 - a_N) * e_N**2 + 2 * law.lmbda * f_N * e_N * tr
+    normal += (law.lmbda * tr**2 + 2 * law.mu * np.sum(e_S**2)) / (1 - a_N)
+    shear = (1 - a_T) * (g @ m) ** 2 + 2 * f_T * (g @ m) * (h @ m) + (h @ m) ** 2 / (1 - a_T)
+    return (normal + law.mu * (shear + rest @ rest)) / 2
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("nu", [0.0, 0.2, 0.45])
+def test_the_stations_have_the_energy_of_an_end(dim, nu):
+    law, eps, (n, m) = LinearElastic.shear(0.7, nu), 0.3, vectors(dim)
+    rng = np.random.default_rng(7)
+    jump, gradient, change = rng.normal(size=dim), rng.normal(size=(dim, dim)), rng.normal(size=(dim, dim))
+    values = 0.31, 0.22, 0.4, 0.8
+    kinematics, n_ufl = Kinematics(), ufl.as_vector(n.tolist())
+    mean = kinematics.along(ufl.as_matrix(gradient.tolist()), ufl.as_vector(jump.tolist()), n_ufl)
+    faces = Faces(n_ufl, eps, ufl.as_vector(jump.tolist()), ufl.as_matrix(change.tolist()), mean, kinematics)
+    weights = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, values))
+
+    def energy(stations):
+        return sum(float((s.share * s.law.energy(Step(s.strain(faces), n_ufl)))(())) for s in stations)
+
+    found, plain = energy(law.stations_at_ends(weights)), energy(law.stations())
+    infinite = written(law, eps, n, m, jump, gradient, 0, 0, 1, 1)
+    assert found - plain == pytest.approx(written(law, eps, n, m, jump, gradient, *values) - infinite, rel=1e-10)
+    none = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, (0.0, 0.0, 1.0, 1.0)))
+    assert energy(law.stations_at_ends(none)) == pytest.approx(plain, rel=1e-12)
+
+
+@pytest.mark.parametrize("nu", np.linspace(0, 0.45, 10))
+def test_the_energy_is_convex_at_free_ends(nu):
+    """Smallest eigenvalue over mu, where all of an end's strips lie in one facet, and stresses along S fade."""
+    strips, lmbda, mu = Strips.of(free_end(nu)), 2 * nu / (1 - 2 * nu), 1.0
+    a_N, a_T = strips.c_N / strips.l_N, strips.c_T / strips.l_T
+    assert max(a_N, a_T) < 0.75
+    for f in np.linspace(0, 1, 5):
+        normal = [[(lmbda + 2) * (1 - a_N), lmbda * f], [lmbda * f, (lmbda + 2) / (1 - a_N)]]
+        shear = [[mu * (1 - a_T), f * mu], [f * mu, mu / (1 - a_T)]]
+        assert np.linalg.eigvalsh(normal)[0] > 0.7 * mu
+        assert np.linalg.eigvalsh(shear)[0] > (1e-3 if f < 1 else -1e-12)  # rotations of an infinite layer cost nothing
+
+
+# ---------------------------------------------------------------- the weights
+def weights_on(joint, eps, ends=None):
+    sheet = Sheet(joint)
+    ends = straight_ends(sheet.rim, sheet) if ends is None else ends
+    strips = Strips.of(free_end(0.3))
+    area = np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
+    return FacetWeights.of(ends, sheet, eps, strips), area, strips, ends
+
+
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
+def test_weights_have_the_deficit_of_the_end(cell):
+    """The integral of a is c eps per length of the end, whatever the cells; in 3D also of two ends that face each other."""
+    depth = {} if cell == "triangle" else {"depth": 0.7, "cell": cell}
+    joint, eps = sandwich(1.1, 0.2, 0.2, 0.17, **depth).rotated(0.2), 0.06
+    _, _, _, ends = weights_on(joint, eps)
+    assert len(ends) == (2 if cell == "triangle" else 4)
+    c, s = math.cos(0.2), math.sin(0.2)
+    opposite = [end for end in ends if abs(abs(end.m[:2] @ [c, s]) - 1) < 1e-9]
+    found, area, strips, _ = weights_on(joint, eps, opposite)
+    length = 2 * depth.get("depth", 1.0)
+    assert found.a_N @ area == pytest.approx(strips.c_N * eps * length, rel=1e-12)
+    assert found.a_T @ area == pytest.approx(strips.c_T * eps * length, rel=1e-12)
+    assert np.linalg.norm(found.m, axis=1) == pytest.approx(1.0)
+
+
+def test_parts_of_triangles():
+    """Against fine grids of points."""
+    d = np.array([[0.1, 0.5, 1.2], [0.0, 0.0, 1.0], [2.0, 0.3, 2.0], [0.4, 0.4, 0.4]])
+    a, b = (x.ravel() for x in np.meshgrid(*2 * [(np.arange(600) + 0.5) / 600]))
+    inside = a + b < 1
+    at = d[:, :1] + np.outer(d[:, 1] - d[:, 0], a[inside]) + np.outer(d[:, 2] - d[:, 0], b[inside])
+    for length in (0.05, 0.3, 0.45, 0.7, 1.5, 3.0):
+        np.testing.assert_allclose(share_within(d, length), (at < length).mean(axis=1), atol=4e-3)
+
+
+# ---------------------------------------------------------------- errors
+def errors(structure_at, law, edges, inner):
+    """Relative errors of traction and jump on the inner part of S, and of the work of the loads."""
+    found = []
+    for eps in EPS:
+        one = structure_at(eps)
+        full = solve(one.full(ThinLayer(law, eps), cells_through=8))
+        limit = solve(one.interface(ThinLayer(law, eps, order=1, edges=edges)))
+        row = compare(full, limit, where=inner)
+        work = limit.energies()["loads"] / full.energies()["loads"] - 1
+        found.append([row["error_traction"], row["error_jump"], abs(work)])
+    return np.array(found)
+
+
+def stack(eps):
+    joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 12, cell="quadrilateral")
+    return Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
+
+
+def unequal(eps):
+    joint = sandwich(1.0, 0.3, 0.6, h=1 / 8, h_S=1 / 32, h_ends=eps / 12, cell="quadrilateral")
+    body = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": BODY}
+    return Structure(joint, body=body, supports={"BOTTOM": 0}, tractions={"TOP": lambda x, t: (-0.6, 1 + x[0])})
+
+
+def based(eps):
+    joint = block(1.0, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 12, cell="quadrilateral")
+    return Structure(joint, body=BODY, supports={}, tractions={"TOP": (0.3, -1)})
+
+
+@pytest.mark.parametrize(
+    ("structure_at", "mu", "nu", "low"),
+    [(stack, 40.0, 0.3, 2.1), (stack, 8.0, 0.45, 1.9), (stack, 40.0, 0.0, 2.3), (unequal, 8.0, 0.3, 2.0), (based, 8.0, 0.3, 1.9)],
+)  # fmt: skip
+def test_order_2_away_from_free_ends(structure_at, mu, nu, low):
+    law = LinearElastic.shear(mu, nu)
+    middle = lambda x: abs(x[0] - 0.5) < 0.25
+    right = errors(structure_at, law, "free", middle)
+    wrong = errors(structure_at, law, None, middle)
+    assert min(observed_orders(EPS, right[:, k])[-1] for k in range(3)) > low
+    assert np.all(right[-1] < 0.2 * wrong[-1])
+    assert max(observed_orders(EPS, wrong[:, k])[-1] for k in range(3)) < 1.3
+
+
+def test_a_plate_in_plane_strain_is_its_section():
+    """What straight edges add to the work of the loads, in 3D against 2D; front and back hold the layer's sides."""
+    law, held = LinearElastic.shear(3.0, 0.35), {"BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}
+    added = []
+    for depth, more, load in ({}, {}, (0.3, -1)), ({"depth": 0.3}, held, (0.3, -1, 0)):
+        joint = sandwich(1.0, 0.3, 0.3, 0.15, structured=True, **depth)
+        setup = Structure(joint, body=BODY, supports={"BOTTOM": 0} | more, tractions={"TOP": load})
+        layers = [ThinLayer(law, 0.1, order=1, edges=edges) for edges in ("free", None)]
+        free, none = (solve(setup.interface(layer)).energies()["loads"] for layer in layers)
+        added.append(free / none - 1)
+    assert added[0] > 0.01  # ends make it weaker
+    assert added[1] == pytest.approx(added[0], rel=0.02)
+
+
+def test_held_sides_are_no_free_ends():
+    joint = sandwich(1.0, 0.3, 0.3, 0.25)
+    setup = {
+        "body": BODY,
+        "supports": {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}},
+        "tractions": {"TOP": (0, -1)},
+    }
+    layers = [ThinLayer(LinearElastic.shear(3.0, 0.35), 0.1, order=1, edges=edges) for edges in ("free", None)]
+    works = [solve(Structure(joint, **setup).interface(layer)).energies()["loads"] for layer in layers]
+    assert works[0] == pytest.approx(works[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_turned_structures_are_the_same(dim):
+    turned, straight = (
+        solve(structure(dim, angle).interface(ThinLayer(LinearElastic.shear(3.0, 0.35), 0.05, order=1, edges="free")))
+        for angle in (0.3, 0.0)
+    )
+    assert turned.energies()["loads"] == pytest.approx(straight.energies()["loads"], rel=1e-9)
+
+
+def test_the_same_on_two_ranks():
+    done = mpirun(2, "-m", "tests.edges_run")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == pytest.approx(numbers(2) | numbers(3), rel=1e-10)
+
+
+# ---------------------------------------------------------------- what is refused
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"edges": "open"}, "allowed: None, 'free'"),
+        ({"order": 0}, "use order=1"),
+        ({"law": Rubber(1.0, 1.0)}, "known for LinearElastic"),
+        ({"law": Anisotropic(np.eye(6))}, "known for LinearElastic"),
+        ({"law": LinearElastic.young(lambda x: 1 + x[0], 0.3)}, "parameters that are numbers"),
+        ({"law": LinearElastic.young(1.0, -0.1)}, "from 0 on"),
+        ({"profile": lambda x: 1 + x[0]}, "with profile="),
+        ({"eigenstrain": 0.01}, "with eigenstrain="),
+    ],
+)
+def test_layers_without_constants_are_refused(given, message):
+    with pytest.raises(LawError, match=message):
+        ThinLayer(**{"law": LinearElastic.young(1.0, 0.3), "eps": 0.1, "order": 1, "edges": "free"} | given)
+
+
+@pytest.mark.parametrize(
+    ("nu", "mu", "more", "message"),
+    [
+        (0.46, 1.0, {}, "allowed: at most 0.45"),
+        (0.3, 80.0, {}, "much stiffer"),
+        (0.3, 1.0, {"plane": "axisymmetric"}, "curved"),
+    ],
+)
+def test_models_outside_the_range_are_refused(nu, mu, more, message):
+    setup = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={}, **more)
+    layer = ThinLayer(LinearElastic.shear(mu, nu), 0.1, order=1, edges="free")
+    with pytest.raises(ModelError, match=message):
+        setup.interface(layer)
+
+
+def test_apart_bodies_and_curved_ends_are_refused():
+    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1, edges="free")
+    setup = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={})
+    with pytest.raises(ModelError, match="kept"):
+        setup.interface(layer, bodies="extended")
+    cylinders = disc(1.0, lower=0.3, upper=0.3, h=0.4)
+    setup = Structure(cylinders, body=BODY, supports={"BOTTOM": 0}, tractions={})
+    with pytest.raises(ModelError, match="one is curved at"):
+        setup.interface(layer)

@@ -1,0 +1,92 @@
+"""Laminated bearings: several layers of rubber between shims, meshed and by the law with a pressure: springs in series."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+
+from forms import Incompressible, LinearElastic, Rubber, limits
+from geometry import faults, wall
+from tests.ranges_told import told
+from tests.test_meshed_networks import panel
+from tests.test_rubber_bearings import PLATES, modulus
+from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, solve
+
+MU, A, SHIM = 1.2, 20.0, 10.0  # MPa; half-width or radius, and thickness of shims, mm
+OPENING = 0.01  # mm
+LAYERS = {  # name of a seam: thickness, law
+    "LOW": (3.0, Rubber(modulus(0.499), MU)),
+    "MIDDLE": (2.0, Rubber(modulus(0.49), 0.5)),
+    "HIGH": (2.5, Incompressible(0.9)),
+}
+STIFFNESS = {"strain": limits.rubber_strip, "axisymmetric": limits.rubber_disc}
+
+
+def stiffness(name, plane):
+    """Mean traction per opening of one layer."""
+    eps, law = LAYERS[name]
+    lmbda = law.lmbda if isinstance(law, Rubber) else float("inf")
+    return STIFFNESS[plane](lmbda, law.mu, eps, A)
+
+
+def layers(order, law=None):
+    return {name: ThinLayer((law or own).per_thickness(eps), eps, order=order) for name, (eps, own) in LAYERS.items()}
+
+
+@cache
+def bearing(plane):
+    """Half of it, from the plane of symmetry or the axis."""
+    cuts = {name: ((-1.0, SHIM * k), (A + 1, SHIM * k)) for k, name in enumerate(LAYERS, 1)}
+    joint = faults(A, SHIM * (len(LAYERS) + 1), cuts, 5.0, h_S=1.0, h_ends=0.1)
+    sides = {"LEFT": {"x": 0.0}} if plane == "strain" else {}
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": OPENING}, **sides}
+    return Structure(joint, body=PLATES, supports=supports, plane=plane)
+
+
+def area(plane):
+    return A if plane == "strain" else 3.141592653589793 * A**2
+
+
+@pytest.mark.parametrize("plane", STIFFNESS)
+def test_layers_between_shims_are_springs_in_series(plane):
+    whole, each = bearing(plane), {name: stiffness(name, plane) for name in LAYERS}
+    wanted = 1 / sum(1 / k for k in each.values())
+    limit = solve(whole.interface(layers(1)))
+    full = solve(whole.full(layers(0), cells_through=4))
+    for state, near in ((limit, 2e-3), (full, 0.015)):
+        assert state.reaction("TOP").force[1] / (area(plane) * OPENING) == pytest.approx(wanted, rel=near)
+        assert abs(state.audit.imbalance) < 1e-9
+        stored = state.energies()
+        for name, k in each.items():
+            surface = Surface(limit.model, name)
+            assert surface.integral(surface.jump(state)[1]) / area(plane) == pytest.approx(
+                OPENING * wanted / k, rel=near
+            )
+            assert stored[f"layer {name}"] == pytest.approx(area(plane) * (OPENING * wanted) ** 2 / k / 2, rel=near)
+        assert {f"pressure {name}" for name in LAYERS} <= set(state.fields)
+    for name in LAYERS:
+        assert compare(full, limit, seam=name, where=lambda x: x[0] < 0.8 * A)["error_traction"] < 0.02
+
+
+def test_elastic_layers_are_too_stiff():
+    law = LinearElastic(modulus(0.499), MU)
+    found = told(lambda: solve(bearing("strain").interface(layers(0, law))))[0].reaction("TOP").force[1]
+    wanted = 1 / sum(1 / limits.rubber_strip(law.lmbda, law.mu, eps, A) for eps, _ in LAYERS.values())
+    assert found / (area("strain") * OPENING) > 2 * wanted
+
+
+def test_meshed_rubber_at_junctions():
+    """As meshed layers of elastic cells, where these do not lock yet; each seam has a pressure."""
+    structure, eps, found = panel("P2"), 0.05, []
+    for law in (Rubber.shear(0.5, 0.4), LinearElastic.shear(0.5, 0.4)):
+        state = solve(structure.full({"BED": ThinLayer(law, eps), "HEAD": ThinLayer(law, eps)}, cells_through=2), 1.0)
+        found.append(state.energies())
+    assert found[0] == pytest.approx(found[1], rel=0.03)
+
+
+def test_refused_where_seams_meet():
+    structure = Structure(wall(2, 2, (2.0, 1.0), 0.5), body=PLATES, supports={"BOTTOM": 0.0})
+    law = Rubber(30.0, 1.0)
+    with pytest.raises(ModelError, match="without junctions"):
+        structure.interface({"BED": ThinLayer(law, 0.05, order=1), "HEAD": ThinLayer(law, 0.05)})

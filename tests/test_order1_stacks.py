@@ -1,0 +1,239 @@
+"""The next-order law of sublayers in series: moments, errors and orders, wrong laws beside it, planes, what it refuses."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from forms import Anisotropic, Incompressible, KelvinVoigt, LawError, LinearElastic, Maxwell, MohrCoulomb, Stack
+from forms.sharing import in_series
+from geometry import sandwich
+from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
+from tests import reference
+from tests.ranks import mpirun
+from tests.test_eigenstrains_of_layers import varying
+from thinlayer import Structure, ThinLayer, compare, observed_orders, solve
+from thinlayer.errors import RangeWarning
+
+TWO = [(0.3, 60.0, 40.0), (0.7, 600.0, 20.0)]  # fraction, lmbda, mu of the sublayers, per thickness
+THREE = [(0.3, 400.0, 20.0), (0.3, 20.0, 60.0), (0.4, 60.0, 5.0)]
+UNEQUAL = [(0.4, 60.0, 80.0), (0.6, 10.0, 8.0)]
+SOFT = LinearElastic.shear(20.0, 0.4999)
+TIGHT = [(0.4, 70.0, 40.0), (0.6, SOFT.lmbda, SOFT.mu)]
+EPS = (1 / 16, 1 / 32, 1 / 64)
+QUANTITIES = ("error_traction", "error_jump")
+MESH = {"cell": "quadrilateral"}
+
+
+def stack(sublayers):
+    return Stack(*((a, LinearElastic(lmbda, mu)) for a, lmbda, mu in sublayers))
+
+
+def left(sublayers, way="", eps=EPS):
+    """Errors (traction, jump, compliance) at each thickness, from transfer matrices."""
+    return [reference.errors(reference.stacked(sublayers, e), reference.in_series(sublayers, e, way)) for e in eps]
+
+
+def found(law, limit=None, eps=EPS, h=1 / 16, **more):
+    """Errors (traction, jump, compliance) of the interface law of `limit` against the meshed layer of `law`."""
+    joint, setup = fourier(h, **MESH)
+    structure, rows = Structure(joint, **setup, **more), []
+    for e in eps:
+        full = solve(structure.full(ThinLayer(law, e)))
+        state = solve(structure.interface(ThinLayer(limit or law, e, order=1)))
+        row, works = compare(full, state), [one.energies()["loads"] for one in (full, state)]
+        rows.append((*(row[name] for name in QUANTITIES), abs(works[0] / works[1] - 1)))
+    return rows
+
+
+def orders(rows, eps=EPS):
+    return [observed_orders(eps, list(errors))[-1] for errors in zip(*rows, strict=True)]
+
+
+# ---------------------------------------------------------------- moments, and laws written down elsewhere
+@pytest.mark.parametrize(
+    ("sublayers", "A", "B", "lateral"),
+    [(TWO, 0.004963, 0.181034, 0.784821), (THREE, -0.095552, -0.160266, None)],
+    ids=["two", "three"],
+)
+def test_moments(sublayers, A, B, lateral):
+    """Means of r Phi_T, of Phi_N and of r, from an independent program; K_N and K_T are those of order 0."""
+    law = in_series(stack(sublayers).sublayers)[0].law
+    assert (law.lateral_tangential, law.normal) == pytest.approx((A, B), abs=5e-7)
+    assert lateral is None or law.lateral == pytest.approx(lateral, abs=5e-7)
+    assert law.mu == pytest.approx(1 / sum(a / mu for a, _, mu in sublayers), rel=1e-14)
+    assert law.lmbda + 2 * law.mu == pytest.approx(1 / sum(a / (one + 2 * mu) for a, one, mu in sublayers), rel=1e-14)
+
+
+def test_laws_of_the_reference():
+    """The form with straight strains has the numbers of an independent program; without moments the order is 1."""
+    assert left(TWO, "straight")[1] == pytest.approx((1.6e-3, 6.6e-3, 2.3e-3), rel=0.04)
+    assert left(THREE, "straight")[2] == pytest.approx((2.3e-4, 3.9e-4, 1.6e-4), rel=0.02)
+    assert left(THREE, "no moments")[2] == pytest.approx((3.4e-3, 4.7e-3, 1.6e-3), rel=0.08)
+    for sublayers in (TWO, THREE):
+        for way in ("", "straight"):
+            assert orders(left(sublayers, way)) == pytest.approx([2.0] * 3, abs=0.06)
+    assert max(orders(left(THREE, "no moments"))) < 1.0
+    locked, free = (left(TIGHT, way)[0] for way in ("straight", ""))
+    assert all(wrong > 40 * error for wrong, error in zip(locked, free, strict=True))
+
+
+# ---------------------------------------------------------------- models
+@pytest.mark.parametrize("sublayers", [TWO, THREE], ids=["two", "three"])
+def test_sublayers(sublayers):
+    """Order 2 with the errors of the transfer matrices; of the mirrored stack order 1."""
+    law = stack(sublayers)
+    rows = found(law)
+    for row, wanted in zip(rows, left(sublayers), strict=True):
+        assert row == pytest.approx(wanted, rel=0.03)
+    assert orders(rows) == pytest.approx([2.0] * 3, abs=0.1)
+    wrong = found(law, Stack(*law.sublayers[::-1]))
+    assert max(orders(wrong)[:2]) < 1.5
+
+
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+def test_a_sublayer_that_keeps_its_volume():
+    """Nothing locks: order 2 at nu = 0.4999 in one of the sublayers."""
+    rows = found(stack(TIGHT))
+    for row, wanted in zip(rows, left(TIGHT), strict=True):
+        assert row[:2] == pytest.approx(wanted[:2], rel=0.1)  # the meshed sublayer locks a little
+    assert orders(rows)[:2] == pytest.approx([2.0] * 2, abs=0.15)
+
+
+def test_equal_sublayers_are_one_layer():
+    joint, setup = fourier(1 / 8, **MESH)
+    structure = Structure(joint, **setup)
+    laws = (
+        FOURIER_LAYER,
+        Stack((0.3, FOURIER_LAYER), (0.2, FOURIER_LAYER), (0.5, FOURIER_LAYER)),
+        Stack((1, FOURIER_LAYER)),
+    )
+    one, three, same = (solve(structure.interface(ThinLayer(law, 0.1, order=1))).energies() for law in laws)
+    assert three == pytest.approx(one, rel=1e-11)
+    assert same == one
+
+
+def test_the_order_of_sublayers():
+    """A stack under a mirrored load is the mirrored stack; the stack itself is another layer."""
+    joint, law = sandwich(1.0, 0.5, 0.5, 1 / 8, **MESH), stack(THREE)
+    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+
+    def energies(law, below):
+        places = ("TOP", "BOTTOM") if below else ("BOTTOM", "TOP")
+        load = lambda x, t: (x[0] * (1 - x[0]), (-1 if below else 1) * (0.3 + x[0] ** 2))
+        setup = {"supports": sides | {places[0]: 0.0}, "tractions": {places[1]: load}}
+        return solve(Structure(joint, body=FOURIER_BODY, **setup).interface(ThinLayer(law, 0.1, order=1))).energies()
+
+    mirrored = Stack(*law.sublayers[::-1])
+    assert energies(mirrored, True) == pytest.approx(energies(law, False), rel=1e-10)
+    assert abs(energies(law, True)["layer"] / energies(law, False)["layer"] - 1) > 1e-4
+
+
+def test_other_numbers_on_the_same_model():
+    """`with_layer` gives what a model of its own gives, whatever the number of sublayers."""
+    joint, setup = fourier(1 / 8, **MESH)
+    structure = Structure(joint, **setup)
+    model, other = structure.interface(ThinLayer(stack(TWO), 0.1, order=1)), ThinLayer(stack(THREE), 0.05, order=1)
+    solve(model)
+    assert solve(model.with_layer(other)).energies() == pytest.approx(
+        solve(structure.interface(other)).energies(), rel=1e-12
+    )
+
+
+def test_a_graded_layer():
+    """Sublayers of equal thickness with the law of their middles; many of them tend to the layer that they stand for."""
+    graded = lambda y: LinearElastic(60.0 * (1 + 8 * y), 40.0 * (1 + y))
+    assert [law.mu for law in Stack.graded(graded, 2).laws] == pytest.approx([50.0, 70.0])
+    joint, setup = fourier(1 / 8, **MESH)
+    structure = Structure(joint, **setup)
+    jumps = [
+        solve(structure.interface(ThinLayer(Stack.graded(graded, n), 0.1, 1))).energies()["layer"] for n in (8, 16, 32)
+    ]
+    assert np.log2((jumps[1] - jumps[0]) / (jumps[2] - jumps[1])) == pytest.approx(2.0, abs=0.1)
+    for n in (0, 2.5, "2"):
+        with pytest.raises(LawError, match="number of sublayers"):
+            Stack.graded(graded, n)
+
+
+@pytest.mark.parametrize(("plane", "sublayers"), [("stress", UNEQUAL), ("axisymmetric", THREE)])
+def test_planes(plane, sublayers):
+    """Order 2 against the meshed layer, on sides that slide."""
+    joint = sandwich(1.0, 0.5, 0.5, 1 / 16, **MESH)
+    setup = {
+        "body": FOURIER_BODY,
+        "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}},
+        "tractions": {"TOP": lambda x, t: (x[0] * (1 - x[0]), x[0] ** 2 * (3 - 2 * x[0]))},
+        "plane": plane,
+    }
+    structure, rows, wrong = Structure(joint, **setup), [], []
+    for e in EPS[1:]:
+        full = solve(structure.full(ThinLayer(stack(sublayers), e)))
+        for law, some in ((stack(sublayers), rows), (stack(sublayers[::-1]), wrong)):
+            row = compare(full, solve(structure.interface(ThinLayer(law, e, order=1))))
+            some.append([row[name] for name in QUANTITIES])
+    assert orders(rows, EPS[1:]) == pytest.approx([2.0, 2.0], abs=0.15)
+    assert max(orders(wrong, EPS[1:])) < 1.6
+
+
+def test_eigenstrains():
+    """Of the size of the bodies' strains: order 2."""
+    joint, setup = fourier(1 / 16, **MESH)
+    structure, rows = Structure(joint, **setup), []
+    for e in EPS[1:]:
+        full, limit = (
+            solve(build(ThinLayer(stack(TWO), e, order, eigenstrain=varying(2e-2))))
+            for build, order in ((structure.full, 0), (structure.interface, 1))
+        )
+        rows.append([compare(full, limit)[name] for name in QUANTITIES])
+    assert orders(rows, EPS[1:]) == pytest.approx([2.0, 2.0], abs=0.15)
+
+
+# ---------------------------------------------------------------- ranks, refusals
+def test_ranks():
+    one, two = (mpirun(ranks, "tests/stacks_run.py") for ranks in (1, 2))
+    assert one.returncode == two.returncode == 0, one.stderr + two.stderr
+    first, second = (np.array(run.stdout.split(), float) for run in (one, two))
+    assert second == pytest.approx(first, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Maxwell(60.0, 40.0, t1=0.7),
+        KelvinVoigt(60.0, 40.0, 0.3, 0.5),
+        MohrCoulomb(60.0, 40.0, 0.1, 30.0),
+        Anisotropic(np.diag([3.0, 4.0, 5.0, 1.0, 2.0, 1.5])),
+        Anisotropic.springs(60.0, 40.0),
+    ],
+    ids=lambda law: type(law).__name__,
+)
+def test_refused(law):
+    both = Stack((0.4, FOURIER_LAYER), (0.6, law))
+    with pytest.raises(
+        LawError, match=rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
+    ):
+        ThinLayer(both, 0.1, order=1)
+    assert ThinLayer(both, 0.1).order == 0
+    with pytest.raises(LawError, match="a sublayer"):
+        Stack((0.5, FOURIER_LAYER), (0.5, Incompressible(3.0)))
+    with pytest.raises(LawError, match="order=1 of a Stack with parameters that are functions"):
+        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, LinearElastic(lambda x: 60 + x[0], 40.0))), 0.1, order=1)
+
+
+def test_one_that_varies_in_time_is_refused():
+    class Ageing(LinearElastic):
+        varies = True
+
+        def at(self, x, t):
+            return {"mu": self.mu * (1 + t) + 0 * x[0]}
+
+    with pytest.raises(LawError, match="sublayer Ageing"):
+        ThinLayer(Stack((0.4, FOURIER_LAYER), (0.6, Ageing(60.0, 40.0))), 0.1, order=1)
+
+
+def test_no_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RangeWarning)
+        found(stack(TWO), eps=(1 / 8,), h=1 / 8)

@@ -1,0 +1,84 @@
+"""Rubber whose moduli are functions of the place: against numbers, a closed form, a collocation and meshed layers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_bvp
+
+from forms import Incompressible, LinearElastic, Rubber
+from tests.ranges_told import told
+from tests.test_rubber_bearings import layer, modulus, stiffness, structure
+from tests.test_rubber_closed_forms import EPS, MU, STRIP
+from thinlayer import Structure, ThinLayer, solve
+
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of layers thicker than the plates
+
+SLOPE = 0.8  # of mu along the strip, relative to half its width
+
+
+def mu(x):
+    return MU * (1 + SLOPE * x[0] / STRIP)
+
+
+def lmbda(x):
+    """Stiffer in the middle."""
+    return modulus(0.499) * (1 - 0.7 * (x[0] / STRIP) ** 2)
+
+
+def collocated():
+    """Mean traction per opening, of (eps/lmbda) p - (eps^3/(12 mu) p')' = 1 with p = 0 at both ends."""
+    flow = lambda x: EPS**3 / (12 * mu([x]))
+    found = solve_bvp(
+        lambda x, y: np.array([y[1] / flow(x), EPS / lmbda([x]) * y[0] - 1]),  # p and its flow
+        lambda a, b: np.array([a[0], b[0]]),
+        np.linspace(-STRIP, STRIP, 50),
+        np.zeros((2, 50)),
+        tol=1e-9,
+    )
+    return quad(lambda x: found.sol(x)[0], -STRIP, STRIP)[0] / (2 * STRIP) + 2 * MU / EPS
+
+
+def test_incompressible_strip():
+    """4 mu a^2/eps^3 (1 - g^2/3) + 2 mu/eps for mu (1 + g x/a): p' = -12 mu (x - x_0)/eps^3 with x_0 = g a/3."""
+    wanted = 4 * MU * STRIP**2 / EPS**3 * (1 - SLOPE**2 / 3) + 2 * MU / EPS
+    whole = structure("strip")
+    assert stiffness("strip", solve(whole.interface(layer(Incompressible(mu))))) == pytest.approx(wanted, rel=1e-3)
+    found = stiffness(
+        "strip", solve(structure("strip", h_ends=0.1).full(layer(Incompressible(mu), 0), cells_through=8))
+    )
+    assert found == pytest.approx(wanted, rel=0.012)
+
+
+def test_strip():
+    wanted = collocated()
+    uniform = Rubber(modulus(0.499), MU)
+    for law, near in (
+        (Rubber(lmbda, mu), True),
+        (uniform, False),
+        (Rubber(lmbda, MU), False),
+        (Rubber(uniform.lmbda, mu), False),
+    ):
+        found = stiffness("strip", solve(structure("strip").interface(layer(law))))
+        assert (found == pytest.approx(wanted, rel=2e-3)) == near
+    meshed = solve(structure("strip", h_ends=0.1).full(layer(Rubber(lmbda, mu), 0), cells_through=8))
+    assert stiffness("strip", meshed) == pytest.approx(wanted, rel=0.012)
+
+
+@pytest.mark.parametrize("bearing", ["strip", "disc"])
+@pytest.mark.parametrize("order", [0, 1])
+def test_functions_that_are_constant(bearing, order):
+    """Have the energies of numbers."""
+    nu = 0.49
+    constant = Rubber(lambda x: modulus(nu) + 0 * x[0], lambda x: MU + 0 * x[0])
+    for build in (Structure.full, Structure.interface):
+        found = [solve(build(structure(bearing), layer(law, order))) for law in (Rubber(modulus(nu), MU), constant)]
+        assert found[1].energies() == pytest.approx(found[0].energies(), rel=1e-9)
+        assert found[1].p.x.array == pytest.approx(found[0].p.x.array, abs=1e-9 * np.abs(found[0].p.x.array).max())
+
+
+def test_ends_are_told_where_they_are_coarse():
+    """The fall of the pressure is that of the moduli at the end: one of two is too short for the cells."""
+    law = Rubber(lambda x: LinearElastic.shear(MU, 0.49).lmbda * np.where(x[0] > 0, 1.0, 1e-4), MU)
+    _, said = told(lambda: solve(structure("strip").interface(ThinLayer(law.per_thickness(EPS), EPS, order=1))))
+    assert sum("make cells there shorter" in one for one in said) == 1

@@ -1,0 +1,313 @@
+"""Bodies at their true places: order 1 on curved S, and of layers whose thickness varies."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+
+from forms import HolonomicCoulomb, Incompressible, LinearElastic, MohrCoulomb, Rubber
+from forms.work import energy
+from geometry import GeometryError, block, bond_cell, sandwich
+from geometry.inflating.inflation import inflate
+from geometry.inflating.parting import middle, parted
+from studies.tubes import lame
+from tests.ranks import mpirun
+from tests.true_places_run import BODY, numbers, quarter, taper
+from thinlayer import ModelError, Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.seams import SeamLayer
+
+GLUE = LinearElastic(60.0, 40.0)  # per thickness
+HELD = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+A, R, B = 0.5, 1.0, 1.6  # radii: bore, S, rim
+
+
+def tubes(inner=A, h=0.025):
+    """A short piece of two tubes along the axis; S is straight in their section."""
+    flat = sandwich(2 * h, R - inner, B - R, h, cell="quadrilateral", structured=True)
+    return flat.rotated(-np.pi / 2).moved((R, 0.0))
+
+
+def of_lame(eps: float) -> list[float]:
+    """Mean traction on S, per area of S; jump; displacement of the bore."""
+    radii = (A, R - eps / 2, R + eps / 2, B)
+    exact = lame(radii, (BODY, GLUE.in_layer(eps), BODY), (None, None), 1.0)
+    t = sum(r * exact.stress(1, r) for r in radii[1:3]) / 2 / R
+    return [t, exact.displacement(2, radii[2]) - exact.displacement(0, radii[1]), exact.displacement(0, A)]
+
+
+def of_law(eps: float, relaxed: bool = True) -> list[float]:
+    """The same of the law on S, of strain e0 + z e1: without its relaxed part e1 is that of straight lines through it."""
+    inside, outside = stiffness(A, R - eps / 2), stiffness(R + eps / 2, B)
+    law, jump, mean = GLUE.in_layer(eps), np.array([-1, 1]), np.array([0.5, 0.5])
+    stress, share = np.array([[law.lmbda + 2 * law.mu, law.lmbda], [law.lmbda, law.lmbda + 2 * law.mu]]), 0.0
+    if relaxed:
+        share = law.lmbda / (law.lmbda + 2 * law.mu) / R
+    K = np.zeros((4, 4))
+    K[:2, :2], K[2:, 2:] = inside, outside
+    for z in (-(12**-0.5), 12**-0.5):
+        e = np.array([jump / eps - z * share * jump, (mean + z * jump) / R])
+        K[1:3, 1:3] += eps * R / 2 * e.T @ stress @ e
+    u = np.linalg.solve(K, [A, 0.0, 0.0, 0.0])
+    forces = (inside @ u[:2])[1], (outside @ u[2:])[0]
+    return [(forces[0] - forces[1]) / 2 / R, u[2] - u[1], u[0]]
+
+
+def stiffness(inner: float, outer: float) -> np.ndarray:
+    """Outward forces per radian on the inner and the outer side of a tube, per displacement of these sides."""
+    u = np.array([[inner, 1 / inner], [outer, 1 / outer]])
+    a, b = 2 * (BODY.lmbda + BODY.mu), -2 * BODY.mu
+    return np.array([[-inner * a, -b / inner], [outer * a, b / outer]]) @ np.linalg.inv(u)
+
+
+def of_tubes(eps: float, order: int, bodies: str, law=GLUE) -> list[float]:
+    structure = Structure(tubes(), body=BODY, supports=HELD, tractions={"BOTTOM": (1.0, 0.0)}, plane="axisymmetric")
+    model = structure.interface(ThinLayer(law, eps, order=order), bodies=bodies)
+    state, surface = solve(model), Surface(model)
+    area = surface.integral(ufl.as_ufl(1.0))
+    assert area == pytest.approx(2 * np.pi * R * 0.05, rel=1e-12)
+    found = [surface.integral(f[0]) / area for f in (surface.traction(state), surface.jump(state))]
+    return [*found, Probe(state).displacement((A, -0.025))[0]]
+
+
+@pytest.fixture
+def any_s(monkeypatch):
+    """Order 1 with bodies that meet on a curved S, which is refused: the wrong law of these tests."""
+    monkeypatch.setattr(SeamLayer, "_check_flat", lambda _: None)
+
+
+@pytest.mark.usefixtures("any_s")
+def test_tubes_under_inner_pressure():
+    """Traction, jump and the bore's displacement against Lame's solution for three tubes."""
+    eps = (1 / 16, 1 / 32, 1 / 64)
+    cases = [[of_tubes(e, *case) for e in eps] for case in ((1, "extended"), (0, "extended"), (1, "kept"))]
+    right, zero, wrong = (np.abs(np.array(found) / [of_lame(e) for e in eps] - 1).T for found in cases)
+    for case, e, e_wrong in zip(cases[0], eps, wrong.T, strict=True):
+        assert case == pytest.approx(of_law(e), rel=1e-6)  # of the cells
+        assert e_wrong.min() > 2e-3
+    lines = np.abs(np.array(of_law(1 / 64, relaxed=False)) / of_lame(1 / 64) - 1)
+    assert lines == pytest.approx([3.4e-6, 1.7e-5, 7.7e-7], rel=0.02)  # of a program of its own
+    assert wrong[:, 2] == pytest.approx([3.1e-3, 3.4e-3, 4.6e-3], rel=0.02)
+    for k in range(3):
+        assert observed_orders(eps, right[k])[-1] == pytest.approx(2.0, abs=0.12)
+        assert observed_orders(eps, wrong[k])[-1] == pytest.approx(1.0, abs=0.15)
+        assert zero[k, 2] > 100 * right[k, 2]
+
+
+def test_tube_on_a_rigid_shaft():
+    """S is midway between the shaft and the body, half a thickness away from both: Lame's solution again."""
+    flat = block(0.05, B - R, 0.025, cell="quadrilateral", structured=True)
+    joint, eps, errors = flat.rotated(-np.pi / 2).moved((R, 0.0)), (1 / 16, 1 / 32, 1 / 64), []
+    for e in eps:
+        structure = Structure(joint, body=BODY, supports=HELD, tractions={"TOP": (-1.0, 0.0)}, plane="axisymmetric")
+        model = structure.interface(ThinLayer(GLUE, e, order=1), bodies="extended")
+        state, surface = solve(model), Surface(model)
+        area = surface.integral(ufl.as_ufl(1.0))
+        assert area == pytest.approx(2 * np.pi * (R + e / 2) * 0.05, rel=1e-12)
+        exact = on_shaft(e)
+        errors.append(abs(surface.integral(surface.jump(state)[0]) / area / exact - 1))
+        t, held = surface.integral(surface.traction(state)[0]) / area, state.reaction("RIGHT").force
+        assert t < 0
+        assert held[0] == pytest.approx(0.0, abs=1e-9)
+    assert observed_orders(eps, errors)[-1] == pytest.approx(2.0, abs=0.1)
+
+
+def on_shaft(e: float) -> float:
+    """Displacement of the tube's bore, at R + e; r u' and u follow from u = a r + b/r in layer and tube."""
+    glue, radii = GLUE.in_layer(e), (R, R + e, B)
+
+    def stress(law, r):
+        return np.array([2 * (law.lmbda + law.mu), -2 * law.mu / r**2])
+
+    M = np.zeros((4, 4))
+    M[0, :2] = radii[0], 1 / radii[0]
+    M[1, :2], M[1, 2:] = (radii[1], 1 / radii[1]), (-radii[1], -1 / radii[1])
+    M[2, :2], M[2, 2:] = stress(glue, radii[1]), -stress(BODY, radii[1])
+    M[3, 2:] = stress(BODY, radii[2])
+    a, b, *_ = np.linalg.solve(M, [0.0, 0.0, 0.0, -1.0])
+    return float(a * radii[1] + b / radii[1])
+
+
+# ---------------------------------------------------------------- a thickness that varies
+def wavy(x):
+    """Thickness over eps."""
+    return 1 + 0.4 * np.cos(np.pi * x[0])
+
+
+def errors_of(structure, eps, law=GLUE, profile=None, meshed=None, order=1, cells_through=4):
+    """(traction and jump, loads' work; eps) relative errors against the meshed layer."""
+    found = []
+    for e in eps:
+        whole = ThinLayer(meshed or law, e, profile=profile)
+        full = solve(structure.full(whole, bodies="extended", cells_through=cells_through))
+        limit = solve(structure.interface(ThinLayer(law, e, order=order, profile=profile), bodies="extended"))
+        row, works = compare(full, limit), [one.energies()["loads"] for one in (full, limit)]
+        found.append([row["error_traction"], row["error_jump"], abs(works[1] / works[0] - 1)])
+    return np.array(found).T
+
+
+def flat(name: str) -> Structure:
+    joint = (
+        sandwich(1.0, 0.5, 0.5, 1 / 16, cell="quadrilateral", structured=True)
+        if name == "both"
+        else block(1.0, 0.5, 1 / 16, cell="quadrilateral", structured=True)
+    )
+    supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} | ({"BOTTOM": 0.0} if name == "both" else {})
+    load = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
+    return Structure(joint, body=BODY, supports=supports, tractions=load)
+
+
+@pytest.mark.parametrize("name", ["both", "one"])
+def test_taper(name, monkeypatch):
+    """Bodies that give up half of a thickness that varies, and one that gives up all of it above a flat rigid base.
+
+    Without the slope of S midway between the body and the base the law is of order 1 in eps.
+    """
+    eps = (1 / 32, 1 / 64)
+    right = errors_of(flat(name), eps, profile=wavy)
+    for k in range(3):
+        assert observed_orders(eps, right[k])[-1] == pytest.approx(2.0, abs=0.1)
+    if name == "both":
+        return
+    of_model = InterfaceModel.sides_of
+
+    def level(model, seam="S"):
+        up = ufl.as_vector([0.0, 1.0])
+        return replace(of_model(model, seam), n=up, fibre=up)
+
+    monkeypatch.setattr(InterfaceModel, "sides_of", level)
+    wrong = errors_of(flat(name), eps, profile=wavy)
+    assert wrong[1, 1] > 3 * right[1, 1]
+    assert observed_orders(eps, wrong[1])[-1] < 1.4
+
+
+def test_rotations_cause_no_strain(monkeypatch):
+    """Neither where a thickness varies nor on a curved S; without fibres they cause one of order eps."""
+    of_model, found = InterfaceModel.sides_of, {}
+    for whole in (flat("both"), quarter()):
+        layer = ThinLayer(GLUE, 1 / 8, order=1, profile=lambda x: 1 + 0.4 * x[0])
+        found[whole] = [_of_rotation(whole.interface(layer, bodies="extended"))]
+        with monkeypatch.context() as changed:
+            changed.setattr(InterfaceModel, "sides_of", lambda *at: replace(sides := of_model(*at), fibre=sides.n))
+            found[whole].append(_of_rotation(whole.interface(layer, bodies="extended")))
+    straight, curved = found.values()
+    assert max(straight[0], curved[0]) < 1e-20
+    assert curved[1] > 1e-9
+
+
+def _of_rotation(model) -> float:
+    """Energy of the layer in a rotation."""
+    u = fem.Function(model.V)
+    u.interpolate(lambda x: np.array([-x[1], x[0]]))
+    return fem.assemble_scalar(fem.form(energy(model.layer_terms, u)))
+
+
+# ---------------------------------------------------------------- a curved S
+CURVED = {
+    "elastic": (GLUE, GLUE, None),
+    "elastic, thickness varies": (GLUE, GLUE, taper),
+    "rubber": (Rubber(400.0, 4.0), LinearElastic(400.0, 4.0), None),
+    "incompressible, thickness varies": (Incompressible(40.0), Incompressible(40.0), taper),
+}
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_rings(name):
+    """Curved cells: order 2 against meshed layers, of unsymmetric stacks and of laws with a pressure, too."""
+    law, meshed, profile = CURVED[name]
+    found = errors_of(quarter(h=0.1), (1 / 16, 1 / 32), law, profile, meshed, cells_through=4)
+    print(name, found, [observed_orders((1 / 16, 1 / 32), one)[-1] for one in found])
+    for one in found:
+        assert observed_orders((1 / 16, 1 / 32), one)[-1] == pytest.approx(2.0, abs=0.17)
+
+
+def test_bodies_that_yield():
+    """Compiled laws of bodies see the true places, too: a strength out of reach is none."""
+    one = quarter()
+    layer = ThinLayer(GLUE, 1 / 8, order=1, profile=taper)
+    strong = replace_body(MohrCoulomb(BODY.lmbda, BODY.mu, 1e6, 30.0, 0.05))
+    energies = [solve(s.interface(layer, bodies="extended")).energies()["bodies"] for s in (one, strong)]
+    assert energies[1] == pytest.approx(energies[0], rel=1e-9)
+
+
+def replace_body(law) -> Structure:
+    whole = quarter()
+    return Structure(whole.joint, body=law, supports=whole.supports, tractions=whole.tractions)
+
+
+# ---------------------------------------------------------------- the rest of the model
+def test_one_joint_has_the_bodies_of_the_meshed_layer():
+    joint = quarter().joint
+    inflated, apart = inflate(joint, 0.1, profile=taper, bodies="extended"), parted(joint, 0.1, profile=taper)
+    assert np.array_equal(apart.cell_points, inflated.points[inflated.cells[: len(joint.cells)]])
+    assert np.array_equal(apart.points, joint.points)
+    assert np.linalg.norm(middle(apart), axis=2) == pytest.approx(1.0, abs=1e-3)  # of curved cells
+    assert apart.identity()["coordinates"] != joint.identity()["coordinates"]
+    assert parted(joint, 0.1).identity() != apart.identity()
+
+
+def test_places_of_bodies():
+    """Probes, forces and volumes are those of the bodies of the meshed layer, not of S."""
+    whole, layer = quarter(), ThinLayer(GLUE, 1 / 16, order=1)
+    full, limit = (solve(make(layer, bodies="extended")) for make in (whole.full, whole.interface))
+    for name in ("INNER", "OUTER"):
+        cells = [state.model.dx(state.model.domain.cell_values(name)) for state in (full, limit)]
+        volumes = [state.integral(1 * dx) for state, dx in zip((full, limit), cells, strict=True)]
+        assert volumes[0] == pytest.approx(volumes[1], rel=1e-13)
+    assert limit.applied().force == pytest.approx(full.applied().force, rel=1e-12)
+    held = sum(one.force for one in limit.reactions_by_place().values())
+    assert held == pytest.approx(-limit.applied().force, rel=1e-10)
+    for r in (0.93, 1.07):  # next to the faces
+        u, v = (Probe(state).displacement((0.6 * r, 0.8 * r)) for state in (full, limit))
+        assert v == pytest.approx(u, abs=2e-3 * np.abs(u).max())
+    with pytest.raises(ModelError, match="places are in no cell"):
+        Probe(limit).displacement((0.6, 0.8))
+
+
+def test_other_layers_of_the_same_thickness():
+    model = quarter().interface(ThinLayer(GLUE, 1 / 8, order=1), bodies="extended")
+    harder = LinearElastic(90.0, 60.0)
+    again = model.with_layer(ThinLayer(harder, 1 / 8, order=1))
+    direct = quarter().interface(ThinLayer(harder, 1 / 8, order=1), bodies="extended")
+    works = [solve(one).energies()["loads"] for one in (again, direct)]
+    assert works[0] == pytest.approx(works[1], rel=1e-12)
+    with pytest.raises(ModelError, match="bodies have made room for a layer 'S'"):
+        model.with_layer(ThinLayer(GLUE, 1 / 16, order=1))
+
+
+def test_refused():
+    whole, layer = quarter(), ThinLayer(GLUE, 1 / 8, order=1)
+    with pytest.raises(ModelError, match="order=1 on a curved S needs bodies at their true places"):
+        whole.interface(layer)
+    with pytest.raises(ModelError, match="order=1 of a thickness that varies needs bodies at their true places"):
+        flat("both").full(replace(layer, profile=wavy))
+    with pytest.raises(GeometryError, match="known: extended, kept"):
+        whole.interface(layer, bodies="moved")
+    with pytest.raises(ModelError, match="'S' has no ThinLayer"):
+        Structure(whole.joint, body=BODY, supports=whole.supports, element="Q1").interface(
+            HolonomicCoulomb(1.0, 1.0, 0.3), bodies="extended"
+        )
+    bricks = Structure(bond_cell((1.0, 0.5), 0.25), body=BODY, supports={})
+    with pytest.raises(ModelError, match="needs seams that do not meet or branch"):
+        bricks.interface(replace(layer, order=0), bodies="extended")
+    one = flat("both")
+    loaded = Structure(whole.joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"START": Pressure(1.0)})
+    with pytest.raises(ModelError, match="traction on 'START': S ends there"):
+        loaded.interface(layer, bodies="extended")
+    states = [
+        solve(make(layer, **options)) for make, options in ((one.full, {"bodies": "extended"}), (one.interface, {}))
+    ]
+    with pytest.raises(ModelError, match="compare, order=1: bodies are extended in the full model and kept"):
+        compare(*states)
+
+
+def test_two_ranks():
+    run = mpirun(2, "tests/true_places_run.py")
+    assert run.returncode == 0, run.stderr
+    for name, value in numbers().items():
+        assert json.loads(run.stdout)[name] == pytest.approx(value, rel=1e-9), name

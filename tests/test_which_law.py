@@ -1,0 +1,115 @@
+"""The study of which law to use: its exact layers and its errors are those of other codes, its warnings those it shows."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from studies import which_law
+from studies.transfer import Wave
+from tests import reference
+from thinlayer import RangeWarning
+from thinlayer.running.catalogue import studies
+from thinlayer.running.record import Record
+
+MU = 40.0  # of the layer over its thickness; bodies have E = 100, nu = 0.3
+
+
+def test_exact_layers():
+    """Those of the transfer matrices of other tests; an incompressible layer is the limit."""
+    wave = Wave(reference.K, reference.HEIGHT, reference.BODY, tuple(reference.TOP))
+    eps, (lmbda, mu) = 0.1, reference.LAYER
+    body = reference.expm(reference.strip(*reference.BODY) * reference.HEIGHT)
+    layer = reference.expm(reference.strip(lmbda * eps, mu * eps) * eps)
+    _, below, above, top = reference.clamped(body, layer, body)
+    traction, jump, work = wave.solved(lmbda * eps, mu * eps, eps)
+    assert traction == pytest.approx((below + above)[2:] / 2, rel=1e-12)
+    assert jump == pytest.approx((above - below)[:2], rel=1e-12)
+    assert work == pytest.approx(reference.TOP @ top[:2] / 2, rel=1e-12)
+    for one, other in zip(wave.solved(1e9, mu, eps), wave.solved(math.inf, mu, eps), strict=True):
+        assert one == pytest.approx(other, rel=1e-6)
+
+
+# traction, jump, compliance of order 0, order 1 and Rubber, by elements of higher degree; two digits
+ROLLERS = {
+    0.3: ((9.7e-2, 1.1e-1, 1.2e-2), None, (2.9e-3, 4.9e-3, 1.3e-3)),
+    0.45: ((8.8e-2, 2.3e-1, 5.0e-2), None, (2.8e-3, 7.5e-3, 1.2e-3)),
+    0.499: ((7.9e-2, 0.42, 9.4e-2), (1.8e-2, 8.7e-2, 1.6e-2), (3.0e-3, 9.3e-3, 7.8e-4)),
+    0.5: (None, None, (3.0e-3, 9.6e-3, 8.6e-4)),
+}  # eps = 1/8
+FREE = {0.45: ((1.4e-2, 3.6e-2, 1.9e-2), (3.8e-3, 2.2e-3, 3.8e-3), (6.0e-4, 1.5e-3, 2.9e-4))}  # eps = 1/64
+
+
+@pytest.fixture
+def row(tmp_path):
+    """Row of the study for a set-up, a ratio and a thickness."""
+
+    def of(set_up, nu, eps, mu=None):
+        with Record("which_law", tmp_path, {}) as record:
+            return which_law._row(record, set_up, mu or MU * eps, nu, eps)
+
+    return of
+
+
+def errors(row, law):
+    return [row[f"{quantity}_{law}"] for quantity in which_law.QUANTITIES]
+
+
+def test_errors_between_rollers(row):
+    set_up = which_law.Rollers(1 / 16)
+    for nu, printed in ROLLERS.items():
+        found = row(set_up, nu, 1 / 8)
+        for law, wanted in zip(which_law.LAWS, printed, strict=True):
+            assert wanted is None or errors(found, law) == pytest.approx(wanted, rel=0.08), (nu, law)
+    assert found["traction_order_1"] is None  # nu = 1/2
+    assert found["too_stiff"] is None
+
+
+def test_errors_at_free_ends(row):
+    set_up = which_law.FreeEnds(quick=False)
+    for nu, printed in FREE.items():
+        found = row(set_up, nu, 1 / 64)
+        for law, wanted in zip(which_law.LAWS, printed, strict=True):
+            assert errors(found, law) == pytest.approx(wanted, rel=0.1), (nu, law)
+
+
+CLONE = Path(__file__).parent.parent
+PAGE = (CLONE / "forms" / "which_law.md").read_text()
+
+
+def test_the_table_of_the_page(row):
+    """Two of its columns computed once more, its errors of two digits; files and studies that it names exist."""
+    cells = re.findall(r"^\| (rollers|free), ([\d,]+) \| (.*?) \|(.*)\|$", PAGE, re.MULTILINE)
+    assert len(cells) == 12
+    ratios = [float(nu) for nu in re.search(r"E/mu \| law \|(.*)\|", PAGE)[1].replace("nu =", "").split("|")]
+    set_ups = {
+        "rollers": (which_law.Rollers(1 / 32), "200", 0.499),
+        "free": (which_law.FreeEnds(False), "200,000", 0.49),
+    }
+    for name, (set_up, contrast, nu) in set_ups.items():
+        found = row(set_up, nu, 1 / 16, 100.0 / float(contrast.replace(",", "")))
+        column = [line.split("|")[ratios.index(nu)] for one, two, _, line in cells if (one, two) == (name, contrast)]
+        for law, cell in zip(which_law.LAWS, column, strict=True):
+            printed = [float(number) / 100 for number in cell.split(";")]
+            assert errors(found, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)
+    for path in re.findall(r"\]\(([\w/.]+)\)", PAGE):
+        assert (CLONE / "forms" / path).is_file(), path
+    named = set(re.findall(r"`run (\w+)`", PAGE)) | {"sweep_kelvin_voigt", "sweep_norton"}
+    assert named <= set(studies())
+
+
+def test_the_script_of_the_page(tmp_path, monkeypatch, capsys):
+    """As printed; the law alone is as much too stiff as the report says."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(RangeWarning):
+        exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], {})
+    printed = re.findall(r"^    (the layer alone .*\n)    (closes by .*\n)", PAGE, re.MULTILINE)
+    lines = capsys.readouterr().out
+    number = r"\d+\.\d+"
+    assert re.sub(number, "", lines) == re.sub(number, "", "".join(printed[0]))
+    found, wanted = ([float(x) for x in re.findall(number, text)] for text in (lines, "".join(printed[0])))
+    assert found == pytest.approx(wanted, rel=5e-3)
+    assert found[0] == pytest.approx(found[3], rel=0.03)
