@@ -148,12 +148,12 @@ def test_laws_of_the_documentation_work():
     w = slips["Cohesive"][-1]
     assert 20.0 * w * math.exp(-(w**2)) == pytest.approx(0.4, rel=1e-8)
     without_lmbda = (
-        solve(names["plates"].interface(ThinLayer(law, 0.05, order=1))).energies()["loads"]
+        solve(names["panel"].interface(ThinLayer(law, 0.05, order=1))).energies()["loads"]
         for law in (names["Stiffened"](0.0, 30.0), LinearElastic(0.0, 30.0))
     )
     assert next(without_lmbda) == pytest.approx(next(without_lmbda), rel=1e-10)
     full, graded = names["full"], names["graded"]
-    limits = (solve(names["plates"].interface(ThinLayer(graded, 0.05, order))) for order in (0, 1))
+    limits = (solve(names["panel"].interface(ThinLayer(graded, 0.05, order))) for order in (0, 1))
     assert [compare(full, one)["error_jump"] for one in limits] == pytest.approx([4.05e-3, 1.72e-4], rel=3e-3)
 
 
