@@ -1,4 +1,4 @@
-"""Constants of free ends of a layer between stiff faces, solved on a half strip and held against the package's table."""
+"""Free ends of a layer: constants, solved on a half strip, and errors of the law of order 1 with and without them."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from forms import LinearElastic
 from forms.ends import FreeEnd, free_end
 from forms.ends.constants import COLUMNS, nodes, shipped
 from forms.ends.half_strip import DEGREE, LEVELS, half_strip
-from thinlayer import plotting
+from geometry import sandwich
+from thinlayer import Structure, ThinLayer, compare, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
 RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's
 ROWS = 17  # of the package's table
+BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(40.0, 0.3)
+EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
+NAMES = {"known": "free", "ignored": None}  # whether a law knows its free ends -> `ThinLayer.edges`
 DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 
 
@@ -25,7 +30,7 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     Args:
         record: where to write.
         nu: Poisson's ratios of the layer, from 0 to 0.5.
-        quick: every other ratio, and without the rows of the package's table.
+        quick: every other ratio, without the rows of the package's table, and two thicknesses.
     """
     record.parameters = {"degree": DEGREE, "levels": LEVELS}
     table = record.table("table.csv")
@@ -39,6 +44,8 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     record.check("largest difference of c_N from tractions", table["c_N_from_middle"][well].max(), high=5e-5)
     if not quick:
         _nodes(record)
+    for edges in NAMES:
+        _errors(record, edges, EPS[:2] if quick else EPS)
 
 
 def _row(end: FreeEnd) -> dict[str, float]:
@@ -69,8 +76,33 @@ def _nodes(record: Record) -> None:
     record.check("largest difference of a row from the package's table", error, high=1e-9)
 
 
+def _errors(record: Record, edges: str, thicknesses: Sequence[float]) -> None:
+    """Write the errors of the law of order 1 on the inner half of S between two blocks, and of the work of the loads."""
+
+    def run(eps: float) -> dict[str, float]:
+        joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 12, cell="quadrilateral")
+        blocks = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
+        full = record.solved(solve(blocks.full(ThinLayer(LAYER, eps), cells_through=12)))
+        limit = record.solved(solve(blocks.interface(ThinLayer(LAYER, eps, order=1, edges=NAMES[edges]))))
+        work = limit.energies()["loads"] / full.energies()["loads"]
+        return dict(compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)) | {"error_work": abs(work - 1)}
+
+    table = record.sweep(run, thicknesses, f"errors_{edges}.csv")
+    record.say(table)
+    for name in ("traction", "jump", "work"):
+        order = observed_orders(table["eps"], table[f"error_{name}"])[-1] or math.nan
+        bounds = {"low": 1.9} if NAMES[edges] else {"high": 1.1}
+        record.check(f"last order of the {name}, ends {edges}", order, **bounds)
+
+
 def draw(record: Record) -> None:
-    """Draw the constants against nu; lines are the package's table."""
+    """Draw the constants against nu; lines are the package's table. Then errors against the thickness."""
+    plotting.rates(
+        {f"ends {edges}": record.load(f"errors_{edges}.csv") for edges in NAMES},
+        reference=2.0,
+        title="order 1, inner half of S between blocks with free sides, nu = 0.3",
+        save=record.path("rates.png"),
+    )
     table = record.load("table.csv")
     ratios = np.linspace(0.02, 0.4995, 200)
     lines = [_row(free_end(float(ratio))) for ratio in ratios]

@@ -29,7 +29,7 @@ class Sweep:
         setup: data of the structure besides the joint, see `thinlayer.Structure`.
         layer: thickness -> the layer.
         instead: a law in place of the layer's in the interface model alone, to show the error of a wrong law.
-        bodies, cells_through: of the meshed layer, see `Structure.full`.
+        bodies, cells_through: of the meshed layer, see `Structure.full`; `bodies` also of interface models of order 1.
         where: part of S to measure on, see `thinlayer.compare`.
         times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
             compared. None: a static solve.
@@ -59,7 +59,7 @@ class Sweep:
         structure, layer, other = Structure(self.joint, **self.setup), self.layer(eps), self.instead
         full = structure.full(layer, bodies=self.bodies, cells_through=self.cells_through)
         if other is None:
-            return full, structure.interface(layer)
+            return full, structure.interface(layer, bodies=self.bodies if layer.order else "kept")
         return full, structure.interface(other if isinstance(other, LawOnS) else ThinLayer(other, eps))
 
     def _solved(self, model: Model, name: str) -> Solution:

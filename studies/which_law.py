@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,18 +18,27 @@ from geometry.parallel import world
 from studies.problems import FOURIER_BODY, fourier
 from studies.transfer import Wave
 from thinlayer import PressureReport, RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
+from thinlayer.discretisation.end_weights import LARGEST_NU, LARGEST_STIFFNESS, ROUNDING
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
 EPS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)  # over the half-wave of the load, or over the width of S; these are 1
 NUS = (0.0, 0.2, 0.3, 0.4, 0.45, 0.48, 0.49, 0.499, 0.4999, 0.5)
 QUICK_NUS = (0.3, 0.45, 0.49, 0.499, 0.5)
-CONTRASTS = (10, 200, 200_000)  # Young's modulus of the bodies, which is 100, over the shear modulus of the layer
-LAWS = {"order_0": "order 0", "order_1": "LinearElastic, order 1", "rubber": "Rubber, order 1"}
+E_BODY = 100.0
+CONTRASTS = (10, 200, 200_000)  # Young's modulus of the bodies over the shear modulus of the layer
+LAWS = {
+    "order_0": "order 0",
+    "order_1": "LinearElastic, order 1",
+    "edges": 'order 1, edges="free"',
+    "rubber": "Rubber, order 1",
+}
+LETTERS = dict(zip(LAWS, "01ER", strict=True))
 QUANTITIES = ("traction", "jump", "compliance")
 LEVELS = (0.001, 0.01, 0.05, 0.2)  # errors at which cells of the maps change their colour
 WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
 TOLD = 0.1  # error of order 1 from which on there has to be a warning
+LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings are of the laws and not of the loads
 INNER = 0.25  # free ends: errors are measured up to this distance from the middle of S
 SET_UPS = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
 
@@ -43,14 +53,14 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: three thicknesses and five ratios, a coarser mesh.
     """
-    record.parameters = {"E of the bodies": 100.0, "E over mu": list(CONTRASTS), "laws": LAWS}
+    record.parameters = {"E of the bodies": E_BODY, "E over mu": list(CONTRASTS), "laws": LAWS}
     table = record.table("table.csv")
     for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
         cases = [(c, nu, e) for c in CONTRASTS for nu in (QUICK_NUS if quick else NUS) for e in EPS[:: 1 + quick]]
         for contrast, nu, eps in track(cases, name, "E/mu, nu, eps = {}"):
             table.append(
                 {"sides": name, "E/mu": contrast, "nu": nu, "eps": eps}
-                | _row(record, set_up, 100.0 / contrast, nu, eps)
+                | _row(record, set_up, E_BODY / contrast, nu, eps)
             )
         part = _part(table, name)
         record.say(f"{SET_UPS[name]}: the larger of the errors of traction and jump\n{_summary(part)}")
@@ -63,7 +73,7 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
     compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
     errors: dict[str, float | None] = {f"{quantity}_{law}": None for law in LAWS for quantity in QUANTITIES}
     told: dict[str, float | None] = dict.fromkeys(["too_stiff", *(f"warned_{law}" for law in LAWS)])
-    for law, layer in _layers(lmbda, mu, eps).items():
+    for law, layer in set_up.layers(lmbda, mu, eps).items():
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always")
             state = record.solved(solve(structure.interface(layer)))
@@ -96,12 +106,18 @@ class Rollers:
 
     def __init__(self, h: float) -> None:
         joint, setup = fourier(h, cell="quadrilateral")
+        s, c = (lambda x, f=f: LOAD * f(ufl.pi * x[0]) for f in (ufl.sin, ufl.cos))
+        setup["tractions"] = {"TOP": lambda x, t: (0.5 * s(x), c(x))}
         self._structure = Structure(joint, **setup)
-        self._wave = Wave(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5, 1.0))
+        self._wave = Wave(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5 * LOAD, LOAD))
 
     def structure(self, eps: float) -> Structure:
         """The blocks."""
         return self._structure
+
+    def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
+        """The laws that take a material; there are no free ends."""
+        return _layers(lmbda, mu, eps)
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
         """Relative errors of the traction, the jump (both L2 on S) and the compliance of a state."""
@@ -132,9 +148,16 @@ class FreeEnds:
         if eps not in self._structures:
             h_ends = min(eps, 1 / 8) / ends
             joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_S=1 / along, h_ends=h_ends, cell="quadrilateral")
-            supports, tractions = {"BOTTOM": 0.0}, {"TOP": (0.3, -1.0)}
+            supports, tractions = {"BOTTOM": 0.0}, {"TOP": (0.3 * LOAD, -LOAD)}
             self._structures[eps] = Structure(joint, body=FOURIER_BODY, supports=supports, tractions=tractions)
         return self._structures[eps]
+
+    def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
+        """The laws that take a material; ends are corrected where Poisson's ratio and the bodies' stiffness allow it."""
+        layers = _layers(lmbda, mu, eps)
+        if lmbda / (2 * (lmbda + mu)) <= LARGEST_NU + ROUNDING and lmbda + 2 * mu <= LARGEST_STIFFNESS * E_BODY:
+            layers["edges"] = replace(layers["order_1"], edges="free")
+        return layers
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
         """Relative errors of the traction, the jump (both L2 on the inner half of S) and the compliance of a state."""
@@ -196,7 +219,8 @@ def draw(record: Record) -> None:
         texts: dict[str, Any] = {}
         for contrast in CONTRASTS:
             at = table["E/mu"] == contrast
-            for law, label in LAWS.items():
+            for law in _drawn(table):
+                label = LAWS[law]
                 panel = f"{label}; E/mu = {contrast:,}"
                 errors[panel] = _grid(_worst(table, law)[at], nus)
                 warned = _grid(table[f"warned_{law}"][at], nus) > 0
@@ -207,28 +231,36 @@ def draw(record: Record) -> None:
             levels=LEVELS,
             names=["< 0.1 %", "0.1 to 1 %", "1 to 5 %", "5 to 20 %", "> 20 %"],
             title=f"errors in per cent, the larger of traction and jump (!: a RangeWarning); {what}",
+            columns=len(_drawn(table)),
             save=record.path(f"errors_{name}.png"),
             **axes,
         )
-        _cheapest(record, f"cheapest_{name}.png", what, errors, axes)
+        _cheapest(record, f"cheapest_{name}.png", what, _drawn(table), errors, axes)
 
 
-def _cheapest(record: Record, picture: str, what: str, errors: Mapping[str, Array], axes: Mapping[str, Any]) -> None:
+def _drawn(table: Table) -> list[str]:
+    """Laws that take a material of the table."""
+    return [law for law in LAWS if np.isfinite(_worst(table, law)).any()]
+
+
+def _cheapest(
+    record: Record, picture: str, what: str, laws: list[str], errors: Mapping[str, Array], axes: Mapping[str, Any]
+) -> None:
     """Draw the first law whose error is below each of `WANTED`; none: the meshed layer."""
-    names = [*LAWS.values(), "meshed layer"]
+    names = {LETTERS[law]: LAWS[law] for law in laws} | {"m": "meshed layer"}
     parts, texts = {}, {}
     for contrast in CONTRASTS:
-        stack = np.array([errors[f"{label}; E/mu = {contrast:,}"] for label in LAWS.values()])
+        stack = np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in laws])
         for wanted in WANTED:
             panel = f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
             parts[panel] = good.argmax(axis=0)
-            texts[panel] = np.array(["0", "1", "R", "m"])[parts[panel]]
+            texts[panel] = np.array(list(names))[parts[panel]]
     plotting.maps(
         parts,
         texts=texts,
-        levels=(0.5, 1.5, 2.5),
-        names=[f"{text}: {name}" for text, name in zip("01Rm", names, strict=True)],
+        levels=np.arange(len(laws)) + 0.5,
+        names=[f"{letter}: {name}" for letter, name in names.items()],
         title=f"cheapest law; {what}",
         columns=len(WANTED),
         save=record.path(picture),

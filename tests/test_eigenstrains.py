@@ -12,9 +12,9 @@ from forms import Anisotropic, HolonomicCoulomb, LinearElastic, Stack, VonMises
 from forms.law import BulkLaw
 from forms.work import work
 from geometry import block, periodic, sandwich
+from tests.documents import PAGES
 from tests.dry_walls import dry_wall
 from tests.ranks import mpirun
-from tests.test_readme import README
 from thinlayer import (
     ModelError,
     Prestress,
@@ -320,8 +320,8 @@ def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
     assert np.abs(before - solve(plain).mean_stress()).max() > 1e-3
 
 
-def test_what_the_readme_writes():
-    section = README.partition("## Heat, shrinkage, in-situ stress\n")[2].partition("\n## ")[0]
+def test_what_the_guide_writes():
+    section = PAGES["guide/loads.md"].partition("## Heat, shrinkage, in-situ stress\n")[2].partition("\n## ")[0]
     code = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
     given = {"joint": FLAT, "steel": LAW, "glue": GLUE, "supports": AT_REST}
     names = {one: globals()[one] for one in ("Structure", "ThinLayer", "ThermalExpansion", "Prestress", "ufl")} | given

@@ -29,8 +29,8 @@ from forms.work import body, energy, work
 from geometry import Joint
 from geometry.compat import cell_nodes
 from geometry.seam import Seam
+from tests.documents import PAGES
 from tests.ranks import CLONE, mpirun
-from tests.test_readme import OWN, README
 from thinlayer import (
     BrokenMesh,
     ContactPart,
@@ -46,7 +46,7 @@ from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Block, Outcome, Part
 from thinlayer.parts.pressure import PressurePart
 
-SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[2].partition("\n## ")[0], re.DOTALL)
+SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["guide/scripts.md"], re.DOTALL)
 STONE = LinearElastic.young(E=100.0, nu=0.3)
 LOWER, UPPER, LAYER, TOP = 1, 2, 3, 4
 PLACES = {"BOTTOM": 0.0, "S": 0.5, "TOP": 1.0}
@@ -65,7 +65,7 @@ def numbers(text: str) -> list[float]:
 
 @pytest.mark.parametrize("name", ["glue", "mortar", "wall", "creep", "contact"])
 def test_script_on_one_rank_and_two(tmp_path, name):
-    """What it prints is the same, to all digits but the last, and what README says."""
+    """What it prints is the same, to all digits but the last, and what the page says."""
     texts = {"glue": SCRIPTS[0], "mortar": SCRIPTS[0] + SCRIPTS[1]}
     folder = CLONE / "tests" / "own_scripts"
     (tmp_path / "script.py").write_text(texts[name] if name in texts else (folder / f"{name}.py").read_text())
@@ -78,7 +78,9 @@ def test_script_on_one_rank_and_two(tmp_path, name):
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
     if name in texts:
-        assert [line.strip() in README for line in one.stdout.splitlines()] == [True] * len(one.stdout.splitlines())
+        assert [line.strip() in PAGES["guide/scripts.md"] for line in one.stdout.splitlines()] == [True] * len(
+            one.stdout.splitlines()
+        )
 
 
 def test_scripts_are_short():

@@ -1,4 +1,4 @@
-"""README's script runs as printed and prints the table that is printed; its pictures and studies exist."""
+"""Scripts of the README and its guide run as printed and print what is printed; links, pictures and studies exist."""
 
 from __future__ import annotations
 
@@ -16,18 +16,16 @@ import pyvista
 from forms import LinearElastic
 from geometry import sandwich
 from studies.tubes import lame
+from tests.documents import CLONE, DOCUMENT, GUIDE, OWN, PAGES, anchors
 from thinlayer import ArcLength, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.running.catalogue import studies
 
-CLONE = Path(__file__).parent.parent
-README = (CLONE / "README.md").read_text()
-OWN = "## In your own script"  # has scripts of its own, see test_own_scripts
-SCRIPTS = re.findall(r"```python\n(.*?)```", README.partition(OWN)[0], re.DOTALL)
+SCRIPTS = re.findall(r"```python\n(.*?)```", DOCUMENT.partition(OWN)[0], re.DOTALL)
 
 
 @pytest.mark.parametrize("number", [0, 1], ids=["lap", "creep"])
 def test_script(tmp_path, number):
-    tables = re.findall(r"^ +eps +error_traction.*?\n\n", README, re.DOTALL | re.MULTILINE)
+    tables = re.findall(r"^ +eps +error_traction.*?\n\n", DOCUMENT, re.DOTALL | re.MULTILINE)
     assert len(SCRIPTS) == len(tables) + 6 == 8
     (tmp_path / "script.py").write_text(SCRIPTS[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
@@ -42,7 +40,7 @@ def test_script(tmp_path, number):
 
 @pytest.fixture
 def printed_by(tmp_path, monkeypatch, capsys):
-    """Runs README's script of a number, in a folder of its own; what it prints."""
+    """Runs the document's script of a number, in a folder of its own; what it prints."""
 
     def run(number):
         monkeypatch.chdir(tmp_path)
@@ -55,25 +53,25 @@ def printed_by(tmp_path, monkeypatch, capsys):
 
 def test_loads_script(printed_by):
     out = printed_by(5)
-    assert "".join(f"    {line}\n" for line in out.splitlines()) in README
+    assert "".join(f"    {line}\n" for line in out.splitlines()) in DOCUMENT
 
 
 def test_network_script(printed_by):
     out = printed_by(6)
-    assert f"    {out.strip()}\n" in README
+    assert f"    {out.strip()}\n" in DOCUMENT
 
 
 def test_contact_script(printed_by):
     out = printed_by(2)
     for line in out.splitlines()[:-1]:
-        assert line.strip() in README
+        assert line.strip() in DOCUMENT
     assert re.search(r"normal force 1938\.9, equilibrium \S*e-1\d", out)
     assert Path("contact.png").stat().st_size > 10_000
 
 
 def test_snap_script(printed_by):
     """All at once; 2 MPa and 0.5 MPa at which the foam falls and comes back, over the largest and the least pressure."""
-    printed = re.findall(r"^ {4}(at [\d.]+ MPa: .*)", README, re.MULTILINE)
+    printed = re.findall(r"^ {4}(at [\d.]+ MPa: .*)", DOCUMENT, re.MULTILINE)
     found, wanted = (
         [[float(x) for x in re.findall(r"\d+\.\d+", line)] for line in lines]
         for lines in (printed_by(4).splitlines(), printed)
@@ -89,7 +87,7 @@ def test_limit_script(printed_by):
     """The joint carries what the formula says: C cos(Omega) - t_N sin(Omega)."""
     found, printed = (
         [float(x) for x in re.findall(r"-?\d+\.\d+", line)]
-        for line in (printed_by(3), next(line for line in README.splitlines() if line.startswith("    carries ")))
+        for line in (printed_by(3), next(line for line in DOCUMENT.splitlines() if line.startswith("    carries ")))
     )
     assert found == pytest.approx(printed, abs=2e-3)
     t_N, angle = found[3], math.radians(35)
@@ -99,7 +97,7 @@ def test_limit_script(printed_by):
 def test_results_script(printed_by):
     """What is printed, and files that can be read."""
     out = printed_by(7)
-    wanted = README.partition("## Results")[2].partition("![")[0].splitlines()
+    wanted = PAGES["guide/results.md"].partition("![")[0].splitlines()
     numbers = re.compile(r"-?\d+\.\d+")
     for line in out.splitlines():
         (printed,) = (one for one in wanted if numbers.sub("", one).split() == numbers.sub("", line).split())
@@ -159,12 +157,26 @@ def test_laws_of_the_documentation_work():
     assert [compare(full, one)["error_jump"] for one in limits] == pytest.approx([4.05e-3, 1.72e-4], rel=3e-3)
 
 
-def test_pictures_exist():
-    for name in re.findall(r"\]\(([\w/]+\.(?:png|md|cff))\)", README):
-        assert (CLONE / name).is_file(), name
+def test_links_lead_somewhere():
+    """Pages, pictures, files and headings; the README has all pages of the guide."""
+    others = (
+        "forms/README.md",
+        "forms/which_law.md",
+        "geometry/README.md",
+        "geometry/networks.md",
+        "studies/ensembles.md",
+    )
+    texts = PAGES | {name: (CLONE / name).read_text() for name in (*others, "CONTRIBUTING.md")}
+    for name, text in texts.items():
+        for path, anchor in re.findall(r"\]\(([\w/.]*)(?:#([\w-]+))?\)", text):
+            target = (CLONE / name).parent / path if path else CLONE / name
+            assert target.is_file(), (name, path)
+            assert not anchor or anchor in anchors(target.read_text()), (name, path, anchor)
+    assert sorted(path.stem for path in (CLONE / "guide").iterdir()) == sorted(GUIDE)
+    assert all(f"](guide/{page}.md)" in PAGES["README.md"] for page in GUIDE)
 
 
 def test_every_study_has_its_row():
-    rows = re.findall(r"^\|.*\| `(\w+)` \| `\./fenicsx python3 -m thinlayer run (\w+)", README, re.MULTILINE)
+    rows = re.findall(r"^\|.*\| `(\w+)` \| `\./fenicsx python3 -m thinlayer run (\w+)", DOCUMENT, re.MULTILINE)
     assert sorted(a for a, _ in rows) == sorted(studies())
     assert all(a == b for a, b in rows)

@@ -1,4 +1,4 @@
-"""Ends of S under the law with a pressure: periodic sides, where S goes on; supports that leave it undetermined."""
+"""S without ends under the law with a pressure: periodic sides, where it goes on, and closed S."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import pytest
 import ufl
 
 from forms import LinearElastic, Rubber
-from geometry import periodic, sandwich
+from geometry import periodic, ring, sandwich
 from studies.problems import FOURIER_BODY
 from tests.test_rubber import NUS, K, found, law_of, of, of_law
-from thinlayer import Structure, ThinLayer, march, solve
+from thinlayer import Structure, ThinLayer, compare, march, observed_orders, solve
 from thinlayer.parts.pressure import PressurePart
 
 EPS = 1 / 8
@@ -57,6 +57,26 @@ def test_periodic_in_space():
             layer = ThinLayer(Rubber(1900.0, 2.0), 0.1, order=1)
             energies.append(solve(Structure(periodic(joint, *sides), **setup).interface(layer)).energies())
         assert energies[1] == pytest.approx(energies[0], rel=1e-11)
+
+
+@pytest.mark.parametrize("nu", [0.499, 0.5])
+def test_closed_s(nu):
+    """A ring has no ends: errors of order 2 against the meshed layer, both with bodies at their true places."""
+    joint = ring(1.0, 1.5, 2.0, 0.2, degree=2, cell="quadrilateral")
+    out = lambda x, t: (x[0] * (x[0] ** 2 - x[1] ** 2) / 8 * 0.3 + 0.1 * x[0], 0.05 * x[1] ** 3)
+    structure = Structure(joint, body=FOURIER_BODY, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": out})
+    eps, errors = (0.1, 0.05), []
+    for e in eps:
+        layer = ThinLayer(law_of(*of(40 * e, nu), e), e, order=1)
+        full = solve(structure.full(layer, bodies="extended", cells_through=2))
+        limit = solve(structure.interface(layer, bodies="extended"))
+        assert np.count_nonzero(limit.p.x.array == 0) == 0
+        found = compare(full, limit)
+        errors.append([found["error_traction"], found["error_jump"]])
+    orders = [observed_orders(eps, one)[-1] for one in zip(*errors, strict=True)]
+    assert orders[0] == pytest.approx(2.06, abs=0.1)
+    assert orders[1] > 1.75
+    assert errors[1][1] < 2.5e-3
 
 
 def test_march_on_a_periodic_s_is_resumed(tmp_path):

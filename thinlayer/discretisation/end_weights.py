@@ -24,6 +24,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
 
 LARGEST_NU = 0.45
+ROUNDING = 1e-9  # of Poisson's ratio, from moduli
 LARGEST_STIFFNESS = 0.25  # of the layer, lmbda + 2 mu, over Young's modulus of the bodies
 FAR = 1e3  # distance, over the size of the joint, of ends that there are not
 
@@ -41,7 +42,7 @@ def require_free_ends(one: SeamLayer, bodies: str) -> None:
     structure = one.structure
     law = real_law(one.layer, structure.kinematics)
     nu, moduli = law.free_end().nu, law.parameters()
-    if nu > LARGEST_NU:
+    if nu > LARGEST_NU + ROUNDING:
         raise ModelError(
             f"edges='free' of {law!r}: Poisson's ratio is {nu:.4g}; allowed: at most {LARGEST_NU}, beyond which the "
             "pressure falls over more than the strip along an end; use forms.Rubber"

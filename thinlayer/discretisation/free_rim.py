@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from geometry.seam import LAYER, S
@@ -9,8 +12,10 @@ from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray
 from thinlayer.discretisation.axis import on_axis
 from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.loads import Pressure
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.errors import ModelError
 
 
 def free_rim(model: Model, sheet: Sheet) -> Rim:
@@ -30,6 +35,12 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
         ]
         held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
     return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
+
+
+def neglected_rim(model: Model, one: SeamLayer) -> Rim:
+    """The free ends of which an interface law without a pressure knows nothing: all, or none with edges="free"."""
+    rim = free_rim(model, one.sheet)
+    return rim[np.full(len(rim.vertices), not (one.thin and one.thin.edges))]
 
 
 def fall_of_pressure(one: SeamLayer, rim: Rim) -> FloatArray:
@@ -56,3 +67,19 @@ def free_of_pressure(model: Model, one: SeamLayer) -> tuple[Rim, Rim, FloatArray
     fall = fall_of_pressure(one, rim)
     fine = rim.depth <= fall
     return rim[fine], rim[~fine], fall[~fine]
+
+
+def require_unloaded_sides(one: SeamLayer, tractions: Mapping[str, Any] | None) -> None:
+    """Raise ModelError if a traction acts on a layer's own side: its pressure of order 1 is zero at free ends.
+
+    Args:
+        one: a layer whose pressure flows along S.
+        tractions: as in `Structure`.
+    """
+    for name, load in (tractions or {}).items():
+        value = load.p if isinstance(load, Pressure) else load
+        if name.endswith(f"/{LAYER}") and (callable(value) or np.any(np.asarray(value, float))):
+            raise ModelError(
+                f"the traction on {name!r} acts on the side of the layer, and the pressure of {one} of order 1 is zero at "
+                "free ends; leave this load out, which is as small as the thickness, or mesh the layer (structure.full)"
+            )

@@ -24,7 +24,8 @@ from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.end_weights import end_weights, require_free_ends
-from thinlayer.discretisation.forces import Weighted
+from thinlayer.discretisation.forces import Forces, Weighted
+from thinlayer.discretisation.free_rim import require_unloaded_sides
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
 from thinlayer.discretisation.loads import Coordinates, Load
@@ -265,6 +266,12 @@ class InterfaceModel(LayeredModel):
         )
         require_revolution(self.structure.kinematics, joint)
         return joint
+
+    def _forces(self, structure: Setup) -> Forces:
+        for one in self.layers.values():
+            if one.flows:
+                require_unloaded_sides(one, structure.tractions)
+        return super()._forces(structure)
 
     def _check_layers(self) -> None:
         for one in self.layers.values():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import basix.ufl
@@ -81,9 +82,12 @@ class PressurePart(Part):
         form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
         self.G = dolfinx.fem.petsc.assemble_matrix(fem.form(form, entity_maps=region.maps))
         self.G.assemble()
-        self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
-        self.G.scale(self.unit)
         self.C = self._compliance(space, term, points)
+        self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
+        if self.C is not None:  # else the rounding of volumes beside stiff bodies would count as much as forces
+            self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
+            self.C.scale(self.unit**2)
+        self.G.scale(self.unit)
         self._zero = _at_places(space, free) if free is not None and len(free) else np.empty(0, np.int64)
         strained = [term] if term.given is not None else []
         self._over = OverStep(V.mesh, strained)
@@ -132,7 +136,6 @@ class PressurePart(Part):
         for other in others:
             C.axpy(1.0, other)
             other.destroy()
-        C.scale(self.unit**2)
         return C
 
     def _nodal(self, space: fem.FunctionSpace, f: Expr) -> fem.Function:

@@ -11,7 +11,7 @@ import scipy.sparse.linalg
 
 from forms.tangent import is_isotropic
 from geometry.topology import FloatArray, IntArray
-from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.free_rim import neglected_rim
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.ranges.faces import Faces
 from thinlayer.ranges.sublayers import Sublayer, sublayers_of
@@ -65,10 +65,11 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through the others,
 
-    continuous and of degree 1. If cells at a free end are larger than the length of the pressure, p is not set to zero
-    there, as it cannot fall within a cell. On straight facets of a curved S slip opens the layer at one end of a facet and
-    closes it at the other, and the law resists that, too: `work` has it, for the others p_0 is continuous like p. Openings
-    as small as the rounding of displacements count as none.
+    continuous and of degree 1; ends whose loss the law knows (edges="free") are among the others. If cells at a free end
+    are larger than the length of the pressure, p is not set to zero there, as it cannot fall within a cell. On straight
+    facets of a curved S slip opens the layer at one end of a facet and closes it at the other, and the law resists that,
+    too: `work` has it, for the others p_0 is continuous like p. Openings as small as the rounding of
+    displacements count as none.
     """
     if not layer.lmbda:
         return Excess()
@@ -81,7 +82,8 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     stiff = areas.of_simplices[:, None, None] * sheet.gradients @ np.swapaxes(sheet.gradients, 1, 2)
     volume = _assemble(mass * compliance[:, None], number)
     whole = volume + _assemble(stiff * (eps**3 / (12 * layer.mu))[:, None, None], number)
-    rim = free_rim(faces.state.model, sheet)
+    model = faces.state.model
+    rim = neglected_rim(model, model.layers[sheet.name])
     fine = rim[rim.depth <= layer.length * eps[rim.simplex]]
     inside = np.setdiff1d(np.arange(len(used)), np.searchsorted(used, fine.vertices))
     if not b[inside].any():

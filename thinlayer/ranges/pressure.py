@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
+from thinlayer.discretisation.free_rim import free_of_pressure, neglected_rim
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import warn
@@ -37,7 +37,7 @@ def warn_of_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublay
     if not layers:
         return
     assert one.thin
-    rim, eps = free_rim(model, one.sheet), one.thin.eps
+    rim, eps = neglected_rim(model, one), one.thin.eps
     if not len(rim.vertices):
         return
     if any(one.length == math.inf for sublayers in layers for one in sublayers):

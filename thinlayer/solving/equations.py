@@ -135,6 +135,13 @@ class Equations(PartSum):
             K.axpy(1.0, other, DIFFERENT)
         return K
 
+    def hold(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
+        """Replace rows and columns of held unknowns in a tangent by those of a mean stiffness times the identity.
+
+        Their values x, if given, go to the right-hand side b: then the solution has them.
+        """
+        A.zeroRowsColumns(self.held_rows, self.mean_stiffness or 1.0, x, b)
+
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
         if not self.substitution:

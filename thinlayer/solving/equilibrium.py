@@ -19,6 +19,8 @@ REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residu
 WORTH_REFINING = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
 NEEDED = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
 UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
+ROUNDED = 100.0  # residual over the rounding of stiffness times displacement, at most, that is taken for rounding
+LESS_STIFF = 10.0  # by how much residuals of rounding should fall below the allowed one
 OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
 UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
 
@@ -134,7 +136,7 @@ class Equilibrium:
             self.reused = True
             return
         A = equations.tangent()
-        A.zeroRowsColumns(equations.held_rows, 1.0, move, b)
+        equations.hold(A, move, b)
         if self.nonlinear:
             self._require_finite("tangent (the slope of the stress)", A.norm())
         else:
@@ -200,6 +202,15 @@ class Equilibrium:
             equations.residual(x, r)
             residual = self._relative(r)
         if not residual < ALLOWED:
+            rounding = equations.scale.relative(equations.scale.rounding(_largest(x)))
+            if residual < ROUNDED * rounding:
+                less = LESS_STIFF * residual / ALLOWED
+                raise SolveError(
+                    f"linear solve failed: {residual:.1e} of the forces is out of balance, allowed: {ALLOWED:g}: the "
+                    "bodies are so much stiffer than what holds them that their strains are lost in the rounding of their "
+                    "displacements",
+                    advice=f"take moduli of the bodies that are {less:.0e} times smaller, or larger cells",
+                )
             hints = "".join(f", or {part.hint}" for part in equations.parts if part.hint)
             raise SolveError(
                 f"linear solve failed: {reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}; "

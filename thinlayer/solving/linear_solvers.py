@@ -87,7 +87,8 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         unsuited = [part.key for part in parts if part.field is not None and part.own_mass is None]
         if chosen == "fieldsplit" and unsuited:
             raise OptionError(
-                f"pc_type fieldsplit is for displacements and pressures on S; {unsuited[0]!r} is another unknown"
+                f"pc_type fieldsplit is for displacements and pressures on S; the unknowns {unsuited[0]!r} are others (of "
+                "a meshed layer, a plate or a mean stress)"
             )
         return factorising if unsuited else [BLOCKS, *factorising]
     iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}

@@ -70,7 +70,7 @@ def newton(equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bo
 
     def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         equations.tangent()
-        P.zeroRowsColumns(equations.held_rows, 1.0)
+        equations.hold(P)
 
     def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
         nonlocal given_up
@@ -87,7 +87,7 @@ def newton(equations: Equations, x: PETSc.Vec, *, own_test: bool, stop_early: bo
         return Reason.CONVERGED_FNORM_ABS if norms[2] <= aim(equations, x) else False
 
     A = equations.tangent()
-    A.zeroRowsColumns(equations.held_rows, 1.0)
+    equations.hold(A)
     snes = PETSc.SNES().create(equations.comm)
     snes.setOptionsPrefix(PREFIX)
     r = x.duplicate()

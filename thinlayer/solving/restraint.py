@@ -125,7 +125,7 @@ class Restraint:
             vector.destroy()
         d.set(0.0)
         d.array[equations.held] = equations.prescribed - prescribed
-        A.zeroRowsColumns(equations.held_rows, 1.0, d, r)
+        equations.hold(A, d, r)
         self._solve_linear(A, r, self._trial)
         return float(self._trial.norm())
 
@@ -176,7 +176,7 @@ class Restraint:
         while len(sizes) <= ITERATIONS and math.isfinite(sizes[-1]):
             A = self.equations.tangent()
             A.shift(self._stiffness)
-            A.zeroRowsColumns(self.equations.held_rows, 1.0)
+            self.equations.hold(A)
             self._r.scale(-1.0)
             self._solve_linear(A, self._r, self._d)
             sizes.append(self._search(max(sizes[-COMPARED_RESIDUALS:])))

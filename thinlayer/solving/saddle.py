@@ -33,7 +33,7 @@ def split(
 
     Args:
         pc: the preconditioner, which has read its options.
-        A: the tangent, with rows and columns of held unknowns replaced by those of the identity.
+        A: the tangent, with supports, see `Equations.hold`.
         layout: of the unknowns: displacements and fields on S.
         held: held unknowns of this rank.
         masses: key of a field on S -> its mass matrix.

@@ -1,0 +1,120 @@
+"""Where the law with a pressure does not hold: refused before anything is computed, on all ranks, with a remedy."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from forms import HolonomicCoulomb, Incompressible, KelvinVoigt, LawError, LinearElastic, Maxwell, Rubber, Stack
+from geometry import block, faults, ring, sandwich, wall
+from tests.ranks import mpirun
+from tests.test_tips import partly
+from thinlayer import ModelError, Pressure, Structure, ThinLayer
+
+BODY = LinearElastic.young(100.0, 0.3)
+RUBBER, INCOMPRESSIBLE = Rubber(90.0, 3.0), Incompressible(3.0)
+JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
+HELD = {"body": BODY, "supports": {"BOTTOM": 0.0}}
+
+
+def layer(law=RUBBER, order=1, **options):
+    return ThinLayer(law, 0.1, order=order, **options)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Rubber(0.0, 1.0), "lmbda is 0.* allowed: > 0 .for other layers there is LinearElastic"),
+        (lambda: Rubber(-0.3, 1.0), "lmbda is -0.3; allowed: > 0"),
+        (lambda: Rubber(float("inf"), 1.0), "lmbda is inf"),
+        (lambda: Rubber(1.0, 0.0), "mu is 0"),
+        (
+            lambda: Stack((0.4, RUBBER), (0.6, BODY)),
+            "a sublayer is Rubber.*allowed: laws that give a stress for a strain",
+        ),
+        (lambda: Stack((0.4, BODY), (0.6, INCOMPRESSIBLE)), "a sublayer is Incompressible"),
+    ],
+)
+def test_laws(make, said):
+    with pytest.raises(LawError, match=said):
+        make()
+
+
+@pytest.mark.parametrize("law", [RUBBER, INCOMPRESSIBLE])
+@pytest.mark.parametrize(
+    ("structure", "said"),
+    [
+        (
+            lambda: Structure(JOINT, plane="stress", **HELD),
+            "in plane stress: no pressure builds up.*use LinearElastic or",
+        ),
+        (lambda: Structure(partly(JOINT, lambda x: x[:, 0] < 0.5), **HELD), "end inside the bodies"),
+        (lambda: Structure(JOINT, element="P1", **HELD), "needs elements of degree 2"),
+        (lambda: Structure(wall(2, 2, (2.0, 1.0), 0.5), **HELD), "without junctions"),
+        (lambda: Structure(ring(1.0, 1.5, 2.0, 0.5), body=BODY, supports={"INSIDE": 0.0}), "use bodies='extended'"),
+    ],
+)
+def test_models_of_order_1(structure, said, law):
+    with pytest.raises(ModelError, match=said):
+        structure().interface(layer(law))
+
+
+def test_displacements_of_s_cannot_be_prescribed():
+    """Else the mean pressure of an incompressible layer would be undetermined."""
+    for joint, supports in (
+        (JOINT, {"S/LOWER": 0.0, "S/UPPER": 0.0}),
+        (JOINT, {"S": 0.0}),
+        (block(1.0, 0.5, 0.25), {"S": {"y": 0.0}}),
+    ):
+        with pytest.raises(ModelError, match="a support on S would replace the layer"):
+            Structure(joint, body=BODY, supports=supports).interface(layer(INCOMPRESSIBLE))
+
+
+def test_loads_on_the_side_of_the_layer():
+    """A load on the side of the layer is of order eps, and would squeeze it; zero says that the side is free."""
+    loads = [
+        {"LEFT/LAYER": one} for one in (Pressure(0.3), (0.2, 0.0), lambda x, t: (t, 0.0), (0.0, 0.0), Pressure(0.0))
+    ]
+    free = Structure(JOINT, **HELD).interface(layer())
+    for load in loads[:3]:
+        with pytest.raises(ModelError, match=r"'LEFT/LAYER' acts on the side of the layer.*or mesh the layer"):
+            Structure(JOINT, tractions=load, **HELD).interface(layer())
+        Structure(JOINT, tractions=load, **HELD).full(layer())
+    for load in loads[3:]:
+        Structure(JOINT, tractions=load, **HELD).interface(layer())
+    with pytest.raises(ModelError, match="acts on the side of the layer"):
+        free.with_loads(tractions=loads[0])
+
+
+def test_contact_beside_rubber():
+    """Contact needs elements of degree 1, a pressure those of degree 2."""
+    cuts = {"LOW": ((-1.0, 1.0), (4.0, 1.0)), "HIGH": ((-1.0, 2.0), (4.0, 2.0))}
+    joint = faults(3.0, 3.0, cuts, 0.5)
+    layers = {"LOW": layer(order=0), "HIGH": HolonomicCoulomb(9.0, 3.0, 0.4)}
+    for element, said in (("P1", "needs elements P2 or Q2"), ("P2", "a contact law .* needs element='P1'")):
+        with pytest.raises(ModelError, match=said):
+            Structure(joint, element=element, **HELD).interface(layers)
+
+
+@pytest.mark.parametrize("law", [Maxwell(90.0, 3.0, 0.5, 1e9), KelvinVoigt(90.0, 3.0, 0.5, 0.5)])
+def test_rubber_with_memory(law):
+    """The flow along S would have a memory of its own."""
+    with pytest.raises(ModelError, match=r"lmbda/mu = 30 .*or the meshed layer.*as its flow would have"):
+        Structure(JOINT, **HELD).interface(layer(law))
+
+
+def test_rubber_as_a_body():
+    with pytest.raises(ModelError, match=r"Rubber is for layers.*nu = 0.4999"):
+        Structure(JOINT, body=RUBBER, supports={"BOTTOM": 0.0}).interface(layer())
+
+
+def test_a_modulus_that_is_negative_on_one_rank_is_an_error_on_all():
+    done = mpirun(2, "-m", "tests.rubber_refused_run")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert len(said) == 4
+    assert len(set(said)) == 2  # of two models, the same on both ranks
+    for one in said:
+        assert "Rubber: lmbda is -" in one
+        assert ", at x = (" in one

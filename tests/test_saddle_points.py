@@ -1,0 +1,154 @@
+"""Layers with a pressure on S, solved iteratively: against factorising, for all Poisson's ratios, in all units."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from forms import Incompressible, Rubber
+from geometry import block, sandwich
+from tests.ranks import mpirun
+from tests.saddle_run import BLOCKS, EPS, FACTORS, LOWER, UPPER, bearing, layer_law, measured, numbers
+from thinlayer import RigidPlate, SolveError, Structure, ThinLayer, march, solve
+from thinlayer.solving import linear_solvers, saddle
+from thinlayer.solving.options import OptionError
+
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")  # ends that cells do not resolve
+NUS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.5)
+SOLVED = 1e-8  # residuals are 1e-10 of the forces, and soft layers move far under small ones
+
+
+def layer(nu: float) -> ThinLayer:
+    return ThinLayer(layer_law(nu).per_thickness(EPS), EPS, order=1)
+
+
+def distance(one, other) -> float:
+    """Largest relative difference of displacements and pressures."""
+    pairs = [(one.u, other.u), *((one.fields[key], other.fields[key]) for key in other.fields)]
+    return max(float(np.abs(f.x.array - g.x.array).max() / np.abs(g.x.array).max()) for f, g in pairs)
+
+
+def soft(law, order: int = 1) -> ThinLayer:
+    return ThinLayer(law.per_thickness(0.1), 0.1, order=order)
+
+
+PLATES = sandwich(3.0, 1.0, 1.2, 0.5)
+PRESSED = {"tractions": {"TOP": lambda x, t: (0.2 * t + 0.1, -1.0 - x[0] * t)}}
+
+
+@pytest.mark.parametrize(("held", "upper"), [(True, LOWER), (False, LOWER), (False, UPPER)])
+def test_all_ratios_take_the_same_iterations(held, upper):
+    """They find what a factorisation finds, and need hardly more iterations than multigrid with an elastic layer."""
+    elastic = bearing(0, held=held, upper=upper)
+    usual, counts = solve(elastic, options={"pc_type": "gamg"}).report.iterations, []
+    for nu in NUS:
+        model = elastic.with_layer(layer(nu))
+        state = solve(model, options=BLOCKS)
+        assert distance(state, solve(model, options=FACTORS)) < SOLVED, nu
+        assert state.report.residual < 1e-9
+        counts.append(state.report.iterations)
+    assert max(counts) <= 2 * min(counts)
+    assert 10 < max(counts) < 1.5 * usual
+
+
+def test_bodies_that_seem_to_yield_too_much(monkeypatch):
+    """If the Schur complement overestimates what bodies yield, iterations grow: it has the right size."""
+    structure = Structure(PLATES, body=UPPER, supports={"BOTTOM": 0.0}, **PRESSED)
+    model, compliance = structure.interface(soft(Incompressible(1.2))), saddle._compliance
+    right = solve(model, options=BLOCKS).report.iterations
+
+    def wrong(*given):
+        matrix = compliance(*given)
+        matrix.scale(1e3)
+        return matrix
+
+    monkeypatch.setattr(saddle, "_compliance", wrong)
+    assert solve(model, options={**BLOCKS, "ksp_max_it": 1000}).report.iterations > 1.4 * right
+
+
+def test_units():
+    """Millimetres and megapascals, metres and pascals, and units that nobody uses: the same iterations."""
+    states = [solve(bearing(0.499, mm=mm, MPa=MPa), options=BLOCKS) for mm, MPa in ((1, 1), (1e-3, 1e6), (3e4, 7e-9))]
+    first, *others = [state.report.iterations for state in states]
+    assert others == [first, first]
+    assert states[1].u.x.array == pytest.approx(1e-3 * states[0].u.x.array, rel=1e-8, abs=1e-11)
+
+
+def test_balance():
+    state = solve(bearing(0.4999), options=BLOCKS)
+    whole = sum(state.reaction(place).force for place in ("BOTTOM", "LEFT", "BACK")) + state.applied().force
+    assert np.abs(whole).max() < 1e-8 * np.abs(state.applied().force).max()
+    energies = state.energies()
+    assert energies["bodies"] + energies["layer"] == pytest.approx(energies["loads"] / 2, rel=1e-8)
+
+
+def test_on_two_ranks():
+    done = mpirun(2, "-m", "tests.saddle_run")
+    assert done.returncode == 0, done.stderr
+    wanted = numbers(FACTORS)
+    assert json.loads(done.stdout) == pytest.approx(wanted, rel=SOLVED)
+
+
+def test_large_models_are_solved_iteratively(monkeypatch):
+    """And by factorising where that fails, or where unknowns are others than displacements and pressures on S."""
+    model = bearing(0.45)
+    assert solve(model).report.iterations == 1
+    monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 100)
+    iterative = solve(model)
+    assert 10 < iterative.report.iterations < 100
+    monkeypatch.setitem(linear_solvers.BLOCKS, "ksp_max_it", 2)
+    factored = solve(model)
+    assert factored.report.iterations == 1
+    assert measured(iterative) == pytest.approx(measured(factored), rel=SOLVED)
+    with pytest.raises(SolveError, match="DIVERGED"):
+        solve(model, options=BLOCKS)
+    assert solve(model.structure.full(layer(0.45))).report.iterations == 1
+
+
+def test_refused():
+    joint = sandwich(3.0, 1.0, 1.2, 0.5)
+    structure = Structure(joint, body=LOWER, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)})
+    model = structure.interface(layer(0.499))
+    with pytest.raises(
+        OptionError, match="gamg cannot solve for the pressures of a layer, too; use pc_type fieldsplit"
+    ):
+        solve(model, options={"pc_type": "gamg", "ksp_type": "cg"})
+    with pytest.raises(OptionError, match="displacements and pressures on S; the unknowns 'pressure' are others"):
+        solve(structure.full(layer(0.499)), options=BLOCKS)
+    plate = Structure(joint, body=LOWER, supports={"BOTTOM": 0.0}, parts=[RigidPlate("TOP", force=(0.1, -2.0))])
+    with pytest.raises(OptionError, match="the unknowns 'plate TOP' are others"):
+        solve(plate.interface(layer(0.499)), options=BLOCKS)
+
+
+@pytest.mark.parametrize(
+    ("joint", "supports", "one"),
+    [
+        (PLATES, {"BOTTOM": 0.0}, soft(Rubber.shear(1.2, 0.499), order=0)),
+        (PLATES, {"BOTTOM": 0.0}, soft(Incompressible(1.2), order=0)),
+        (block(3.0, 1.0, 0.5), {"LEFT": {"x": 0.0}}, soft(Rubber.shear(1.2, 0.499))),
+        (PLATES.rotated(0.3), {"BOTTOM": {"n": 0.0}, "LEFT": {"n": 0.0}}, soft(Incompressible(1.2))),
+    ],
+    ids=["order 0", "order 0, incompressible", "rigid base", "inclined supports"],
+)
+def test_other_pressures_on_S(joint, supports, one):
+    model = Structure(joint, body=LOWER, supports=supports, **PRESSED).interface(one)
+    assert distance(solve(model, 0.7, options=BLOCKS), solve(model, 0.7, options=FACTORS)) < SOLVED
+
+
+def test_march():
+    """Of order 2 in time, where the pressure's block has another factor; the hierarchy stays over the steps."""
+    model = Structure(PLATES, body=LOWER, supports={"BOTTOM": 0.0}, **PRESSED).interface(soft(Rubber.shear(1.2, 0.499)))
+    one, other = (march(model, [0.3, 0.6, 0.9], theta=0.5, options=options) for options in (BLOCKS, FACTORS))
+    assert distance(one.last, other.last) < SOLVED
+    assert all(abs(state.audit.imbalance) < 1e-8 for state in one)
+
+
+def test_options_of_the_blocks():
+    """Blocks have PETSc options of their own: with an exact solver of the displacements few iterations are left."""
+    model = Structure(PLATES, body=LOWER, supports={"BOTTOM": 0.0}, **PRESSED).interface(soft(Rubber.shear(1.2, 0.499)))
+    exact = solve(model, options={**BLOCKS, "fieldsplit_u_pc_type": "cholesky"})
+    assert exact.report.iterations < 15
+    diagonal = {"ksp_type": "minres", "ksp_pc_side": "left", "pc_fieldsplit_schur_fact_type": "diag"}
+    assert distance(solve(model, options={**BLOCKS, **diagonal}), exact) < SOLVED

@@ -1,0 +1,45 @@
+"""Rubber beside bodies that are hundreds of millions of times stiffer, and beyond what floating point numbers hold."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from forms import Incompressible, LinearElastic, Rubber, limits
+from geometry import sandwich
+from tests.test_rubber_bearings import modulus
+from thinlayer import SolveError, Structure, ThinLayer, solve
+
+MU, EPS, A = 1.2, 3.0, 30.0  # MPa, mm, mm
+OPENING, PULL = 0.01, 0.1  # mm, MPa
+
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of layers thicker than the plates
+
+
+def strip(E, cell, *, pulled=False):
+    """Half of it, with cells of a sixtieth of the thickness at its end; its upper plate is moved, or pulled."""
+    joint = sandwich(A, 1.0, 1.0, 2.0, h_S=0.5, h_ends=EPS / 60, cell=cell).moved((-A, 0.0))
+    moved = {} if pulled else {"TOP": {"x": 0.0, "y": OPENING}}
+    tractions = {"TOP": (0.0, PULL)} if pulled else {}
+    supports = {"BOTTOM": 0.0, "RIGHT": {"x": 0.0}, **moved}
+    return Structure(joint, body=LinearElastic.young(E, 0.3), supports=supports, tractions=tractions)
+
+
+@pytest.mark.parametrize("law", [Rubber(modulus(0.499), MU), Incompressible(MU)])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_plates(law, cell):
+    """E/mu = 1e10 where they are moved, 1e8 where they are pulled."""
+    layer = ThinLayer(law.per_thickness(EPS), EPS, order=1)
+    state = solve(strip(1e10 * MU, cell).interface(layer))
+    assert state.report.residual < 1e-7
+    lmbda = law.lmbda if isinstance(law, Rubber) else math.inf
+    found = state.reaction("TOP").force[1] / (A * OPENING)
+    assert found == pytest.approx(limits.rubber_strip(lmbda, MU, EPS, A), rel=1e-3)
+    assert solve(strip(1e8 * MU, cell, pulled=True).interface(layer)).report.residual < 1e-7
+
+
+def test_rounding_is_told():
+    layer = ThinLayer(Rubber(modulus(0.499), MU).per_thickness(EPS), EPS, order=1)
+    with pytest.raises(SolveError, match=r"lost in the rounding of their displacements; take moduli .* times smaller"):
+        solve(strip(1e12 * MU, "quadrilateral", pulled=True).interface(layer))
