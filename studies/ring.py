@@ -45,5 +45,5 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
 def draw(record: Record) -> None:
     """Draw the rates of both laws from the tables."""
-    cases = {"order 0, bodies meet on S": "table.csv", "order 1, bodies apart": f"table_{NEXT}.csv"}
+    cases = {"order 0": "table.csv", "order 1": f"table_{NEXT}.csv"}
     draw_rates(record, title="glued shaft and hub", cases=cases)

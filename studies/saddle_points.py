@@ -73,9 +73,9 @@ def run(record: Record, *, quick: bool = False) -> None:
     """
     cells = QUICK_CELLS if quick else CELLS
     record.parameters = {"side_mm": SIDE, "eps_mm": EPS, "mu_MPa": MU, "cells": cells}
-    table = record.table("table.csv")
+    table, first = record.table("table.csv"), next(iter(CASES))  # factoring rubber takes minutes on the fine mesh
     for name in track([*CASES], "saddle_points", "{}"):
-        for row in compared(name, CASES[name].model(cells)):
+        for row in compared(name, CASES[name].model(cells), factored=quick or name == first):
             table.append(row)
             record.say(row)
     for name in CASES:
@@ -84,22 +84,24 @@ def run(record: Record, *, quick: bool = False) -> None:
         record.check(f"{name}: iterations, most over least", max(iterations) / min(iterations), high=UNEVEN)
         if not quick:
             record.check(f"{name}: largest ratio of time", max(float(row["ratio"] or 0) for row in rows), high=SLOWEST)
-        apart = next(float(row["distance"] or 0) for row in rows if row["nu"] == FACTORED)
-        record.check(f"{name}: distance from the factored solution", apart, high=DISTANCE)
+        for row in rows:
+            if row["distance"] is not None:
+                record.check(f"{name}: distance from the factored solution", float(row["distance"]), high=DISTANCE)
 
 
-def compared(name: str, elastic: InterfaceModel) -> Iterator[Row]:
-    """Rows of one case: the elastic layer, by multigrid and factored; rubber, factored; rubber for all ratios."""
+def compared(name: str, elastic: InterfaceModel, *, factored: bool) -> Iterator[Row]:
+    """Rows of one case: the elastic layer, by multigrid and factored; rubber, factored if asked; rubber for all ratios."""
     works: list[tuple[str, float, dict[str, OptionValue]]] = [("elastic", 0.3, ELASTIC), ("elastic", 0.3, FACTORS)]
-    works += [("rubber", FACTORED, FACTORS), *(("rubber", nu, BLOCKS) for nu in RATIOS)]
-    usual, factored = math.nan, None
+    works += [("rubber", FACTORED, FACTORS)] if factored else []
+    works += [("rubber", nu, BLOCKS) for nu in RATIOS]
+    usual, direct = math.nan, None
     for layer, nu, options in works:
         model = elastic if layer == "elastic" else elastic.with_layer(_rubber(nu))
         seconds, state = timed(model, options)
         usual = seconds if options is ELASTIC else usual
         if layer == "rubber" and options is FACTORS:
-            factored = state
-        compared_to = factored if options is BLOCKS and nu == FACTORED else None
+            direct = state
+        compared_to = direct if options is BLOCKS and nu == FACTORED else None
         yield {
             "case": name, "layer": layer, "nu": nu, "solver": options["pc_type"],
             "unknowns": model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs,

@@ -9,6 +9,8 @@ import pytest
 import ufl
 
 from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell
+from forms.planes import Kinematics
+from forms.stations import GAUSS, Faces
 from forms.tangent import average_lame, in_plane_modulus, tangent_at_rest
 from studies.problems import fourier
 from thinlayer import ModelError, Structure, ThinLayer
@@ -53,13 +55,16 @@ def test_moduli():
 
 @pytest.mark.parametrize("n", [(0.6, 0.8), (0.48, -0.64, 0.6)])
 @pytest.mark.parametrize("plane", ["strain", "stress"])
-def test_gradient_leaves_the_faces_without_traction(n, plane):
+def test_change_through_the_layer_leaves_the_faces_without_traction(n, plane):
     law = LinearElastic(6.0, 2.5)
     law = law.plane_stress() if plane == "stress" else law
     given = np.zeros((3, 3))
     given[: len(n), : len(n)] = np.random.default_rng(5).normal(size=(len(n), len(n)))
     given += given.T
-    form = law.gradient(ufl.as_matrix(given.tolist()), ufl.as_vector(n))
+    d, gradient = len(n), ufl.as_matrix(given[: len(n), : len(n)].tolist())
+    faces = Faces(ufl.as_vector(n), 0.3, ufl.zero(d), gradient, ufl.zero(3, 3), Kinematics())
+    lower, upper = (station.strain(law, faces) for station in law.stations())
+    form = (upper - lower) / (2 * GAUSS[1])
     found = np.array([[form((0.0,), component=(i, j)) for j in range(3)] for i in range(3)])
     stress = law.lmbda * np.trace(found) * np.eye(3) + 2 * law.mu * found
     normal = np.pad(n, (0, 3 - len(n)))

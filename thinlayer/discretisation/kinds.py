@@ -19,9 +19,9 @@ from forms.tangent import needs_director
 from geometry.errors import unknown
 from geometry.inflating.inflation import inflate
 from geometry.inflating.layering import check_layering
-from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint
 from geometry.seam import BASE, S
+from thinlayer.discretisation.apart import Middle, apart, require_same_room
 from thinlayer.discretisation.axis import require_revolution, require_shifts
 from thinlayer.discretisation.end_weights import end_weights, require_free_ends
 from thinlayer.discretisation.forces import Forces, Weighted
@@ -248,22 +248,7 @@ class InterfaceModel(LayeredModel):
         self._check_layers()
         if self._bodies == "kept":
             return self.joint
-        if self.joint.seams_meet:
-            raise ModelError(
-                "bodies='extended' of an interface model needs seams that do not meet or branch: S has no middle there"
-            )
-        thin = {name: one.thin for name, one in self.layers.items() if one.thin}
-        if len(thin) < len(self.joint.seams):
-            missing = next(name for name in self.joint.seams if name not in thin)
-            raise ModelError(
-                f"bodies='extended' of an interface model: {missing!r} has no ThinLayer, so that no thickness tells where "
-                "bodies are; use bodies='kept'"
-            )
-        joint = parted(
-            self.joint,
-            {name: layer.eps for name, layer in thin.items()},
-            profile={name: layer.profile for name, layer in thin.items()},
-        )
+        joint = apart(self.joint, self.layers)
         require_revolution(self.structure.kinematics, joint)
         return joint
 
@@ -281,31 +266,20 @@ class InterfaceModel(LayeredModel):
 
     def _check_beside(self, other: Self) -> None:
         self._check_layers()
-        if self._bodies == "kept":
-            return
-        for name, one in self.layers.items():
-            shapes = [_shape(self.joint, each.thin) for each in (one, other.layers[name])]
-            if shapes[0] != shapes[1]:
-                raise ModelError(
-                    f"the bodies have made room for a layer {name!r} of (thickness, profile) {shapes[1]}, not {shapes[0]}; "
-                    "make a model of its own, structure.interface(layer, bodies='extended')"
-                )
+        if self._bodies != "kept":
+            require_same_room(self.joint, self.layers, other.layers)
 
     @cached_property
-    def _to_s(self) -> fem.Function | None:
-        """(d,) how far S is from the facets' places on either side; None: it is there."""
-        joint = self.domain.joint
-        if joint.parted is None:
-            return None
-        return cellwise(self.domain, ("DG", joint.degree, (joint.dim,)), to_middle(joint))
+    def _middle(self) -> Middle | None:
+        """S between bodies that stand apart; None: they meet there."""
+        return None if self.domain.joint.parted is None else Middle(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        """Coordinates of the places of S, for functions that are then restricted to a side."""
-        return at if self._to_s is None else replace(at, x=at.x + self._to_s)
+        return self._middle.coordinates(at) if self._middle else at
 
     def _given_on(self, one: SeamLayer) -> Expr | None:
         given = one.given(self._coordinates_on(self.coordinates))
-        return given if given is None or self._to_s is None else self.sides_of(one.name).upper(given)
+        return self.sides_of(one.name).upper(given) if given is not None and self._middle else given
 
     @cached_property
     def dS(self) -> ufl.Measure:
@@ -324,18 +298,18 @@ class InterfaceModel(LayeredModel):
         Raises:
             GeometryError: no such seam. ModelError: S lies between bodies and on a rigid base.
         """
-        joint, mesh = self.joint, self.domain.mesh
+        joint, mesh, to_s = self.joint, self.domain.mesh, self._middle.to_s if self._middle else None
         joint.rows_of(name)
         names = tuple(joint.seams) if name == S else (name,)
         based = [one in joint.base_seams for one in names]
         if all(based):
             measure = self.ds(self.domain.values(name))
-            return forms.Interface.on_rigid_base(mesh, measure, self.kinematics, self._to_s)
+            return forms.Interface.on_rigid_base(mesh, measure, self.kinematics, to_s)
         if any(based):
             raise ModelError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
         numbers = tuple(list(joint.seams).index(one) + 1 for one in names)
         measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
-        return forms.Interface.between_bodies(mesh, measure, self.kinematics, self._to_s)
+        return forms.Interface.between_bodies(mesh, measure, self.kinematics, to_s)
 
     @cached_property
     def sides(self) -> forms.Interface:
@@ -354,14 +328,15 @@ class InterfaceModel(LayeredModel):
         """The terms of a layer without contact on its seam."""
         mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
-        if self._to_s is not None:  # whose slopes and lengths UFL takes for functions of a high degree
+        if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree
             measure = measure(metadata={"quadrature_degree": degree})
         sides = replace(sides, measure=measure, known=partial(self._known, one))
         if one.thin is None:
             terms = [forms.of_jumps(law, sides)]
         else:
-            eps, slope = self._thickness(one.name, one.thin, sides), self._slope(one.thin, sides)
+            eps = self._thickness(one.name, one.thin, sides)
+            slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
             ends = end_weights(self, one, law.free_end(), sides) if one.thin.edges else None
             if ends is not None:
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
@@ -370,19 +345,12 @@ class InterfaceModel(LayeredModel):
         return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
-        if self._to_s is not None:  # on either side S is half of it away
-            return -2 * ufl.dot(sides.upper(self._to_s), sides.n)
+        if self._middle:
+            return self._middle.thickness(sides)
         eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
         return eps
-
-    def _slope(self, layer: ThinLayer, sides: forms.Interface) -> Expr | None:
-        """(d,) gradient of the thickness along S; None: it is uniform, or bodies meet on S and the order is 0."""
-        if layer.profile is None or self._to_s is None:
-            return None
-        slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self._to_s))
-        return slope - ufl.dot(slope, sides.fibre) * sides.n
 
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
@@ -424,10 +392,3 @@ class BondedModel(Model):
 
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
         return []
-
-
-def _shape(joint: Joint, thin: ThinLayer | None) -> tuple[object, ...]:
-    """What the places of bodies depend on, beside a layer."""
-    if thin is None:
-        return ()
-    return (thin.eps, described(joint.relative_thickness(thin.profile)) if thin.profile else None)

@@ -103,13 +103,13 @@ class Model(ABC):
         self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
+        mesh = self.domain.mesh
+        self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
+        self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         with on_all(self.comm):
             self.supports = self._supports(structure.supports)
             self.given = {name: self._given(name) for name in self.body_laws}
             self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
-        mesh = self.domain.mesh
-        self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
-        self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         self.bodies = [term for names in self._alike() for term in self._body_terms(names)]
         self.layer_terms = self._terms_of_layers()
         with on_all(self.comm):
