@@ -121,7 +121,8 @@ def test_laws_of_the_documentation_work():
     """Each in a joint that is loaded step by step, with the values their text says."""
     names: dict = {}
     for block in re.findall(r"```python\n(.*?)```", (CLONE / "forms" / "README.md").read_text(), re.DOTALL):
-        exec(block, names)
+        exec(block, own := {})
+        names = own | names  # the first of a name
     state, steel, glue = (names[name] for name in ("state", "steel", "glue"))
     closed = lame((6.0, 11.9, 12.1, 18.0), (steel, glue, steel), (None, None), 50.0).displacement(0, 6.0)
     assert state.energies()["loads"] / (2 * math.pi * 6 * 8 * 50) == pytest.approx(closed, rel=1e-3)
