@@ -5,30 +5,23 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
-import basix.ufl
 import dolfinx.fem.petsc
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
-from mpi4py import MPI
 from petsc4py import PETSc
-from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
 from forms.kinematics import Expr
 from forms.work import Term
-from geometry.compat import cell_nodes
 from geometry.topology import IntArray
-from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.given import OverStep
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.state import Configuration
-from thinlayer.parallel.communicator import communicator
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
+from thinlayer.parts.vertices import at_places, identified
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
-
-SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
 
 
 class PressurePart(Part):
@@ -76,7 +69,7 @@ class PressurePart(Part):
         if has_flow(term) and origin and origin.middle is not None:
             region.move(origin.middle)
         self._whole = fem.functionspace(region.mesh, ("Lagrange", 1))
-        space = self._whole if masters is None else self._identified(masters)
+        space = self._whole if masters is None else identified(region, masters)
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
         form = q * ufl.tr(term.strain(v)) * term.weight * term.measure
@@ -88,7 +81,7 @@ class PressurePart(Part):
             self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
             self.C.scale(self.unit**2)
         self.G.scale(self.unit)
-        self._zero = _at_places(space, free) if free is not None and len(free) else np.empty(0, np.int64)
+        self._zero = at_places(space, free) if free is not None and len(free) else np.empty(0, np.int64)
         strained = [term] if term.given is not None else []
         self._over = OverStep(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
@@ -98,15 +91,6 @@ class PressurePart(Part):
         self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
         self._squeezed = self.G.createVecLeft()
         self._filled: Array | None = None
-
-    def _identified(self, masters: IntArray) -> fem.FunctionSpace:
-        """Pressures that are the same at vertices that periodic sides identify. Collective."""
-        mesh = self.region.mesh
-        element = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
-        corners = cell_nodes(mesh)[:, : element.basix_element.dim]
-        vertices = np.asarray(mesh.geometry.input_global_indices, np.int64)[corners]
-        comm = communicator(self.region.parent_mesh)
-        return broken_space(comm, Keys.of_entities(comm, mesh, element, [masters[vertices]]))
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
         """C, for a law whose parameters are functions with their values at `points`. Collective."""
@@ -269,12 +253,3 @@ class PressurePart(Part):
 def has_flow(term: Term) -> bool:
     """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
-
-
-def _at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
-    """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
-    owned = space.dofmap.index_map.size_local
-    x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]
-    size = space.mesh.comm.allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX)
-    distance, _ = cKDTree(places).query(x)
-    return np.flatnonzero(distance <= SAME_PLACE * size).astype(np.int64)
