@@ -7,7 +7,7 @@ from pathlib import Path
 
 CLONE = Path(__file__).parent.parent
 GUIDE = ("time", "contact", "yield", "snaps", "loads", "joints", "results", "scripts", "environments")
-PAGES = {name: (CLONE / name).read_text() for name in ("README.md", *(f"guide/{page}.md" for page in GUIDE))}
+PAGES = {name: (CLONE / name).read_text() for name in ("README.md", *(f"thinlayer/guide/{page}.md" for page in GUIDE))}
 DOCUMENT = "\n".join(PAGES.values())
 OWN = "# In your own script"  # a page with scripts of its own, see test_own_scripts
 

@@ -46,7 +46,7 @@ from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Block, Outcome, Part
 from thinlayer.parts.pressure import PressurePart
 
-SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["guide/scripts.md"], re.DOTALL)
+SCRIPTS = re.findall(r"```python\n(.*?)```", PAGES["thinlayer/guide/scripts.md"], re.DOTALL)
 STONE = LinearElastic.young(E=100.0, nu=0.3)
 LOWER, UPPER, LAYER, TOP = 1, 2, 3, 4
 PLACES = {"BOTTOM": 0.0, "S": 0.5, "TOP": 1.0}
@@ -78,7 +78,7 @@ def test_script_on_one_rank_and_two(tmp_path, name):
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
     if name in texts:
-        assert [line.strip() in PAGES["guide/scripts.md"] for line in one.stdout.splitlines()] == [True] * len(
+        assert [line.strip() in PAGES["thinlayer/guide/scripts.md"] for line in one.stdout.splitlines()] == [True] * len(
             one.stdout.splitlines()
         )
 

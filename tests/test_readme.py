@@ -97,7 +97,7 @@ def test_limit_script(printed_by):
 def test_results_script(printed_by):
     """What is printed, and files that can be read."""
     out = printed_by(7)
-    wanted = PAGES["guide/results.md"].partition("![")[0].splitlines()
+    wanted = PAGES["thinlayer/guide/results.md"].partition("![")[0].splitlines()
     numbers = re.compile(r"-?\d+\.\d+")
     for line in out.splitlines():
         (printed,) = (one for one in wanted if numbers.sub("", one).split() == numbers.sub("", line).split())
@@ -173,8 +173,8 @@ def test_links_lead_somewhere():
             target = (CLONE / name).parent / path if path else CLONE / name
             assert target.is_file(), (name, path)
             assert not anchor or anchor in anchors(target.read_text()), (name, path, anchor)
-    assert sorted(path.stem for path in (CLONE / "guide").iterdir()) == sorted(GUIDE)
-    assert all(f"](guide/{page}.md)" in PAGES["README.md"] for page in GUIDE)
+    assert sorted(path.stem for path in (CLONE / "thinlayer/guide").iterdir()) == sorted(GUIDE)
+    assert all(f"](thinlayer/guide/{page}.md)" in PAGES["README.md"] for page in GUIDE)
 
 
 def test_every_study_has_its_row():
