@@ -321,7 +321,9 @@ def test_stiffness_of_a_cell_whose_family_has_eigenstrains():
 
 
 def test_what_the_guide_writes():
-    section = PAGES["thinlayer/guide/loads.md"].partition("## Heat, shrinkage, in-situ stress\n")[2].partition("\n## ")[0]
+    section = (
+        PAGES["thinlayer/guide/loads.md"].partition("## Heat, shrinkage, in-situ stress\n")[2].partition("\n## ")[0]
+    )
     code = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
     given = {"joint": FLAT, "steel": LAW, "glue": GLUE, "supports": AT_REST}
     names = {one: globals()[one] for one in ("Structure", "ThinLayer", "ThermalExpansion", "Prestress", "ufl")} | given

@@ -78,9 +78,9 @@ def test_script_on_one_rank_and_two(tmp_path, name):
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
     if name in texts:
-        assert [line.strip() in PAGES["thinlayer/guide/scripts.md"] for line in one.stdout.splitlines()] == [True] * len(
-            one.stdout.splitlines()
-        )
+        assert [line.strip() in PAGES["thinlayer/guide/scripts.md"] for line in one.stdout.splitlines()] == [
+            True
+        ] * len(one.stdout.splitlines())
 
 
 def test_scripts_are_short():
