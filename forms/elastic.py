@@ -110,7 +110,7 @@ class LinearElastic(LinearLaw):
     def elastic_moduli(self) -> tuple[Any, Any]:
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
 
-    def stations(self) -> list[Station]:
+    def stations(self) -> list[Station[Any]]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.
 
         The displacements are then parabolas through the thickness; with straight lines a nearly incompressible layer
@@ -140,7 +140,7 @@ class LinearElastic(LinearLaw):
             raise LawError(f"edges='free' of {self!r}: Poisson's ratio is {nu:.4g}; allowed: from 0 on")
         return free_end(nu)
 
-    def stations_at_ends(self, weights: EndWeights) -> list[Station]:
+    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         """Two strains give the energy of the mean strain (`forms.ends.weights`), a third one that of its change."""
 
         def strain(k: int) -> Callable[[LinearElastic, Faces], Expr]:

@@ -310,11 +310,11 @@ class BulkLaw(Law):
             "and parameters that are numbers"
         )
 
-    def stations_at_ends(self, weights: EndWeights) -> list[Station]:
+    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         """As `stations`, with the weights of the layer's free ends; laws that have a `free_end` have them."""
         raise LawError(f"{type(self).__name__} has no stations at free ends")
 
-    def stations(self) -> list[Station]:
+    def stations(self) -> list[Station[Any]]:
         """Where the law acts through the thickness in an interface law of order 1, and with which strains.
 
         By default at two Gauss points, with displacements that are linear through the layer.

@@ -91,6 +91,9 @@ class Kinematics:
         return law
 
 
+LIFTED = Kinematics()  # plane strain in 2D, all strains in 3D
+
+
 class PlaneStress(Kinematics):
     """Plane stress: no stress out of the plane; laws find the strain there themselves (`BulkLaw.plane_stress`)."""
 
@@ -149,4 +152,4 @@ class Axisymmetric(Kinematics):
         return ufl.as_tensor([[0, 0, 0], [0, 0, 0], [0, 0, u[0] / self._r]])
 
 
-PLANES: dict[str, Kinematics] = {one.name: one for one in (Kinematics(), PlaneStress(), Axisymmetric())}
+PLANES: dict[str, Kinematics] = {one.name: one for one in (LIFTED, PlaneStress(), Axisymmetric())}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame
 from forms.kinematics import Expr
@@ -59,6 +59,6 @@ class Rubber(LinearLaw):
     def plane_stress(self) -> LinearElastic:
         return LinearElastic(1.0, 1.0).with_parameters(self.parameters()).plane_stress()
 
-    def stations(self) -> list[Station]:
+    def stations(self) -> list[Station[Any]]:
         """The pressure is a field on S, which flows along S."""
         return of_pressure(self)

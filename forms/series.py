@@ -116,7 +116,7 @@ class Stack(BulkLaw):
     def eased(self, ease: float) -> Stack:
         return self.with_laws([law.eased(ease) for law in self.laws])
 
-    def stations(self) -> list[Station]:
+    def stations(self) -> list[Station[Any]]:
         if len(self.laws) == 1:
             return self.laws[0].stations()
         if self.fields:

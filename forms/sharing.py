@@ -51,7 +51,7 @@ class Across(Moments):
         return (ufl.dot(n, ufl.dot(across, n)) + stretch) * faces.normal + jump_strain(shear, n)
 
 
-def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station]:
+def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]]:
     """Stations of isotropic elastic sublayers, from the lower to the upper face.
 
     Displacements through the layer are <u> + Phi [u]: the sublayers share the jump as at order 0, so that Phi_N along n and

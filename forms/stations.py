@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Generic, TypeVar
 
 import ufl
 
 from forms.kinematics import Expr, jump_strain, lift
 
-if TYPE_CHECKING:
-    from forms.law import BulkLaw
-    from forms.planes import Kinematics
-
+L = TypeVar("L")  # a law of strains, `forms.law.BulkLaw`
 GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
 LOCKING = 12.0  # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
 
@@ -29,7 +26,7 @@ class Faces:
         jump: [u], (d,).
         gradient: of [u] along S, (d, d).
         mean: strain (3, 3) along S of <u>, and what is given beside the displacements, uniform through the layer.
-        kinematics: of the displacements.
+        along: gradient along S (d, d) and value (d,) of displacements -> strain (3, 3) along S (`Kinematics.along`).
         slope: grad_S eps, (d,); None: the thickness is uniform.
     """
 
@@ -38,7 +35,7 @@ class Faces:
     jump: Expr
     gradient: Expr
     mean: Expr
-    kinematics: Kinematics
+    along: Callable[[Expr, Expr], Expr]
     slope: Expr | None = None
 
     def across(self, z: float = 0.0) -> Expr:
@@ -52,7 +49,7 @@ class Faces:
     @property
     def difference(self) -> Expr:
         """Strain (3, 3) along S of [u], sym(grad_S [u])."""
-        return self.kinematics.along(self.gradient, self.jump)
+        return self.along(self.gradient, self.jump)
 
     @property
     def change(self) -> Expr:
@@ -81,7 +78,7 @@ class Faces:
 
 
 @dataclass(frozen=True)
-class Station:
+class Station(Generic[L]):
     """A place through the thickness at which a law acts, in the interface law of order 1.
 
     Attributes:
@@ -93,16 +90,16 @@ class Station:
         largest_ratio: lmbda/mu at rest beyond which the strain locks.
     """
 
-    law: BulkLaw
+    law: L
     share: Any
-    strain: Callable[[Any, Faces], Expr]
-    flow: Callable[[Any], Expr] = lambda law: 0
+    strain: Callable[[L, Faces], Expr]
+    flow: Callable[[L], Expr] = lambda law: 0
     largest_ratio: float = math.inf
 
 
 def at_gauss_points(
-    law: BulkLaw, difference: Callable[[Any, Faces], Expr] | None = None, largest_ratio: float = math.inf
-) -> list[Station]:
+    law: L, difference: Callable[[L, Faces], Expr] | None = None, largest_ratio: float = math.inf
+) -> list[Station[L]]:
     """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
 
     Args:
@@ -116,13 +113,13 @@ def at_gauss_points(
         difference, largest_ratio = lambda law, faces: faces.change, LOCKING
     change = difference
 
-    def at(z: float) -> Callable[[Any, Faces], Expr]:
+    def at(z: float) -> Callable[[L, Faces], Expr]:
         return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)
 
     return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS]
 
 
-def of_pressure(law: BulkLaw) -> list[Station]:
+def of_pressure(law: Any) -> list[Station[Any]]:
     """The stations of a law of shear modulus mu with a pressure, a field on S.
 
     It acts with the mean strain. The difference of the faces changes no tractions, so that it meets the stiffness of plane

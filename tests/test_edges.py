@@ -60,7 +60,9 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     kinematics, n_ufl = Kinematics(), ufl.as_vector(n.tolist())
     along = np.eye(dim) - np.outer(n, n)
     mean = kinematics.along(ufl.as_matrix((gradient @ along).tolist()), ufl.as_vector(jump.tolist()))
-    faces = Faces(n_ufl, eps, ufl.as_vector(jump.tolist()), ufl.as_matrix((change @ along).tolist()), mean, kinematics)
+    faces = Faces(
+        n_ufl, eps, ufl.as_vector(jump.tolist()), ufl.as_matrix((change @ along).tolist()), mean, kinematics.along
+    )
     weights = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, values))
 
     def energy(stations):

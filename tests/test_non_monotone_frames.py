@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic
-from forms.work import LIFTED
+from forms.planes import LIFTED
 from tests.at_points import E2, jump_strain, tensor, vector
 from tests.non_monotone_points import (
     ALPHA,

@@ -7,7 +7,7 @@ import pytest
 
 from forms import LawError, NonMonotone, NonMonotoneUnrelaxed, Tabulated, limits
 from forms.non_monotone import lamination_gain
-from forms.work import LIFTED
+from forms.planes import LIFTED
 from tests.at_points import E2, jump_strain, material, traction
 from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C
 from thinlayer import ThinLayer, drive

@@ -62,7 +62,7 @@ def test_change_through_the_layer_leaves_the_faces_without_traction(n, plane):
     given[: len(n), : len(n)] = np.random.default_rng(5).normal(size=(len(n), len(n)))
     given += given.T
     d, gradient = len(n), ufl.as_matrix(given[: len(n), : len(n)].tolist())
-    faces = Faces(ufl.as_vector(n), 0.3, ufl.zero(d), gradient, ufl.zero(3, 3), Kinematics())
+    faces = Faces(ufl.as_vector(n), 0.3, ufl.zero(d), gradient, ufl.zero(3, 3), Kinematics().along)
     lower, upper = (station.strain(law, faces) for station in law.stations())
     form = (upper - lower) / (2 * GAUSS[1])
     found = np.array([[form((0.0,), component=(i, j)) for j in range(3)] for i in range(3)])

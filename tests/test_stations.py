@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from forms import BulkLaw, Incompressible, KelvinVoigt, LawError, LinearElastic, Rubber, Stack
 from forms.elastic import lame
+from forms.interface import Interface
 from forms.stations import LOCKING, at_gauss_points
-from forms.work import Interface, energy, surface
+from forms.work import energy, surface
 from geometry import sandwich
 from thinlayer import ModelError, Structure, ThinLayer
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import ufl
 
+from forms.interface import Interface
 from forms.kinematics import Expr
-from forms.work import Interface
 from geometry.domain import Domain
 from geometry.inflating.parting import parted, to_middle
 from geometry.joint import Joint

@@ -16,10 +16,11 @@ from dolfinx import cpp, fem, la
 from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
+from forms.interface import Interface
 from forms.law import BulkLaw, LawError
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
-from forms.work import Interface, Term, surface
+from forms.work import Term, surface
 from geometry.errors import unknown
 from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities

@@ -14,8 +14,7 @@ from dolfinx.mesh import entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.planes import Kinematics
-from forms.work import LIFTED
+from forms.planes import LIFTED, Kinematics
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import seam_entities
 from thinlayer.errors import ModelError

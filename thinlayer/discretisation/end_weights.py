@@ -10,8 +10,8 @@ from dolfinx import fem
 
 from forms.ends.constants import FreeEnd
 from forms.ends.weights import EndWeights, Strips
+from forms.interface import Interface
 from forms.tangent import average_lame, is_checked_at_rest, tangent_at_rest
-from forms.work import Interface
 from geometry.ends import StraightEnd, share_within, straight_ends
 from geometry.errors import GeometryError
 from geometry.sheet import Sheet

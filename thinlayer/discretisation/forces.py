@@ -11,8 +11,7 @@ import ufl
 from dolfinx import fem
 
 from forms.kinematics import Expr
-from forms.planes import Kinematics
-from forms.work import LIFTED
+from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S

@@ -13,6 +13,7 @@ import ufl
 from dolfinx import fem
 
 from forms import work as forms
+from forms.interface import Interface
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.tangent import needs_director
@@ -292,7 +293,7 @@ class InterfaceModel(LayeredModel):
         ]
         return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
 
-    def sides_of(self, name: str = S) -> forms.Interface:
+    def sides_of(self, name: str = S) -> Interface:
         """The two sides of a seam, or of all ("S"): n, jumps, values from either side, and the measure.
 
         Raises:
@@ -304,15 +305,15 @@ class InterfaceModel(LayeredModel):
         based = [one in joint.base_seams for one in names]
         if all(based):
             measure = self.ds(self.domain.values(name))
-            return forms.Interface.on_rigid_base(mesh, measure, self.kinematics, to_s)
+            return Interface.on_rigid_base(mesh, measure, self.kinematics, to_s)
         if any(based):
             raise ModelError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
         numbers = tuple(list(joint.seams).index(one) + 1 for one in names)
         measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
-        return forms.Interface.between_bodies(mesh, measure, self.kinematics, to_s)
+        return Interface.between_bodies(mesh, measure, self.kinematics, to_s)
 
     @cached_property
-    def sides(self) -> forms.Interface:
+    def sides(self) -> Interface:
         """The two sides of S."""
         return self.sides_of(S)
 
@@ -344,7 +345,7 @@ class InterfaceModel(LayeredModel):
             terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
         return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
 
-    def _thickness(self, name: str, layer: ThinLayer, sides: forms.Interface) -> Expr:
+    def _thickness(self, name: str, layer: ThinLayer, sides: Interface) -> Expr:
         if self._middle:
             return self._middle.thickness(sides)
         eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))

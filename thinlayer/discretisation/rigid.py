@@ -11,8 +11,7 @@ import scipy.sparse
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.planes import Kinematics
-from forms.work import LIFTED
+from forms.planes import LIFTED, Kinematics
 from geometry.joint import Joint
 from thinlayer.discretisation.loads import AXES
 from thinlayer.errors import ModelError

@@ -13,8 +13,7 @@ from dolfinx.mesh import entities_to_geometry
 
 from forms.base import is_number
 from forms.kinematics import Expr
-from forms.planes import Kinematics
-from forms.work import LIFTED
+from forms.planes import LIFTED, Kinematics
 from geometry.domain import Domain
 from geometry.errors import unknown
 from geometry.seam import LAYER, S

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.work import Interface
+from forms.interface import Interface
 from thinlayer.output.surface_mass import assembled
 
 Array = npt.NDArray[np.float64]

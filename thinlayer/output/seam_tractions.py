@@ -11,8 +11,8 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from forms.interface import Interface
 from forms.kinematics import Expr
-from forms.work import Interface
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.output.other_side import OtherSide

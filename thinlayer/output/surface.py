@@ -11,8 +11,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from forms.interface import Interface
 from forms.kinematics import Expr, layer_frame, lift
-from forms.work import Interface
 from geometry.errors import unknown
 from geometry.order import order_on_s
 from geometry.seam import S

@@ -9,8 +9,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from forms.interface import Interface
 from forms.kinematics import Expr
-from forms.work import Interface
 from geometry.topology import IntArray
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.output.surface_expression import integrated
