@@ -74,10 +74,10 @@ MODELS = {
 
 @pytest.mark.parametrize(("shape", "data"), MODELS.values(), ids=MODELS)
 def test_units_of_length(shape, data):
-    """Powers of the unit: eps 1, errors 0, tractions and jumps on S (d - 1)/2 and 1 more, energies d; solvers' rounding."""
+    """Powers of the unit: eps 1, errors and factors 0, tractions and jumps (d - 1)/2 and 1 more, energies d; rounding."""
     joint = shape(1.0)
     d, load = joint.dim, [-60.0, 5.0, 2.0][: joint.dim]
-    powers = np.array([1, 0, 0, (d - 1) / 2, (d + 1) / 2] + [d] * 6)
+    powers = np.array([1, 0, 0, (d - 1) / 2, (d + 1) / 2, 0] + [d] * 6)
     known = answers(joint, 0.2, load, **data)
     for factor in (1e-9, 1e6):
         assert answers(shape(factor), 0.2 * factor, load, **data) / factor**powers == pytest.approx(known, rel=1e-9)
