@@ -6,26 +6,32 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
+from scipy.sparse.csgraph import connected_components
 
 from geometry.errors import GeometryError, place
 from geometry.joint import FLAT
 from geometry.sheet import Rim, Sheet
-from geometry.topology import FloatArray
+from geometry.topology import FloatArray, IntArray
 
 CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
 
 
 @dataclass(frozen=True)
 class StraightEnd:
-    """A straight free end of a planar S, or several on one line.
+    """A straight free end of a planar S, in one piece.
 
     Attributes:
+        n: unit normal of S, (d,).
+        level: least and largest n . x of places in its plane, which may be one of several parallel ones.
         m: unit normal in S, outward, (d,).
         offset: m . x of its points.
         along: (d,) unit vector along it; zero in 2D.
         reach: least and largest along . x of its points.
     """
 
+    n: FloatArray
+    level: tuple[float, float]
     m: FloatArray
     offset: float
     along: FloatArray
@@ -37,24 +43,27 @@ class StraightEnd:
 
     def faces(self, x: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether places (n, d) of S lie beside it, inwards."""
-        at, (low, high) = x @ self.along, self.reach
-        return np.asarray((at >= low) & (at <= high) & (self.distance(x) > 0))
+        at, (low, high), distance = x @ self.along, self.reach, self.distance(x)
+        bottom, top = self.level
+        level = x @ self.n
+        return np.asarray((at >= low) & (at <= high) & (distance > 0) & (level >= bottom) & (level <= top))
 
 
 def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
-    """The free ends of S, ridges on one line together.
+    """The free ends of S, ridges on one line together that are connected.
 
     Raises:
         GeometryError: they are curved.
     """
-    joint, size = sheet.joint, float(np.ptp(sheet.joint.points, axis=0).max())
+    joint, n, size = sheet.joint, sheet.mean_normal, float(np.ptp(sheet.joint.points, axis=0).max())
     x = joint.points[rim.vertices]  # (n, d - 1, d)
     left, ends = np.arange(len(x)), []
     offsets = np.einsum("nd,nd->n", x[:, 0], rim.outward)
     while len(left):
         m, offset = rim.outward[left[0]], offsets[left[0]]
         cosine = rim.outward @ m
-        same = (cosine > 1 - FLAT) & (np.abs(offsets - offset) <= FLAT * size)
+        on_line = (cosine > 1 - FLAT) & (np.abs(offsets - offset) <= FLAT * size)
+        same = on_line & _connected(rim.vertices, on_line, left[0])
         on_it, others = rim[same], rim[(cosine > CORNER) & (cosine <= 1 - FLAT)]
         meeting = np.isin(others.vertices, on_it.vertices).any(axis=1)
         if meeting.any():
@@ -66,9 +75,24 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         length = np.linalg.norm(along)
         along = along / length if length else along
         at = x[same].reshape(-1, x.shape[2]) @ along
-        ends.append(StraightEnd(m, float(offset), along, (float(at.min()), float(at.max()))))
+        height, allowed = float(x[left[0], 0] @ n), FLAT * size
+        level = height - allowed, height + allowed
+        ends.append(StraightEnd(n, level, m, float(offset), along, (float(at.min()), float(at.max()))))
         left = left[~same[left]]
     return ends
+
+
+def _connected(vertices: IntArray, chosen: npt.NDArray[np.bool_], first: int) -> npt.NDArray[np.bool_]:
+    """(n,) ridges that chosen ones connect with the first one, by their vertices (n, d - 1)."""
+    _, number = np.unique(vertices, return_inverse=True)
+    number = number.reshape(vertices.shape)[chosen]
+    ridges = np.repeat(np.arange(len(number)), number.shape[1])
+    pairs = scipy.sparse.coo_matrix((np.ones(len(ridges)), (ridges, number.ravel()))).tocsr()
+    _, label = connected_components(pairs @ pairs.T, directed=False)
+    found = np.zeros(len(vertices), bool)
+    at = np.flatnonzero(chosen)
+    found[at[label == label[np.searchsorted(at, first)]]] = True
+    return found
 
 
 def share_within(d: FloatArray, length: float) -> FloatArray:

@@ -17,7 +17,7 @@ from forms.law import Step
 from forms.planes import Kinematics
 from forms.stations import Faces
 from geometry import block, disc, sandwich
-from geometry.ends import share_within, straight_ends
+from geometry.ends import _connected, share_within, straight_ends
 from geometry.sheet import Sheet
 from tests.edges_run import numbers, structure
 from tests.ranks import mpirun
@@ -95,6 +95,23 @@ def weights_on(joint, eps, ends=None):
     strips = Strips.of(free_end(0.3))
     area = np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
     return FacetWeights.of(ends, sheet, eps, strips), area, strips, ends
+
+
+def test_ends_reach_their_own_part_of_s():
+    """Two ends on one line with S between them, and two in planes at different heights."""
+    ridges = np.array([[4, 5], [0, 1], [1, 2], [5, 6], [8, 9]])
+    assert _connected(ridges, np.array([True, True, True, True, False]), 1).tolist() == [
+        False,
+        True,
+        True,
+        False,
+        False,
+    ]
+    sheet = Sheet(sandwich(1.1, 0.2, 0.2, 0.17, depth=0.7, cell="hexahedron"))
+    end = next(end for end in straight_ends(sheet.rim, sheet) if end.m[0] > 0.9)
+    y = sum(end.level) / 2
+    beside = np.array([[0.9, y, 0.35], [0.9, y, 0.75], [0.9, y + 0.1, 0.35], [1.2, y, 0.35]])
+    assert end.faces(beside).tolist() == [True, False, False, False]
 
 
 @pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])

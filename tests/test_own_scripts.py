@@ -471,6 +471,16 @@ def test_refused_tags():
         blocks.broken.interface(9)
     with pytest.raises(LawError, match="pressure of its own"):
         blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1))
+    law = LinearElastic(6.0, 4.0)
+    for given, message in [
+        ({"order": 1, "edges": "free"}, "edges=... of a layer on a mesh of one's own"),
+        ({"eigenstrain": 1e-3}, "eigenstrain=... of a layer on a mesh of one's own"),
+        ({"order": 1, "profile": lambda x: 1 + x[0]}, "a thickness that varies needs bodies at their true places"),
+    ]:
+        with pytest.raises(LawError, match=message):
+            blocks.broken.layer(LAYER, ThinLayer(law, 0.1, **given))
+    with pytest.raises(ModelError, match="order=1 of Maxwell with lmbda/mu = 13"):
+        blocks.broken.layer(LAYER, ThinLayer(Maxwell(52.0, 4.0, t1=1.5), 0.1, order=1))
     with pytest.raises(LawError, match="a ContactLaw is for ContactPart"):
         blocks.broken.layer(LAYER, HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3))
 

@@ -78,7 +78,7 @@ def test_loads_on_the_side_of_the_layer():
     ]
     free = Structure(JOINT, **HELD).interface(layer())
     for load in loads[:3]:
-        with pytest.raises(ModelError, match=r"'LEFT/LAYER' acts on the side of the layer.*or mesh the layer"):
+        with pytest.raises(ModelError, match=r"'LEFT/LAYER' acts on the side of the layer.*mesh the layer"):
             Structure(JOINT, tractions=load, **HELD).interface(layer())
         Structure(JOINT, tractions=load, **HELD).full(layer())
     for load in loads[3:]:

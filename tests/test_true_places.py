@@ -12,7 +12,7 @@ from dolfinx import fem
 
 from forms import HolonomicCoulomb, Incompressible, LinearElastic, MohrCoulomb, Rubber
 from forms.work import energy
-from geometry import GeometryError, block, bond_cell, sandwich
+from geometry import GeometryError, block, bond_cell, fibre, periodic, sandwich
 from geometry.inflating.inflation import inflate
 from geometry.inflating.parting import middle, parted
 from studies.tubes import lame
@@ -21,6 +21,7 @@ from tests.true_places_run import BODY, numbers, quarter, taper
 from thinlayer import ModelError, Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.output.grid import gather
 
 GLUE = LinearElastic(60.0, 40.0)  # per thickness
 HELD = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
@@ -151,7 +152,7 @@ def errors_of(structure, eps, law=GLUE, profile=None, meshed=None, order=1, cell
     return np.array(found).T
 
 
-def flat(name: str) -> Structure:
+def flat(name: str, **more) -> Structure:
     joint = (
         sandwich(1.0, 0.5, 0.5, 1 / 16, cell="quadrilateral", structured=True)
         if name == "both"
@@ -159,7 +160,7 @@ def flat(name: str) -> Structure:
     )
     supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} | ({"BOTTOM": 0.0} if name == "both" else {})
     load = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
-    return Structure(joint, body=BODY, supports=supports, tractions=load)
+    return Structure(joint, body=BODY, supports=supports, tractions=load, **more)
 
 
 @pytest.mark.parametrize("name", ["both", "one"])
@@ -279,6 +280,30 @@ def test_places_of_bodies():
         assert v == pytest.approx(u, abs=2e-3 * np.abs(u).max())
     with pytest.raises(ModelError, match="places are in no cell"):
         Probe(limit).displacement((0.6, 0.8))
+
+
+def test_weight_on_a_rigid_base():
+    """The base's half of the layer's weight acts at the base, also where the body is a thickness away from it."""
+    whole = flat("one", body_force={"S": (5.0, -7.0)})
+    layer = ThinLayer(GLUE, 0.1, order=1, profile=wavy)
+    full, limit = (solve(make(layer, bodies="extended")).applied((0.2, 0.3)) for make in (whole.full, whole.interface))
+    assert limit.force == pytest.approx(full.force, rel=1e-10)
+    assert limit.moment == pytest.approx(full.moment, rel=1e-10)
+
+
+def test_places_in_pictures_of_periodic_cells():
+    """Nodes of either side of S are at the places of their own side."""
+    cell, found = fibre(0.3, (1.2, 1.0), 0.15), []
+    for joint in (cell, periodic(cell, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))):
+        supports, strain = ({}, [[0.01, 0.0], [0.0, 0.0]]) if joint.periods else ({"BOTTOM": 0.0}, None)
+        model = Structure(joint, body=BODY, supports=supports, strain=strain).interface(
+            ThinLayer(GLUE, 0.05), bodies="extended"
+        )
+        x = gather(solve(model)).points[:, :2] - joint.points.mean(axis=0)
+        radii = np.linalg.norm(x, axis=1)
+        found.append([int((abs(radii - r) < 0.004).sum()) for r in (0.275, 0.325)])
+    assert found[0] == found[1]
+    assert found[0][0] == found[0][1] > 20
 
 
 def test_other_layers_of_the_same_thickness():

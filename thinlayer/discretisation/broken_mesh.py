@@ -24,6 +24,7 @@ from forms.work import Term, surface
 from geometry.errors import unknown
 from geometry.joint import Profile
 from thinlayer.compiling.compat import interior_facet_entities
+from thinlayer.discretisation.at_rest import AtRest
 from thinlayer.discretisation.axis import ON_AXIS
 from thinlayer.discretisation.broken import Keys, broken_space
 from thinlayer.discretisation.contact_nodes import ContactSurface
@@ -147,9 +148,12 @@ class BrokenMesh:
             tag: of the facets.
             layer: the law and the thickness; a law of jumps (`TractionLaw`) may stand alone.
 
+        The law of order 1 is for a flat S.
+
         Raises:
             LawError: a law of contact (see `contact_surface`), or one that needs a pressure of its own; order 1 of a
-                thickness that varies.
+                thickness that varies; an eigenstrain, or corrected ends.
+            ModelError: order 1 of a law that would lock.
         """
         if not isinstance(layer, ThinLayer | TractionLaw):
             raise LawError(
@@ -159,6 +163,11 @@ class BrokenMesh:
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
+        if thin and (thin.edges is not None or thin.eigenstrain is not None):
+            given = "edges" if thin.edges is not None else "eigenstrain"
+            raise LawError(f"{given}=... of a layer on a mesh of one's own is not known here; use it in a Model")
+        if thin and thin.order:
+            self._require_no_locking(tag, law)
         if thin and thin.order and thin.profile is not None:
             raise LawError(
                 "order=1 of a thickness that varies needs bodies at their true places, and those of this mesh meet on S; "
@@ -197,13 +206,24 @@ class BrokenMesh:
         if tag not in self._tags:
             raise ModelError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
 
+    def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
+        """Raise ModelError if a law of order 1 would lock somewhere."""
+        _, _, x = self._vertices(tag)
+        with on_all(self.comm):
+            for one in law.at_places(x) if law.fields else [law]:
+                AtRest(one, np.eye(self._dim)[-1]).require_no_locking()
+
+    def _vertices(self, tag: int) -> tuple[fem.FunctionSpace, npt.NDArray[np.int32], npt.NDArray[np.float64]]:
+        """Functions of degree 1, their unknowns on the facets with a tag, and the places (d, n) of these."""
+        P1 = fem.functionspace(self.mesh, ("Lagrange", 1))
+        dofs = fem.locate_dofs_topological(P1, self._dim - 1, self.facet_tags.find(tag))
+        return P1, dofs, P1.tabulate_dof_coordinates()[dofs, : self._dim].T
+
     def _law_on(self, tag: int, law: BulkLaw) -> BulkLaw:
         """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
-        P1, upper, on_s = fem.functionspace(self.mesh, ("Lagrange", 1)), self.interface(tag).upper, {}
-        facets = self.facet_tags.find(tag)
-        dofs = fem.locate_dofs_topological(P1, self._dim - 1, facets)
+        (P1, dofs, x), upper, on_s = self._vertices(tag), self.interface(tag).upper, {}
         with on_all(self.comm):
-            found = law.fields_at(P1.tabulate_dof_coordinates()[dofs, : self._dim].T)
+            found = law.fields_at(x)
         for name, values in found.items():
             f = fem.Function(P1)
             f.x.array[dofs] = values

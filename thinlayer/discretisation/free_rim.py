@@ -81,5 +81,5 @@ def require_unloaded_sides(one: SeamLayer, tractions: Mapping[str, Any] | None) 
         if name.endswith(f"/{LAYER}") and (callable(value) or np.any(np.asarray(value, float))):
             raise ModelError(
                 f"the traction on {name!r} acts on the side of the layer, and the pressure of {one} of order 1 is zero at "
-                "free ends; leave this load out, which is as small as the thickness, or mesh the layer (structure.full)"
+                "free ends; the load would change it by as much as the load itself: mesh the layer (structure.full)"
             )

@@ -254,10 +254,11 @@ class InterfaceModel(LayeredModel):
         return joint
 
     def _forces(self, structure: Setup) -> Forces:
+        forces = super()._forces(structure)  # raises errors of bad data
         for one in self.layers.values():
             if one.flows:
                 require_unloaded_sides(one, structure.tractions)
-        return super()._forces(structure)
+        return forces
 
     def _check_layers(self) -> None:
         for one in self.layers.values():
@@ -358,9 +359,17 @@ class InterfaceModel(LayeredModel):
         sides = self.sides_of(one.name)
         assert one.thin is not None
         eps = self._thickness(one.name, one.thin, sides)
-        on_base = (lambda v: sides.upper(v) / 2) if one.name in self.joint.base_seams else None
+        to_base = 2 * self._middle.to_s if self._middle else None  # from the facets of the body
+
+        def on_base(v: Expr) -> Expr:
+            return sides.upper(v if to_base is None else v + ufl.dot(ufl.grad(v), to_base)) / 2
+
+        def on_either(v: Expr) -> Expr:
+            return (sides.upper(v) + sides.lower(v)) / 2
+
+        based = one.name in self.joint.base_seams
         weight = eps * sides.factor
-        return [Weighted(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, on_base)]
+        return [Weighted(sides.measure, weight, sides.upper, on_either, on_base if based else None)]
 
     def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:
         """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""

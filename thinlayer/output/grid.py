@@ -95,7 +95,7 @@ def gather(state: State) -> Grid:
     order = vtk_order(joint.cell_type, V.dofmap.list.shape[1])
     here, there = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
     numbers = [_numbers(space, nodes) for space, nodes in ((V, here), (W, there))]
-    x, values = W.tabulate_dof_coordinates()[there], u.x.array.reshape(-1, d)[here]
+    x, values = _places(V, joint.periods is not None, n)[:, order], u.x.array.reshape(-1, d)[here]
     pieces = model.comm.gather((model.domain.original_cells[:n], *numbers, x, values), root=0)
     kind = vtk_type(joint.cell_type, here.shape[1])
     if pieces is None:
@@ -116,6 +116,13 @@ def gather(state: State) -> Grid:
     first_layer = len(joint.regions) - len(model.domain.layer_regions)
     region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
     return Grid(d, points, moved, cells, np.full(len(rows), kind, np.uint8), region, *_base(joint))
+
+
+def _places(V: fem.FunctionSpace, periodic: bool, n: int) -> npt.NDArray[np.float64]:
+    """Places (n, nodes, 3) of the nodes of the first n cells, each cell's own: nodes of periodic sides have two."""
+    space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if periodic else V
+    x: npt.NDArray[np.float64] = space.tabulate_dof_coordinates()[np.asarray(space.dofmap.list)[:n]]
+    return x
 
 
 def _numbers(space: fem.FunctionSpace, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:

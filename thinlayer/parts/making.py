@@ -50,7 +50,8 @@ def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         diagonal.destroy()
         if not largest:  # no law of the bodies is linear, or compiled
             largest = max(part.largest_at_rest() for part in bodies if isinstance(part, LawForms))
-        masters = model.joint.masters if model.joint.periods else None
+        joint = model.domain.joint  # whose vertices are those of the mesh
+        masters = joint.masters if joint.periods else None
         for p in constrained:
             parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
     for name, law in model.contacts.items():

@@ -33,6 +33,8 @@ def at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
     """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
     owned = space.dofmap.index_map.size_local
     x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]
-    size = space.mesh.comm.allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX)
+    low, high = x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)
+    low, high = (space.mesh.comm.allreduce(one, MPI.MIN) for one in (low, high))
+    size = float(np.max(-high - low))
     distance, _ = cKDTree(places).query(x)
     return np.flatnonzero(distance <= SAME_PLACE * size).astype(np.int64)
