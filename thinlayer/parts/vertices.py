@@ -6,7 +6,6 @@ import basix.ufl
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
-from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from geometry.compat import cell_nodes
@@ -33,8 +32,8 @@ def at_places(space: fem.FunctionSpace, places: Array) -> npt.NDArray[np.int64]:
     """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
     owned = space.dofmap.index_map.size_local
     x = space.tabulate_dof_coordinates()[:owned, : places.shape[1]]
-    low, high = x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)
-    low, high = (space.mesh.comm.allreduce(one, MPI.MIN) for one in (low, high))
-    size = float(np.max(-high - low))
+    ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
+    low, high = (np.array(one) for one in zip(*ends, strict=True))
+    size = float((high.max(axis=0) - low.min(axis=0)).max())
     distance, _ = cKDTree(places).query(x)
     return np.flatnonzero(distance <= SAME_PLACE * size).astype(np.int64)
