@@ -78,6 +78,7 @@ def test_laws_of_the_reference():
     assert max(orders(left(THREE, "no moments"))) < 1.0
     locked, free = (left(TIGHT, way)[0] for way in ("straight", ""))
     assert all(wrong > 40 * error for wrong, error in zip(locked, free, strict=True))
+    assert (locked[1], free[1]) == pytest.approx((1.15, 0.0133), rel=0.01)  # as documented, of the jump
 
 
 def test_hard_sublayers_in_the_reference():
