@@ -170,11 +170,11 @@ class Substitution:
         first_u, first = (np.cumsum(column) - column for column in counts.T)
         rank = np.searchsorted(first_u, followers.of, side="right") - 1
         of = followers.of - first_u[rank] + first[rank]
-        others = np.setdiff1d(np.arange(size), followers.rows)
-        i = np.concatenate([others, followers.rows, followers.rows])
-        j = np.concatenate([others + first[self.comm.rank], of[:, 0], of[:, 1]]).astype(PETSc.IntType)
-        v = np.concatenate([np.ones(len(others)), *followers.shares.T])
-        return self._assembled(i, j, v, size)
+        every, own = np.arange(size), np.ones(size)
+        own[followers.rows] = 0.0  # stored, as products need diagonal entries
+        i = np.concatenate([every, followers.rows, followers.rows])
+        j = np.concatenate([every + first[self.comm.rank], of[:, 0], of[:, 1]]).astype(PETSc.IntType)
+        return self._assembled(i, j, np.concatenate([own, *followers.shares.T]), size)
 
     def followed(self, motion: Array) -> dict[str, Array]:
         """Own unknowns of parts for which the displacements that follow them are nearest to those of a motion (n,)."""
