@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -90,9 +91,14 @@ class LayeredModel(Model):
 
 
 class FullModel(LayeredModel):
-    """The model whose layers are meshed."""
+    """The model whose layers are meshed.
+
+    Attributes:
+        meshed: (n_S,) which facets of S have cells of the layer; None: all.
+    """
 
     name = "full"
+    meshed: npt.NDArray[np.bool_] | None = None
 
     def __init__(
         self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None = None
@@ -128,6 +134,7 @@ class FullModel(LayeredModel):
             bodies=self._bodies,
             junctions=(*first, *thin),
             gaps=tuple(gaps),
+            meshed=self.meshed,
         )
         self._check_junctions(inflated)
         require_revolution(self.structure.kinematics, inflated)
