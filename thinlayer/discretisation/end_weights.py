@@ -56,7 +56,7 @@ def require_free_ends(one: SeamLayer, bodies: str) -> None:
         raise ModelError(
             "edges='free' of a body of revolution: its free ends are curved, whose constants are not known"
         )
-    M, E = float(moduli["lmbda"] + 2 * moduli["mu"]), _softest_body(one)
+    M, E = float(moduli["lmbda"] + 2 * moduli["mu"]), softest_body(one)
     if M > LARGEST_STIFFNESS * E:
         raise ModelError(
             f"edges='free' needs bodies much stiffer than the layer, as its constants are those between rigid faces: "
@@ -65,7 +65,7 @@ def require_free_ends(one: SeamLayer, bodies: str) -> None:
         )
 
 
-def _softest_body(one: SeamLayer) -> float:
+def softest_body(one: SeamLayer) -> float:
     """The least Young's modulus at rest of the bodies on a seam, at the mean over all directions."""
     joint, n, found = one.structure.joint, one.sheet.mean_normal, [np.inf]
     sides = joint.surface_cells[one.sheet.facets]
