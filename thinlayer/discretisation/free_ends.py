@@ -116,7 +116,7 @@ def _why_not_here(one: SeamLayer, bodies: str) -> str | None:
 def _why_too_stiff(one: SeamLayer, strips: Strips) -> str | None:
     """Why the constants, which are those between rigid faces, do not hold between these bodies, if they do not."""
     mu = float(real_law(one.layer, one.structure.kinematics).parameters()["mu"])
-    modulus, E = mu * strips.modulus, _softest_body(one)
+    modulus, E = mu * strips.modulus, softest_body(one)
     if modulus <= LARGEST_STIFFNESS * E:
         return None
     return (
@@ -147,7 +147,7 @@ def _why_too_short(one: SeamLayer, rim: Rim, strips: Strips, eps: float) -> str 
     return f"S is short: its area over the length of its free ends is {width:.3g}; allowed: at least {least:.3g}"
 
 
-def _softest_body(one: SeamLayer) -> float:
+def softest_body(one: SeamLayer) -> float:
     """The least Young's modulus at rest of the bodies on a seam, at the mean over all directions."""
     joint, n, found = one.structure.joint, one.sheet.mean_normal, [np.inf]
     sides = joint.surface_cells[one.sheet.facets]
