@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.fields import EndFields, end_fields
 from forms.inside import FaceValues, Inside
 from forms.law import BulkLaw, LawError
@@ -15,7 +16,6 @@ from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
-from forms.elastic import LARGEST_NU, ROUNDING
 from thinlayer.discretisation.free_ends import LARGEST_STIFFNESS, softest_body
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
