@@ -20,10 +20,11 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, better_model
 from thinlayer.estimating.goals import Compliance, Goal
-from thinlayer.estimating.places import NEAR_ENDS, SurfaceDensity, away_from_ends
+from thinlayer.estimating.places import NEAR_ENDS, away_from_ends, density_of
 from thinlayer.estimating.yielding import why_not
 from thinlayer.files.table import Table
 from thinlayer.output.surface import Surface
+from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.options import OptionValue
@@ -134,7 +135,7 @@ class Estimate:
         before, theirs = self._before
         with Adjoint(self.better, before, self._options) as adjoint:
             z = adjoint.weights(*self._goals[goal].dual(adjoint))
-            return SurfaceDensity.of(adjoint, adjoint.summands(z, self.state, theirs))
+            return density_of(adjoint, adjoint.summands(z, self.state, theirs))
 
     def map(self, goal: str = "compliance") -> Expr:
         """`density` as a scalar UFL expression on S of the model of `better`. Collective."""
