@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
         TurningPoint,
     )
     from thinlayer.estimating.estimate import Estimate, estimate
+    from thinlayer.estimating.thickness import ThinEnough, thin_enough
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
@@ -68,6 +69,7 @@ _NAMES = {
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError", "TurningPoint"],
     "estimating.estimate": ["Estimate", "estimate"],
+    "estimating.thickness": ["ThinEnough", "thin_enough"],
     "files.table": ["Table"],
     "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],
