@@ -34,8 +34,10 @@ from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.placed import known_at
+from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.seams import SeamLayer, loads_of_layers, seam_entities
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all
@@ -262,9 +264,13 @@ class InterfaceModel(LayeredModel):
 
     def _forces(self, structure: Setup) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
+        points = partial(ConcentratedForms, self.domain, self.joint, structure.degree, forces.at)
+        to_base = 2 * self._middle.to_s if self._middle else None
         for one in self.layers.values():
             if one.flows:
                 require_unloaded_sides(one, structure.tractions)
+            elif one.thin and one.thin.order == 1:
+                add_side_loads(forces, self, one, self.sides_of(one.name), points, to_base)
         return forces
 
     def _check_layers(self) -> None:
