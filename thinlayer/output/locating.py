@@ -105,7 +105,9 @@ class Located:
         at, row, _ = self.facets()
         off = np.setdiff1d(np.arange(len(self.x)), self.point[at[np.isin(row, self.joint.rows_of(seam))]])
         if len(off):
-            raise ModelError(f"{len(off)} of {len(self.x)} places are not on {seam}, the first at {place(self.x[off[0]])}")
+            raise ModelError(
+                f"{len(off)} of {len(self.x)} places are not on {seam}, the first at {place(self.x[off[0]])}"
+            )
         return self
 
     def on_side(self, name: str, seam: str) -> Located:

@@ -9,6 +9,7 @@ from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.picture import Picture
 from thinlayer.output.plotting.scene import VIEWS
 from thinlayer.output.plotting.structures import deformed
+from thinlayer.output.plotting.zoomed import zoomed
 
 __all__ = [
     "COLOURS",
@@ -24,4 +25,5 @@ __all__ = [
     "movie",
     "panels",
     "rates",
+    "zoomed",
 ]
