@@ -42,6 +42,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
+    from thinlayer.output.zoom import Zoom
     from thinlayer.parts.contact import ContactPart
     from thinlayer.parts.phases import PhaseReport
     from thinlayer.parts.plates import RigidPlate
@@ -78,6 +79,7 @@ _NAMES = {
     "output.pressure_report": ["PressureReport"],
     "output.probe": ["Probe"],
     "output.surface": ["Surface"],
+    "output.zoom": ["Zoom"],
     "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],

@@ -10,14 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.ends.fields import EVEN, EndFields
-from forms.inside import FaceValues, Inside
 from forms.kinematics import MANDEL
+from forms.law import BulkLaw
 from geometry.ends import StraightEnd
-from geometry.errors import place
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.faces_at import FacesAt
-from thinlayer.output.zoomable import NEAR, Zoomable
+from thinlayer.output.zoomable import Zoomable
 
 Array = npt.NDArray[np.float64]
 
@@ -66,6 +65,16 @@ class Zoom:
         self._known = Zoomable.of(state, seam)
         self.state, self.seam = state, self._known.one.name
 
+    @property
+    def eps(self) -> float:
+        """The layer's thickness; where it varies the one that its profile multiplies."""
+        return self._known.eps
+
+    @property
+    def law(self) -> BulkLaw:
+        """The layer's law with real parameters, in a plane that of its kinematics."""
+        return self._known.law
+
     # ---------------------------------------------------------------- stresses
     def stress(self, x: Any, height: Any = 0.0) -> Array:
         """Stresses (n, 3, 3) at places x (n, d) of S and heights, or (3, 3) at one place.
@@ -86,19 +95,21 @@ class Zoom:
         for end, distance in near:
             at = np.flatnonzero(np.isfinite(distance))
             foot = FacesAt.of(self.state, faces.x[at] + distance[at, None] * end.m, self.seam)
-            fields = self._fields.stresses(distance[at] / self._known.eps, y[at])
+            fields = self._fields.stresses(np.asarray(distance[at] / self.eps), y[at])
             found[at] += self._turned(end, np.einsum("kn,knc->nc", self._amplitudes(end, foot), fields))
         return found if np.ndim(x) > 1 else found[0]
 
     def through(self, x: Any, n: int = 41) -> tuple[Array, Array]:
         """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one place x (d,) of S."""
-        heights = np.linspace(-0.5, 0.5, n)
+        heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
     def _heights(self, height: Any, n: int) -> Array:
         y = np.asarray(height, float)
         if y.shape not in ((), (n,)) or not (np.abs(y) <= 0.5).all():
-            raise ModelError(f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness")
+            raise ModelError(
+                f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness"
+            )
         return np.broadcast_to(y, (n,))
 
     def _inside(self, faces: FacesAt, y: Array) -> Array:
@@ -119,6 +130,14 @@ class Zoom:
         return mask
 
     # ---------------------------------------------------------------- ends
+    def axes_of_end(self, end: int) -> Array:
+        """(2, 3) unit vectors at one of `ends`: inward along S, and the normal of S.
+
+        Raises:
+            ModelError: as of `ends`.
+        """
+        return self._axes(self._known.places_of_ends[end][0])
+
     @property
     def _fields(self) -> EndFields:
         return self._known.fields
@@ -159,7 +178,7 @@ class Zoom:
         corner = self._fields.corner
         for end, x in self._known.places_of_ends:
             amplitudes = self._amplitudes(end, FacesAt.of(self.state, x, self.seam))
-            size = float(self._known.eps) ** (1 - corner.exponent)
+            size = self.eps ** (1 - corner.exponent)
             lower, upper = (size * (self._fields.strengths * sign) @ amplitudes for sign in (1.0, EVEN))
             found.append(CornerStrengths(x, end.m, corner.exponent, corner.shear, lower, upper))
         return found

@@ -72,6 +72,11 @@ class Zoomable:
         return cls(model, one, _inside(real_law(one.layer, model.kinematics), start))
 
     @property
+    def law(self) -> BulkLaw:
+        """The law with real parameters, for the model's kinematics."""
+        return real_law(self.one.layer, self.model.kinematics)
+
+    @property
     def eps(self) -> float:
         """Thickness; where it varies the one that its profile multiplies."""
         assert self.one.thin

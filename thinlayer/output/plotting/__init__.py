@@ -10,6 +10,7 @@ from thinlayer.output.plotting.movies import movie
 from thinlayer.output.plotting.picture import Picture
 from thinlayer.output.plotting.scene import VIEWS
 from thinlayer.output.plotting.structures import deformed
+from thinlayer.output.plotting.zoomed import zoomed
 
 __all__ = [
     "COLOURS",
@@ -26,4 +27,5 @@ __all__ = [
     "movie",
     "panels",
     "rates",
+    "zoomed",
 ]
