@@ -21,6 +21,7 @@ from forms.law import BulkLaw, LawError, Step, choice, require
 from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+LARGEST_RATIO = 9.0 * (1 + 1e-12)  # lmbda/mu, nu = 0.45, beyond which the pressure of a layer is better a field on S
 OUT_OF_PLANE = [2, 3, 4]
 IN_PLANE = [0, 1, 5]
 
@@ -147,6 +148,14 @@ class LinearElastic(LinearLaw):
             return lambda law, faces: weights.strains(faces, law._share)[k]
 
         return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._change)]
+
+    def for_next_order(self) -> LinearLaw:
+        """`Rubber` where the pressure evens out over more than the thickness: for lmbda > 9 mu, nu > 0.45."""
+        if self.fields or self.lmbda <= LARGEST_RATIO * self.mu:
+            return self
+        from forms.rubber import Rubber  # an elastic law itself
+
+        return Rubber(self.lmbda, self.mu)
 
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})

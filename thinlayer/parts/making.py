@@ -33,8 +33,8 @@ def body_parts(model: Model) -> list[Part]:
     return parts
 
 
-def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
-    """The parts of a model's layers and additions, each with another key. Collective.
+def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
+    """The parts of a model's layers, each with another key. Collective.
 
     Args:
         model: the model.
@@ -56,7 +56,7 @@ def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
             parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
-    return parts + [addition.part(model) for addition in model.parts]
+    return parts
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:
