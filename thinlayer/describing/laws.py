@@ -9,7 +9,8 @@ from typing import Any
 
 import forms.laws
 from forms.base import unknown
-from forms.law import BulkLaw, KernelLaw, Law, LawError, scalars
+from forms.kernel import KernelLaw
+from forms.law import BulkLaw, Law, LawError, scalars
 from forms.series import Stack
 from thinlayer.describing.section import Section, as_array
 

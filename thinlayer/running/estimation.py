@@ -6,7 +6,7 @@ from geometry.parallel import on_root, world
 from thinlayer.describing.case import Case
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.estimating import Estimate, estimate, thin_enough
+from thinlayer.estimating.estimate import Estimate, estimate
 from thinlayer.files.table import Table, hash_of
 from thinlayer.output import plotting
 from thinlayer.running.asked import Asked
@@ -74,6 +74,8 @@ def _noted(record: Record, found: Estimate) -> Estimate:
 
 def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
     """A map for each goal."""
+    if not hasattr(plotting, "estimate"):
+        return
     for goal in found.goals:
         file = f"map_{name}_{'_'.join(goal.split())}.png".replace("/", "_")
         plotting.estimate(found, save=record.path(file), goal=goal)
@@ -85,6 +87,8 @@ def _tell_thickness(record: Record, case: Case) -> None:
     unit = f" {case.units[0]}" if case.units else ""
     rows = []
     for name, tolerance in case.tolerance.items():
+        from thinlayer import thin_enough
+
         thin = thin_enough(case.structure, case.layer, tolerance, goals.get(name, name))
         rows.append({"quantity": name, "tolerance": tolerance, "eps": thin.eps})
         record.say(f"thinner than {thin.eps:.3g}{unit} the layer changes {name} by less than {tolerance:.3g}")
