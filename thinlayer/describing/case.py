@@ -9,7 +9,8 @@ from typing import Any
 from geometry.importing.reading import read
 from geometry.joint import Joint
 from thinlayer.describing.checks import require_fit
-from thinlayer.describing.description import Description, GoalGiven, Material
+from thinlayer.describing.description import Description
+from thinlayer.describing.entries import GoalGiven, Material
 from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.loads import Pressure
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
@@ -76,18 +77,22 @@ def _structure(given: Description, joint: Joint) -> Structure:
         name: Pressure(load["pressure"]) if isinstance(load, Mapping) else load
         for name, load in given.tractions.items()
     }
-    eigenstrain = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
+    eigenstrain: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
     return Structure(
         joint,
         body=_by_name(given.body, lambda one: one.law),
         supports=given.supports,
         tractions=tractions,
         body_force=given.body_force,
-        loads=[LineLoad(**a) if "first" in a else PointLoad(**a) for a in (one.arguments for one in given.loads)],
+        loads=[_load(one.arguments) for one in given.loads],
         plane=given.plane or "strain",
         element=given.element,
         eigenstrain=eigenstrain.get(None, eigenstrain) or None,
     )
+
+
+def _load(arguments: Mapping[str, Any]) -> PointLoad | LineLoad:
+    return LineLoad(**arguments) if "first" in arguments else PointLoad(**arguments)
 
 
 def _by_name(given: Mapping[str | None, Material], make: Any) -> Any:

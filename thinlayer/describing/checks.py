@@ -2,92 +2,115 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from forms.base import unknown
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.topology import is_tensor
 from thinlayer.describing.description import Description
-from thinlayer.describing.section import DescriptionError
-
-AXES = "xyzn"
+from thinlayer.describing.section import Section
 
 
 def require_fit(given: Description, joint: Joint) -> None:
     """Raise DescriptionError for a name that the mesh does not have, or a vector of another dimension, with its place."""
-    section, d = given.section, joint.dim
-    sides = [name for name in joint.facets if name not in joint.seams]
-    seams = [S, *joint.seams]
+    fit = _Fit(given.section, joint)
+    fit.laws("body", "region", given.body, joint.bodies)
+    fit.laws("layer", "seam", given.layer, [*joint.seams])
+    _supports(fit, given)
+    _loads(fit, given)
+    _goals(fit, given)
+    if joint.dim == 3 and given.plane not in (None, "strain"):
+        fit.section.refuse(f"{given.plane} is for meshes in two dimensions", "plane")
+    allowed = ("Q2", "S2") if is_tensor(joint.cell_type) else ("P2",)
+    if given.element not in (None, *allowed):
+        fit.section.refuse(
+            f"{given.element} is not for {joint.cell_type} cells; allowed: {', '.join(allowed)}", "element"
+        )
 
-    def name(one: str | None, known: Iterable[str], kind: str, *keys: str) -> None:
+
+@dataclass(frozen=True)
+class _Fit:
+    """A description's table, and the joint whose names it uses."""
+
+    section: Section
+    joint: Joint
+
+    def name(self, one: str | None, known: Iterable[str], kind: str, *keys: str) -> None:
+        """Refuse a name that is not known."""
         if one is not None and one not in known:
-            section.refuse(unknown(kind, one, known), *keys)
+            self.section.refuse(unknown(kind, one, known), *keys)
 
-    def side(one: str, *keys: str) -> None:
-        whole, _, part = one.partition("/")
-        if whole in seams:
-            section.refuse(f"{whole!r} is where the layer is; name another set of facets", *keys)
-        name(whole, sides, "set of facets", *keys)
-        if part or "/" in one:
-            name(part, [*joint.bodies, LAYER], f"part of {whole!r}", *keys)
+    def side(self, one: str, *keys: str) -> None:
+        """Refuse what is not the name of a set of facets of the outer boundary, or of a part of one."""
+        whole, slash, part = one.partition("/")
+        if whole == S or whole in self.joint.seams:
+            self.section.refuse(f"{whole!r} is where the layer is; name another set of facets", *keys)
+        self.name(whole, [name for name in self.joint.facets if name not in self.joint.seams], "set of facets", *keys)
+        if slash:
+            self.name(part, [*self.joint.bodies, LAYER], f"part of {whole!r}", *keys)
 
-    def vector(one: Any, *keys: str) -> None:
-        if len(one) != d:
-            section.refuse(f"{list(one)} has {len(one)} components; the mesh has {d} dimensions", *keys)
+    def vector(self, one: Sequence[float], *keys: str) -> None:
+        """Refuse a vector of another dimension."""
+        if len(one) != self.joint.dim:
+            what = f"{[*one]} has {len(one)} components; the mesh has {self.joint.dim} dimensions"
+            self.section.refuse(what, *keys)
 
-    for key, table, known in (("body", given.body, joint.bodies), ("layer", given.layer, [*joint.seams])):
-        for one in table:
-            name(one, known, "region" if key == "body" else "seam", key)
-        missing = [one for one in known if one not in table]
-        if missing and None not in table:
-            section.refuse(f"{missing[0]!r} has no law; {key} needs one for each of {', '.join(known)}", key)
+    def laws(self, key: str, kind: str, given: Mapping[str | None, object], known: Sequence[str]) -> None:
+        """Refuse laws of unknown regions or seams, and those without a law."""
+        for one in given:
+            self.name(one, known, kind, key)
+        missing = [one for one in known if one not in given]
+        if missing and None not in given:
+            self.section.refuse(f"{missing[0]!r} has no law; there are: {', '.join(known)}", key)
+
+
+def _supports(fit: _Fit, given: Description) -> None:
     for place, support in given.supports.items():
-        shown = place if isinstance(place, str) else f"({', '.join(f'{c:g}' for c in place)})"
         if isinstance(place, str):
-            side(place, "supports", place)
+            shown = place
+            fit.side(place, "supports", shown)
         else:
-            vector(place, "supports", shown)
-        for axis in support if isinstance(support, dict) else ():
-            name(axis, [*AXES[:d], "n"], "component", "supports", shown)
+            shown = f"({', '.join(f'{c:g}' for c in place)})"
+            fit.vector(place, "supports", shown)
+        for axis in support if isinstance(support, Mapping) else ():
+            fit.name(axis, [*"xyz"[: fit.joint.dim], "n"], "component", "supports", shown)
+
+
+def _loads(fit: _Fit, given: Description) -> None:
     for one, load in given.tractions.items():
-        side(one, "tractions", one)
-        if not isinstance(load, dict):
-            vector(load, "tractions", one)
-    if isinstance(given.body_force, dict):
+        fit.side(one, "tractions", one)
+        if not isinstance(load, Mapping):
+            fit.vector(load, "tractions", one)
+    if isinstance(given.body_force, Mapping):
         for one, force in given.body_force.items():
-            name(one, [*joint.bodies, *seams], "region or seam", "body_force")
-            vector(force, "body_force", one)
+            fit.name(one, [*fit.joint.bodies, S, *fit.joint.seams], "region or seam", "body_force")
+            fit.vector(force, "body_force", one)
     elif given.body_force is not None:
-        vector(given.body_force, "body_force")
-    for number, load in enumerate(given.loads, 1):
-        keys = ("loads", str(number))
-        for key in ("place", "force"):
-            if key in load.arguments:
-                vector(load.arguments[key], *keys, key)
-        for key in ("first", "second"):
-            if key in load.arguments:
-                side(load.arguments[key], *keys, key)
-        name(load.arguments.get("body"), joint.bodies, "region", *keys, "body")
+        fit.vector(given.body_force, "body_force")
+    for number, force in enumerate(given.loads, 1):
+        for key, value in force.arguments.items():
+            keys = ("loads", str(number), key)
+            if key == "body":
+                fit.name(value, fit.joint.bodies, "region", *keys)
+            elif isinstance(value, str):
+                fit.side(value, *keys)
+            else:
+                fit.vector(value, *keys)
+
+
+def _goals(fit: _Fit, given: Description) -> None:
+    seams = [S, *fit.joint.seams]
+    bases = [*fit.joint.base_seams, *([S] if fit.joint.base_seams else [])]
+    held = [one for one in given.supports if isinstance(one, str)]
+    held = [*dict.fromkeys([*held, *(one.partition("/")[0] for one in held), *bases])]
     for one, goal in given.goals.items():
-        for key in ("direction", "x"):
-            if key in goal.arguments:
-                vector(goal.arguments[key], "goals", one, key)
-        name(goal.arguments.get("seam"), seams, "seam", "goals", one, "seam")
-        _require_held(given, goal.arguments.get("place"), joint, ("goals", one, "place"))
-    if d == 3 and given.plane not in (None, "strain"):
-        section.refuse(f"plane = {given.plane!r} is for meshes in two dimensions", "plane")
-    if given.element is not None and (given.element == "P2") == is_tensor(joint.cell_type):
-        allowed = "Q2, S2" if is_tensor(joint.cell_type) else "P2"
-        section.refuse(f"{given.element} is not for {joint.cell_type} cells; allowed: {allowed}", "element")
-
-
-def _require_held(given: Description, place: str | None, joint: Joint, keys: tuple[str, ...]) -> None:
-    """Raise DescriptionError unless something holds the place of a reaction."""
-    if place is None:
-        return
-    held = [one for one in given.supports if isinstance(one, str)] + [*joint.base_seams]
-    held += [S] if joint.base_seams else []
-    if place not in held and not any(one.split("/")[0] == place for one in held):
-        raise DescriptionError(f"{given.section.where(*keys)}: {unknown('support', place, held)}")
+        for key, value in goal.arguments.items():
+            keys = ("goals", one, key)
+            if key == "seam":
+                fit.name(value, seams, "seam", *keys)
+            elif key == "place":
+                fit.name(value, held, "support", *keys)
+            elif key != "side":
+                fit.vector(value, *keys)

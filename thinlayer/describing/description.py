@@ -6,76 +6,18 @@ and of `goals`. All moduli are real ones; a layer's are divided by its thickness
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from forms.base import is_finite
-from forms.law import BulkLaw
-from thinlayer.describing.laws import law_of
+from thinlayer.describing import entries
+from thinlayer.describing.entries import Concentrated, GoalGiven, Material, MeshFile, Place, Vector
 from thinlayer.describing.section import Section
-
-Place = str | tuple[float, ...]
-Vector = tuple[float, ...]
 
 KEYS = (
     "mesh", "units", "body", "layer", "supports", "tractions", "body_force", "loads", "plane", "element", "bodies",
     "times", "goals", "tolerance", "bonded",
 )  # fmt: skip
-PLANES = ("strain", "stress", "axisymmetric")
-ELEMENTS = ("P2", "Q2", "S2")  # an interface law of order 1 needs degree 2
-LAW = "the parameters of a law, such as E and nu"
-GOALS = {
-    "compliance": {},
-    "reaction": {"place": True, "direction": True},
-    "mean_traction": {"direction": True, "seam": False},
-    "displacement": {"x": True, "direction": True, "side": False},
-}  # kind -> its arguments: whether they must be given
-ALWAYS = ("traction", "jump")  # quantities that every estimate has, besides goals
-
-
-@dataclass(frozen=True)
-class MeshFile:
-    """A mesh file and how it is read, see `geometry.read`."""
-
-    path: Path
-    arguments: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Material:
-    """A law with real parameters, and what else belongs to it.
-
-    Attributes:
-        law: the law.
-        eps: thickness of a layer; None: of a body.
-        eigenstrain: strain that it would have without stress; None: none.
-        where: words for where it stands.
-    """
-
-    law: BulkLaw
-    eps: float | None
-    eigenstrain: float | None
-    where: str
-
-
-@dataclass(frozen=True)
-class GoalGiven:
-    """A quantity that is asked for: its kind in `GOALS`, its arguments, and words for where it stands."""
-
-    kind: str
-    arguments: Mapping[str, Any]
-    where: str
-
-
-@dataclass(frozen=True)
-class Concentrated:
-    """A load at a point, or along the edge between two facet sets: arguments of `PointLoad` or `LineLoad`."""
-
-    arguments: Mapping[str, Any]
-    where: str
 
 
 @dataclass(frozen=True)
@@ -121,23 +63,23 @@ class Description:
     def of(cls, section: Section) -> Description:
         """The description in a table; raises DescriptionError: where, what is wrong, and what is allowed."""
         section.allow(KEYS)
-        goals = _goals(section)
+        goals = entries.goals(section)
         found = cls(
             section,
-            _mesh(section),
-            _units(section),
-            {name: _material(one, thin=False) for name, one in _given(section, "body").items()},
-            {name: _material(one, thin=True) for name, one in _given(section, "layer").items()},
-            _supports(section.table("supports", "places with what they prescribe, such as LEFT = 0")),
-            _tractions(section.table("tractions", "names of facet sets with a vector, such as TOP = [0, -50]")),
-            _body_force(section),
-            tuple(_load(one) for one in section.tables("loads", "place and force, or first, second and force")),
-            section.text("plane", PLANES),
-            section.text("element", ELEMENTS),
+            entries.mesh(section),
+            entries.units(section),
+            {name: entries.material(one, thin=False) for name, one in entries.given(section, "body").items()},
+            {name: entries.material(one, thin=True) for name, one in entries.given(section, "layer").items()},
+            entries.supports(section.table("supports", "places with what they prescribe, such as LEFT = 0")),
+            entries.tractions(section.table("tractions", "names of facet sets with a vector, such as TOP = [0, -50]")),
+            entries.body_force(section),
+            tuple(entries.load(one) for one in section.tables("loads", "place and force, or first, second and force")),
+            section.text("plane", entries.PLANES),
+            section.text("element", entries.ELEMENTS),
             section.text("bodies", ("kept", "extended")) or "kept",
-            _times(section),
+            entries.times(section),
             goals,
-            _tolerance(section, [*ALWAYS, *goals]),
+            entries.tolerance(section, [*entries.ALWAYS, *goals]),
             section.flag("bonded"),
         )
         if not (found.tractions or found.body_force or found.loads or found._moves()):
@@ -148,152 +90,3 @@ class Description:
         """Whether a support moves, or something has an eigenstrain."""
         shown = [v for one in self.supports.values() for v in (one.values() if isinstance(one, Mapping) else [one])]
         return any(shown) or any(one.eigenstrain for one in (*self.body.values(), *self.layer.values()))
-
-
-def place_of(text: str, section: Section) -> Place:
-    """A place in the form of a key: the name of a facet set, or "(x, y)" for a vertex."""
-    if not text.startswith("("):
-        return text
-    try:
-        point = tuple(float(c) for c in text.strip("() ").split(","))
-    except ValueError:
-        point = ()
-    if not re.fullmatch(r"\(.*\)", text) or len(point) not in (2, 3) or not all(map(is_finite, point)):
-        section.refuse("a place is the name of a facet set, or the coordinates of a vertex, such as (40, 0)", text)
-    return point
-
-
-def _given(section: Section, key: str) -> dict[str | None, Section]:
-    if not section.values.get(key):
-        example = "E = 210e3, nu = 0.3" if key == "body" else 'law = "LinearElastic", E = 2e3, nu = 0.4, eps = 0.2'
-        section.refuse(f"{key} is missing: {LAW}; [{key}] has keys such as {example}")
-    return section.named(key, LAW)
-
-
-def _mesh(section: Section) -> MeshFile:
-    given = section.require("mesh", 'the name of a mesh file, mesh = "joint.msh", or a table with its path')
-    one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", "mesh")
-    one.allow(["path", "S", "upper", "lower", "direction", "scale"])
-    one.require("path", "the name of a mesh file")
-    arguments: dict[str, Any] = {key: one.texts(key) for key in ("upper", "lower") if key in one.values}
-    if "direction" in one.values:
-        arguments["direction"] = one.vector("direction")
-    if "scale" in one.values:
-        arguments["scale"] = one.positive("scale", "a factor on the coordinates")
-    if isinstance(one.values.get("S"), Mapping):
-        arguments["S"] = dict(one.values["S"])  # `read` checks the sides
-    elif "S" in one.values:
-        S = one.texts("S")
-        arguments["S"] = [*S] if isinstance(S, tuple) else S
-    elif {"upper", "lower"} <= one.values.keys():
-        arguments["S"] = None  # all that is between them
-    return MeshFile(Path(one.text("path") or ""), arguments)
-
-
-def _units(section: Section) -> tuple[str, str] | None:
-    text = section.text("units")
-    if text is None:
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 2 or not all(parts):
-        section.refuse(f"{text!r} are not two units; give those of lengths and of stresses, such as 'mm, MPa'", "units")
-    return parts[0], parts[1]
-
-
-def _material(section: Section, *, thin: bool) -> Material:
-    law = law_of(section, ["eps", "eigenstrain"] if thin else ["eigenstrain"])
-    eps = section.positive("eps", "the thickness of the layer, a length") if thin else None
-    return Material(law, eps, section.number("eigenstrain"), section.where())
-
-
-def _supports(section: Section) -> dict[Place, Any]:
-    found: dict[Place, Any] = {}
-    for key, value in section.values.items():
-        place = place_of(key, section)
-        if isinstance(value, Mapping):
-            one = section.table(key, "components")
-            one.allow(["x", "y", "z", *(["n"] if isinstance(place, str) else [])], "component")
-            found[place] = {axis: one.number(axis) for axis in value}
-            if not found[place]:
-                section.refuse("no component is given, such as {x = 0}", key)
-        else:
-            found[place] = section.number(key)
-    return found
-
-
-def _tractions(section: Section) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in section.values.items():
-        if isinstance(value, Mapping):
-            one = section.table(key, "pressure")
-            one.allow(["pressure"])
-            one.require("pressure", "a stress, > 0 where it presses")
-            found[key] = {"pressure": one.number("pressure")}
-        else:
-            found[key] = section.vector(key)
-    return found
-
-
-def _body_force(section: Section) -> Vector | dict[str, Vector] | None:
-    if "body_force" not in section.values:
-        return None
-    if not isinstance(section.values["body_force"], Mapping):
-        return section.vector("body_force")
-    one = section.table("body_force", "names of regions and seams")
-    return {name: one.vector(name) for name in one.values}
-
-
-def _load(section: Section) -> Concentrated:
-    line = "first" in section.values or "second" in section.values
-    section.allow(["first", "second", "force", "body"] if line else ["place", "force", "body"])
-    where = ("first", "second") if line else ("place",)
-    for key in (*where, "force"):
-        section.require(key, "the vector of the force" if key == "force" else "where the load acts")
-    found: dict[str, Any] = {key: section.text(key) if line else section.vector(key) for key in where}
-    found["force"] = section.vector("force")
-    if "body" in section.values:
-        found["body"] = section.text("body")
-    return Concentrated(found, section.where())
-
-
-def _times(section: Section) -> tuple[float, ...]:
-    times = section.values.get("times", ())
-    good = isinstance(times, list | tuple) and all(map(is_finite, times))
-    if not good or any(b <= a for a, b in zip([0.0, *times], times, strict=False)):
-        section.refuse(f"{times!r} are no times; give numbers > 0 that grow, such as [0.5, 1]", "times")
-    return tuple(float(t) for t in times)
-
-
-def _goals(section: Section) -> dict[str, GoalGiven]:
-    goals, found = section.table("goals", "names with what they ask for, such as compliance = true"), {}
-    for name, value in goals.values.items():
-        if name in ALWAYS:
-            goals.refuse("this quantity is told of every layer; give a goal another name", name)
-        one = goals.inner({} if value is True else value, "arguments of a goal, or is true", name)
-        kind = one.text("kind", GOALS) or name
-        if kind not in GOALS:
-            goals.refuse(f"what is asked for? give kind, one of {', '.join(GOALS)}, or one of them as the key", name)
-        arguments = GOALS[kind]
-        one.allow(["kind", *arguments], f"key of {kind}")
-        for key, needed in arguments.items():
-            if needed:
-                one.require(key, f"{kind} has {', '.join(arguments)}")
-        read = {
-            key: one.vector(key) if key in ("direction", "x") else one.text(key) for key in arguments if key in value
-        }
-        if "side" in read:
-            one.text("side", ("lower", "upper"))
-        found[name] = GoalGiven(kind, read, one.where())
-    return found
-
-
-def _tolerance(section: Section, quantities: list[str]) -> dict[str, float]:
-    value = section.values.get("tolerance")
-    if value is None:
-        return {}
-    what = "the largest relative change that is allowed, such as 0.05"
-    if not isinstance(value, Mapping):
-        return {"traction": section.positive("tolerance", what)}
-    one = section.table("tolerance", f"quantities, each with {what}")
-    one.allow(quantities, "quantity")
-    return {name: one.positive(name, what) for name in value}

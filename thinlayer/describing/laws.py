@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Any
+from typing import Any, NoReturn
 
 import forms.laws
 from forms.base import unknown
@@ -44,9 +44,9 @@ def law_of(section: Section, beside: Collection[str] = ()) -> BulkLaw:
     if "sublayers" in section.values or section.values.get("law") == "Stack":
         return _stack(section, beside)
     name = section.text("law") or DEFAULT
-    kind = known_laws().get(name)
-    if kind is None:
+    if name not in known_laws():
         _refuse_law(section, name)
+    kind: Any = known_laws()[name]
     parameters = {f.name: f for f in fields(kind) if f.init}
     elastic = [one for one in ELASTIC if {"lmbda", "mu"} <= parameters.keys()]
     elastic += ["E", "G"] if "mu" in parameters and not elastic else []
@@ -75,7 +75,7 @@ def _stack(section: Section, beside: Collection[str]) -> Stack:
         section.refuse(str(error), "sublayers")
 
 
-def _refuse_law(section: Section, name: str) -> None:
+def _refuse_law(section: Section, name: str) -> NoReturn:
     other: Any = getattr(forms.laws, name, None)
     if isinstance(other, type) and issubclass(other, Law) and other not in (BulkLaw, KernelLaw):
         section.refuse(
@@ -84,7 +84,7 @@ def _refuse_law(section: Section, name: str) -> None:
     section.refuse(unknown("law", name, known_laws()), "law")
 
 
-def _value(section: Section, key: str, kind: type[BulkLaw]) -> Any:
+def _value(section: Section, key: str, kind: Any) -> Any:
     """The value of a parameter: a number where the law has a number, else what is given, lists as arrays."""
     if key in scalars(kind):
         return section.number(key)

@@ -10,7 +10,7 @@ from typing import Any
 
 from forms.base import ThinlayerError, is_finite, unknown
 from thinlayer.describing.case import Case
-from thinlayer.describing.description import ALWAYS
+from thinlayer.describing.entries import ALWAYS
 from thinlayer.describing.section import DescriptionError
 from thinlayer.discretisation.structure import Structure
 from thinlayer.estimating.goals import Compliance, Goal
