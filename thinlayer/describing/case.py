@@ -78,13 +78,14 @@ def _structure(given: Description, joint: Joint) -> Structure:
         for name, load in given.tractions.items()
     }
     eigenstrain: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
+    loads: list[Any] = [_load(one.arguments) for one in given.loads]
     return Structure(
         joint,
         body=_by_name(given.body, lambda one: one.law),
         supports=given.supports,
         tractions=tractions,
         body_force=given.body_force,
-        loads=[_load(one.arguments) for one in given.loads],
+        loads=loads,
         plane=given.plane or "strain",
         element=given.element,
         eigenstrain=eigenstrain.get(None, eigenstrain) or None,

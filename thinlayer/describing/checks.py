@@ -79,18 +79,18 @@ def _supports(fit: _Fit, given: Description) -> None:
 
 
 def _loads(fit: _Fit, given: Description) -> None:
-    for one, load in given.tractions.items():
+    for one, traction in given.tractions.items():
         fit.side(one, "tractions", one)
-        if not isinstance(load, Mapping):
-            fit.vector(load, "tractions", one)
+        if not isinstance(traction, Mapping):
+            fit.vector(traction, "tractions", one)
     if isinstance(given.body_force, Mapping):
         for one, force in given.body_force.items():
             fit.name(one, [*fit.joint.bodies, S, *fit.joint.seams], "region or seam", "body_force")
             fit.vector(force, "body_force", one)
     elif given.body_force is not None:
         fit.vector(given.body_force, "body_force")
-    for number, force in enumerate(given.loads, 1):
-        for key, value in force.arguments.items():
+    for number, load in enumerate(given.loads, 1):
+        for key, value in load.arguments.items():
             keys = ("loads", str(number), key)
             if key == "body":
                 fit.name(value, fit.joint.bodies, "region", *keys)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thinlayer.describing import entries
-from thinlayer.describing.entries import Concentrated, GoalGiven, Material, MeshFile, Place, Vector
+from thinlayer.describing.entries import Force, GoalGiven, Material, MeshFile, Place, Vector
 from thinlayer.describing.section import Section
 
 KEYS = (
@@ -50,7 +50,7 @@ class Description:
     supports: Mapping[Place, Any]
     tractions: Mapping[str, Any]
     body_force: Vector | Mapping[str, Vector] | None
-    loads: tuple[Concentrated, ...] = ()
+    loads: tuple[Force, ...] = ()
     plane: str | None = None
     element: str | None = None
     bodies: str = "kept"

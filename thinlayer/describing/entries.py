@@ -63,7 +63,7 @@ class GoalGiven:
 
 
 @dataclass(frozen=True)
-class Concentrated:
+class Force:
     """A load at a point, or along the edge between two facet sets: arguments of `PointLoad` or `LineLoad`."""
 
     arguments: Mapping[str, Any]
@@ -84,6 +84,7 @@ def place_of(text: str, section: Section) -> Place:
 
 
 def given(section: Section, key: str) -> dict[str | None, Section]:
+    """The tables of laws in body or layer, by name; None stands for all."""
     if not section.values.get(key):
         example = "E=210e3 nu=0.3" if key == "body" else "LinearElastic E=2000 nu=0.4 eps=0.2"
         section.refuse(f"{key} is missing: {LAW}, in a table [{key}] or by --{key} '{example}'")
@@ -91,6 +92,7 @@ def given(section: Section, key: str) -> dict[str | None, Section]:
 
 
 def mesh(section: Section) -> MeshFile:
+    """The mesh file. S is all that is between `upper` and `lower` if these are given alone."""
     given = section.require("mesh", 'the name of a mesh file, in a description mesh = "joint.msh"')
     one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", "mesh")
     one.allow(["path", "S", "upper", "lower", "direction", "scale"])
@@ -111,6 +113,7 @@ def mesh(section: Section) -> MeshFile:
 
 
 def units(section: Section) -> tuple[str, str] | None:
+    """Units of lengths and of stresses; None: not given."""
     text = section.text("units")
     if text is None:
         return None
@@ -121,12 +124,14 @@ def units(section: Section) -> tuple[str, str] | None:
 
 
 def material(section: Section, *, thin: bool) -> Material:
+    """A law of a body, or of a layer with its thickness."""
     law = law_of(section, ["eps", "eigenstrain"] if thin else ["eigenstrain"])
     eps = section.positive("eps", "the thickness of the layer, a length") if thin else None
     return Material(law, eps, section.number("eigenstrain"), section.where())
 
 
 def supports(section: Section) -> dict[Place, Any]:
+    """Place -> a number, or components."""
     found: dict[Place, Any] = {}
     for key, value in section.values.items():
         place = place_of(key, section)
@@ -142,6 +147,7 @@ def supports(section: Section) -> dict[Place, Any]:
 
 
 def tractions(section: Section) -> dict[str, Any]:
+    """Name of a facet set -> components, or {"pressure": number}."""
     found: dict[str, Any] = {}
     for key, value in section.values.items():
         if isinstance(value, Mapping):
@@ -157,6 +163,7 @@ def tractions(section: Section) -> dict[str, Any]:
 
 
 def body_force(section: Section) -> Vector | dict[str, Vector] | None:
+    """Components, or region or seam -> components."""
     if "body_force" not in section.values:
         return None
     if not isinstance(section.values["body_force"], Mapping):
@@ -165,7 +172,8 @@ def body_force(section: Section) -> Vector | dict[str, Vector] | None:
     return {name: one.vector(name) for name in one.values}
 
 
-def load(section: Section) -> Concentrated:
+def load(section: Section) -> Force:
+    """A force at a point, or per length of edges."""
     line = "first" in section.values or "second" in section.values
     section.allow(["first", "second", "force", "body"] if line else ["place", "force", "body"])
     where = ("first", "second") if line else ("place",)
@@ -175,10 +183,11 @@ def load(section: Section) -> Concentrated:
     found["force"] = section.vector("force")
     if "body" in section.values:
         found["body"] = section.text("body")
-    return Concentrated(found, section.where())
+    return Force(found, section.where())
 
 
 def times(section: Section) -> tuple[float, ...]:
+    """Times of steps; () if there are none."""
     times = section.values.get("times", ())
     good = isinstance(times, list | tuple) and all(map(is_finite, times))
     if not good or any(b <= a for a, b in zip([0.0, *times], times, strict=False)):
@@ -187,6 +196,7 @@ def times(section: Section) -> tuple[float, ...]:
 
 
 def goals(section: Section) -> dict[str, GoalGiven]:
+    """Name -> what is asked for."""
     goals, found = section.table("goals", "names with what they ask for, such as compliance = true"), {}
     for name, value in goals.values.items():
         if name in ALWAYS:
@@ -210,6 +220,7 @@ def goals(section: Section) -> dict[str, GoalGiven]:
 
 
 def tolerance(section: Section, quantities: list[str]) -> dict[str, float]:
+    """Quantity -> its largest relative change; a number alone is that of the traction."""
     value = section.values.get("tolerance")
     if value is None:
         return {}
