@@ -17,6 +17,7 @@ from geometry.errors import unknown
 from geometry.order import order_on_s
 from geometry.seam import S
 from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
@@ -35,7 +36,7 @@ class Surface:
     Those of a full model are transferred to the spaces of the interface model.
 
     Attributes:
-        model: an interface model.
+        model: an interface model (of a mixed model given, its own one).
         seam: name of a seam of its joint; "S": all of them.
 
     Raises:
@@ -46,6 +47,8 @@ class Surface:
     seam: str = S
 
     def __init__(self, model: Model, seam: str = S) -> None:
+        if isinstance(model, MixedModel):
+            model = model.by_law
         if not isinstance(model, InterfaceModel):
             hint = ": give the state's model" if isinstance(model, State) else ""
             raise ModelError(f"Surface needs an interface model, not {short(model)}{hint}")
