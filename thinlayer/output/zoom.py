@@ -98,7 +98,9 @@ class Zoom:
     def _heights(self, height: Any, n: int) -> Array:
         y = np.asarray(height, float)
         if y.shape not in ((), (n,)) or not (np.abs(y) <= 0.5).all():
-            raise ModelError(f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness")
+            raise ModelError(
+                f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness"
+            )
         return np.broadcast_to(y, (n,))
 
     def _inside(self, faces: FacesAt, y: Array) -> Array:
