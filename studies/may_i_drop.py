@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from studies.dropping.further import further_cases
 from studies.dropping.known import COARSE, FINE, known_cases
-from studies.dropping.measuring import Solved, distance_from_known, effectivities
+from studies.dropping.measuring import Dropped, effectivities, from_known
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -23,10 +23,10 @@ def run(record: Record, *, quick: bool = False) -> None:
     for case, eps in track(
         [(case, eps) for case in cases for eps in THICKNESSES], "may_i_drop", "{0[0].name}, {0[1]:g}"
     ):
-        found = Solved.of(case, eps, record)
+        found = Dropped.of(case, eps, record)
         row, asked = effectivities(found)
         here = {"case": case.name, "eps": eps}
-        table.append({**here, "unknowns": found.unknowns, **row, "from_known": distance_from_known(found)})
+        table.append({**here, "unknowns": found.unknowns, **row, "from_known": from_known(found)})
         for one in asked:
             goals.append(here | one)
     record.say(table)

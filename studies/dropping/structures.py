@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from math import cos, pi, sin
+from math import pi
 from typing import Any
 
 import ufl
@@ -77,11 +77,6 @@ def freely(**choices: Any) -> Callable[[float], Structure]:
     return partial(free, **choices)
 
 
-def sides(x: Expr) -> Expr:
-    """Distance from the nearer of the sides x = 0 and x = 1."""
-    return ufl.min_value(x[0], 1 - x[0])
-
-
 @cache
 def displaced(eps: float, *, body: LinearElastic) -> Structure:
     """Two stiff blocks with free sides, the upper one pressed down by 0.01."""
@@ -95,12 +90,6 @@ def tilted(eps: float) -> Structure:
     joint = _blocks(eps, 0.4, 0.7).rotated(TILT)
     body = LinearElastic.young(E=150.0, nu=0.2)
     return Structure(joint, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (-0.7, 0.4)})
-
-
-def tilted_sides(x: Expr) -> Expr:
-    """Distance from the nearer of the free sides of `tilted`."""
-    along = x[0] * cos(TILT) + x[1] * sin(TILT)
-    return ufl.min_value(along, 1 - along)
 
 
 @cache
@@ -177,8 +166,3 @@ def corner(eps: float) -> Structure:
     supports: dict[Any, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}
     load = {"TOP": lambda x, t: (0.2 * x[0], -1.0 + 0.5 * x[2], 0.1)}
     return Structure(joint, body=FOURIER_BODY, supports=supports, tractions=load)
-
-
-def corner_sides(x: Expr) -> Expr:
-    """Distance from the nearer of the free sides of `corner`."""
-    return ufl.min_value(1 - x[0], DEPTH - x[2])

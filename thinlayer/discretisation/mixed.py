@@ -120,7 +120,14 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
     if not isinstance(layer, ThinLayer):
         raise ModelError("a mixed model needs one ThinLayer: its law is meshed on a part of S")
     traits = layer.law.traits
-    if not traits.linear or traits.remembers or traits.rate or traits.constrained or traits.compiled or layer.law.fields:
+    if (
+        not traits.linear
+        or traits.remembers
+        or traits.rate
+        or traits.constrained
+        or traits.compiled
+        or layer.law.fields
+    ):
         raise ModelError(
             f"a mixed model is for linear laws without memory, rate, pressure or parameters that are functions, not for "
             f"{type(layer.law).__name__}: the law's forces are carried from a model of their own as one matrix"
