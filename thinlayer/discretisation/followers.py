@@ -65,7 +65,9 @@ class Followers:
             with on_all(domain.comm):
                 if (distance > SAME_PLACE * size).any():
                     lost = x[rows[distance.argmax()]]
-                    raise ModelError(f"no node of {name} stands straight below or above that of the cut at {place(lost)}")
+                    raise ModelError(
+                        f"no node of {name} stands straight below or above that of the cut at {place(lost)}"
+                    )
             ends.append(everywhere[at, d:])
         (low, lower), (high, upper) = (end.T for end in ends)
         share = (height[rows] - low) / (high - low)

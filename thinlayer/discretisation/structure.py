@@ -84,9 +84,7 @@ class Structure(Setup):
         """
         return InterfaceModel(self, layer, bodies=bodies)
 
-    def mixed(
-        self, layer: ThinLayer, *, where: Where, bodies: str = "kept", cells_through: int = 4
-    ) -> MixedModel:
+    def mixed(self, layer: ThinLayer, *, where: Where, bodies: str = "kept", cells_through: int = 4) -> MixedModel:
         """The model whose layer is meshed on a part of S and replaced by its interface law on the rest. Collective.
 
         Args:
