@@ -64,8 +64,10 @@ def _cut(joint: Joint, filled: BoolArray) -> IntArray:
     found = []
     for number in range(len(joint.seams)):
         here = joint.seam_numbers == number
-        keys = [ridge_keys(ridges(joint.surface[here & some], joint.cell_type)[0]) for some in (filled, ~filled)]
-        found.append(np.intersect1d(*keys))
+        with_cells, without = (
+            ridge_keys(ridges(joint.surface[here & some], joint.cell_type)[0]) for some in (filled, ~filled)
+        )
+        found.append(np.intersect1d(with_cells, without))
     return np.concatenate(found)
 
 

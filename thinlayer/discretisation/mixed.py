@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Self
 
@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from forms import work as forms
 from geometry.errors import place
-from geometry.facets import facets_of_cells  # noqa: F401
+from geometry.seam import LAYER, S
 from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
@@ -49,6 +49,8 @@ class MixedModel(FullModel):
             _require(structure, layer, self.meshed)
         self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, None
         self.by_law = InterfaceModel(structure, _between_cells(structure, layer, self.meshed), bodies=bodies)
+        with on_all(structure.comm):
+            _require_reach(self.by_law, self.meshed)
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
         self.followers = Followers.at_cuts(self.domain, self.V, structure.sheet.mean_normal)
@@ -134,15 +136,42 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
         )
     if layer.profile is not None or layer.eigenstrain is not None:
         raise ModelError("a mixed model needs a layer of uniform thickness without eigenstrain")
-    if isinstance(structure.body_force, dict) and {"S", *joint.seams} & set(structure.body_force):
+    rim = structure.sheet.rim
+    by_law = rim[~meshed[structure.sheet.parts[0][rim.simplex]]]
+    for name in structure.tractions or {}:
+        outer = joint.facets.get(name.removesuffix(f"/{LAYER}")) if name.endswith(f"/{LAYER}") else None
+        if outer is not None and by_law.on(outer).any():
+            raise ModelError(
+                f"the traction on {name!r} acts on the side of the layer; mesh all of the layer there, as its law does not "
+                "know the load"
+            )
+    if isinstance(structure.body_force, Mapping) and {S, *joint.seams} & set(structure.body_force):
         raise ModelError("a mixed model has no weight of the layer itself; give the bodies theirs")
 
 
 def _between_cells(structure: Setup, layer: Layers, meshed: BoolArray) -> Layers:
-    """The layer of the interface model: without constants of free ends if the cells have all of these.
-
-    Raises:
-        ModelError: a law with such constants, and facets of it within their reach of an end that is meshed.
-    """
+    """The layer of the interface model: if cells are at all ends of S, its law knows of no free ends."""
     assert isinstance(layer, ThinLayer)
-    return layer if layer.edges is None else replace(layer, edges=None)
+    sheet = structure.sheet
+    ends = sheet.rim.simplex
+    return replace(layer, edges=None) if meshed[sheet.parts[0][ends]].all() else layer
+
+
+def _require_reach(model: InterfaceModel, meshed: BoolArray) -> None:
+    """Raise ModelError where a law with constants of free ends acts within their reach of an end that is meshed."""
+    (one,) = model.layers.values()
+    if not (one.thin and one.thin.edges):
+        return
+    joint, sheet = model.joint, one.sheet
+    rim = free_rim(model, sheet)
+    at_cells = rim[meshed[sheet.parts[0][rim.simplex]]]
+    by_law = np.unique(joint.table.vertices[joint.surface_rows[~meshed]])
+    if not len(at_cells.vertices):
+        return
+    x = joint.points[at_cells.vertices].mean(axis=1)
+    near, at = cKDTree(x).query(joint.points[by_law])
+    if near.min() < REACH * one.thin.eps:
+        raise ModelError(
+            f"the layer is meshed at its free end at {place(x[at[near.argmin()]])} over {near.min():.3g} only; the law "
+            f"beside it, which has the constants of other free ends, needs {REACH:g} thicknesses there"
+        )

@@ -1,4 +1,4 @@
-"""Other unknowns in place of displacements: along inclined supports, motions of plates, and none where they follow others."""
+"""Other unknowns in place of displacements: along inclined supports, motions of rigid plates, none that follow others."""
 
 from __future__ import annotations
 
