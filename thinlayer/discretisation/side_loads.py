@@ -42,6 +42,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Nodes
 from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.errors import warn
 
 ANTIPLANE = (
     0.2713834  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
@@ -129,6 +130,12 @@ def add_side_loads(
         known = np.isin(ridge_keys(load.rim.vertices), free) & bool(one.thin.edges)
         found = [*_at_ends(load.on(known), forces.at, model, one, sides)]
         if not known.all():
+            warn(
+                f"{load.what}: each face of {one} gets half of the force, because constants of this end are not known (see "
+                "ThinLayer.edges); how the force reaches the faces makes a difference as large as the force: mesh the "
+                "layer (structure.full) if that matters",
+                model.comm,
+            )
             found += _halves(load.on(~known), model, one, points(), to_base)
         for force, place in found:
             forces.add_weighted(one.name, load.what, force, place)
