@@ -43,12 +43,23 @@ class StraightEnd:
         """Distance (...) of places (..., d) of S from it."""
         return np.asarray(self.offset - x @ self.m)
 
+    def has(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether places (n, d) of S lie on it."""
+        allowed = (self.level[1] - self.level[0]) / 2
+        return np.asarray((np.abs(self.distance(x)) <= allowed) & self._reaches(x))
+
+    def beside(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether places (n, d) of S lie on it, or beside it, inwards."""
+        return self.has(x) | self.faces(x)
+
     def faces(self, x: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether places (n, d) of S lie beside it, inwards."""
-        at, (low, high), distance = x @ self.along, self.reach, self.distance(x)
-        bottom, top = self.level
-        level = x @ self.n
-        return np.asarray((at >= low) & (at <= high) & (distance > 0) & (level >= bottom) & (level <= top))
+        return np.asarray((self.distance(x) > 0) & self._reaches(x))
+
+    def _reaches(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether places (n, d) lie in its plane, between its first and its last point."""
+        at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
+        return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
 
 
 def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
