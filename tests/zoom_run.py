@@ -37,7 +37,7 @@ def numbers() -> dict[str, Any]:
     """Stresses and strengths in two dimensions, on triangles, and in three."""
     found: dict[str, Any] = {}
     for dim, size in ((2, {}), (3, {"depth": 0.4})):
-        blocks = sandwich(1.3, 0.3, 0.4, 0.2, **size)
+        blocks = sandwich(1.3, 0.3, 0.4, 0.2 * (dim - 1), **size)
         load = (0.3, -1.0, 0.2)[:dim]
         structure = Structure(blocks, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
         zoom = Zoom(solve(structure.interface(FREE)))
