@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from forms import Anisotropic, LinearElastic, MohrCoulomb, Rubber, Stack
-from forms.inside import FaceValues, Inside
+from forms.inside import FaceValues, Sublayers
 from geometry import block, disc, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.ranks import mpirun
@@ -28,14 +28,14 @@ def test_sublayers_have_the_jump_and_balance(dim):
     rng = np.random.default_rng(dim)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     n, eps = np.array([0.0, 1.0, 0.0]) if dim == 2 else turn[:, 0], 0.07
-    inside = Inside(np.array([0.3, 0.5, 0.2]), np.array([40.0, 7.0, 1.0]), np.array([2.0, 6.0, 9.0]))
+    inside = Sublayers(np.array([0.3, 0.5, 0.2]), np.array([40.0, 7.0, 1.0]), np.array([2.0, 6.0, 9.0]))
     P, mask = np.eye(3) - np.outer(n, n), np.diag([1.0, 1.0, dim - 2.0])
     jump, mean, difference = mask @ rng.normal(size=3), *(mask @ rng.normal(size=(3, 3)) @ mask @ P for _ in range(2))
     strains = [(one + one.T) / 2 for one in (mean, difference)]
     y, weights = np.polynomial.legendre.leggauss(6)
     heights = np.concatenate([a + b * (y + 1) / 2 for a, b in ((-0.5, 0.3), (-0.2, 0.5), (0.3, 0.2))])
     shares = np.concatenate([b * weights / 2 for b in (0.3, 0.5, 0.2)])
-    faces = FaceValues(*(np.tile(one, (18, *[1] * np.ndim(one))) for one in (n, jump, *strains)))
+    faces = FaceValues(*(np.tile(one, (18, *[1] * np.ndim(one))) for one in (n, jump, *strains, 0.0, np.zeros(3))))
     stress = inside.stress(faces, np.full(18, eps), heights)
     lmbda, mu = (np.repeat(one, 6) for one in (inside.lmbda, inside.mu))
     trace = np.trace(stress, axis1=1, axis2=2) / (3 * lmbda + 2 * mu)
@@ -79,8 +79,8 @@ def test_stresses_through_the_thickness_have_the_order_of_the_law(law, order):
 
 def test_without_their_slope_stresses_have_order_one(monkeypatch):
     """As if the stresses of the middle were those of all heights."""
-    whole = Inside.stress
-    monkeypatch.setattr(Inside, "stress", lambda self, faces, eps, y: whole(self, faces, eps, 0 * y))
+    whole = Sublayers.stress
+    monkeypatch.setattr(Sublayers, "stress", lambda self, faces, eps, y: whole(self, faces, eps, 0 * y))
     found = errors(FOURIER_LAYER, np.array([-0.45, 0.35]), 1)
     assert observed_orders(THIN, found)[-1] < 1.2
 
