@@ -27,8 +27,7 @@ from forms.stations import Station, at_gauss_points
 from forms.traits import Traits
 
 if TYPE_CHECKING:
-    from forms.ends.constants import FreeEnd
-    from forms.ends.weights import EndWeights
+    from forms.ends.weights import EndWeights, Strips
 
 
 class Step(NamedTuple):
@@ -299,19 +298,12 @@ class BulkLaw(Law):
         """UFL condition (ufl.lt, ufl.And, ...) for the points where the law holds; elsewhere `otherwise` is evaluated."""
         return None
 
-    def free_end(self) -> FreeEnd:
-        """Constants of a free end of a layer with this law.
-
-        Raises:
-            LawError: they are not known.
-        """
-        raise LawError(
-            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 "
-            "and parameters that are numbers"
-        )
+    def end_strips(self) -> Strips | None:
+        """Strips along a free end of a layer with this law, for its interface law of order 1; None: they are not known."""
+        return None
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
-        """As `stations`, with the weights of the layer's free ends; laws that have a `free_end` have them."""
+        """As `stations`, with the weights of the layer's free ends; laws that have `end_strips` have them."""
         raise LawError(f"{type(self).__name__} has no stations at free ends")
 
     def stations(self) -> list[Station[Any]]:
@@ -330,6 +322,10 @@ class BulkLaw(Law):
                 "layer, and the next term depends on where the sheets lie; use order=0"
             )
         return at_gauss_points(self)
+
+    def for_next_order(self) -> BulkLaw:
+        """The law of the same material whose interface law of order 1 is the nearest one: itself, by default."""
+        return self
 
     def elastic_moduli(self) -> tuple[Any, Any]:
         """Lame's moduli lmbda and mu of an isotropic linear elastic law.

@@ -28,6 +28,7 @@ class StraightEnd:
         offset: m . x of its points.
         along: (d,) unit vector along it; zero in 2D.
         reach: least and largest along . x of its points.
+        length: of it; 1 in 2D.
     """
 
     n: FloatArray
@@ -36,6 +37,7 @@ class StraightEnd:
     offset: float
     along: FloatArray
     reach: tuple[float, float]
+    length: float = 1.0
 
     def distance(self, x: FloatArray) -> FloatArray:
         """Distance (...) of places (..., d) of S from it."""
@@ -88,7 +90,8 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         at = x[same].reshape(-1, x.shape[2]) @ along
         height, allowed = float(x[left[0], 0] @ n), FLAT * size
         level = height - allowed, height + allowed
-        ends.append(StraightEnd(n, level, m, float(offset), along, (float(at.min()), float(at.max()))))
+        reach, whole = (float(at.min()), float(at.max())), float(rim.length[same].sum())
+        ends.append(StraightEnd(n, level, m, float(offset), along, reach, whole))
         left = left[~same[left]]
     return ends
 

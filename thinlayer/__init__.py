@@ -30,6 +30,8 @@ if TYPE_CHECKING:  # for editors and mypy alone
         ThinlayerError,
         TurningPoint,
     )
+    from thinlayer.estimating.estimate import Estimate, estimate
+    from thinlayer.estimating.thickness import ThinEnough, thin_enough
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
@@ -67,6 +69,8 @@ _NAMES = {
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError", "TurningPoint"],
+    "estimating.estimate": ["Estimate", "estimate"],
+    "estimating.thickness": ["ThinEnough", "thin_enough"],
     "files.table": ["Table"],
     "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],
@@ -93,7 +97,7 @@ _NAMES = {
     "time.plan": ["Adaptive"],
 }  # module -> its public names
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = {"plotting": "output.plotting", "fields": "output.fields"}
+_MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
 __all__ = sorted(_HOME)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -282,3 +283,8 @@ class Prescribed:
         out = np.zeros((len(self.supports.entries) + 1, motions.shape[1]))
         np.add.at(out, self.entry, (self._share @ r)[:, None] * (self.conditions @ motions))
         return out[:-1]
+
+    def dual_to_resultant(self, entries: Sequence[int], direction: Array) -> Array:
+        """(m,) weights of nodal forces whose sum is the force of some supports along a direction (d,), see `resultants`."""
+        along = np.isin(self.entry, entries) * (self._direction @ direction)
+        return np.asarray(self._share.T @ along)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.fields import EndFields, end_fields
 from forms.incompressible import Incompressible
 from forms.inside import FaceValues, Inside, Pressed, Sublayers
@@ -18,7 +19,7 @@ from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
-from thinlayer.discretisation.end_weights import LARGEST_NU, LARGEST_STIFFNESS, ROUNDING, softest_body
+from thinlayer.discretisation.free_ends import LARGEST_STIFFNESS, softest_body
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import real_law

@@ -16,6 +16,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.law_elsewhere import LawElsewhere
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
@@ -33,8 +34,8 @@ def body_parts(model: Model) -> list[Part]:
     return parts
 
 
-def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
-    """The parts of a model's layers and additions, each with another key. Collective.
+def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part]) -> list[Part]:
+    """The parts of a model's layers, each with another key. Collective.
 
     Args:
         model: the model.
@@ -54,9 +55,11 @@ def other_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         masters = joint.masters if joint.periods else None
         for p in constrained:
             parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
+    if found := model.law_elsewhere():
+        parts.append(LawElsewhere(model, *found))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
-    return parts + [addition.part(model) for addition in model.parts]
+    return parts
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:

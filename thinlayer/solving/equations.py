@@ -18,7 +18,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import LooseBody
-from thinlayer.parts.making import body_parts, diagonal_at_rest, other_parts
+from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENTS, Interval
 from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
@@ -36,12 +36,14 @@ from thinlayer.solving.uniqueness import RigidMotions
 class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
 
-    If supports are inclined or plates are rigid, others take the place of the displacements, see `Substitution`.
+    If supports are inclined, plates are rigid, or some displacements follow others, there are other unknowns in place of the
+    displacements, see `Substitution`.
 
     The constructor and all methods are collective.
 
     Attributes:
         parts, traits, failed: as in `PartSum`.
+        layers: the parts of the layers.
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
@@ -61,7 +63,8 @@ class Equations(PartSum):
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
         self._kept = kept = Kept.of(model)
         kept.bodies = kept.bodies or body_parts(model)
-        self._own_parts = other_parts(model, self.history.held, kept.bodies)
+        self.layers = layer_parts(model, self.history.held, kept.bodies)
+        self._own_parts = [*self.layers, *(addition.part(model) for addition in model.parts)]
         super().__init__([*kept.bodies, *self._own_parts])
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}
@@ -71,7 +74,7 @@ class Equations(PartSum):
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
         ties = {part.key: part.tie for part in self._with_own if part.tie is not None}
         frames = model.prescribed.frames
-        self.substitution = Substitution(self._layout, frames, ties) if ties or frames is not None else None
+        self.substitution = Substitution(self._layout, frames, ties, model.followers) if model.substituted else None
         held, _ = self._prescribed(None)
         self.held, self._held_order = np.unique(
             held.astype(np.int32), return_index=True
@@ -247,6 +250,16 @@ class Equations(PartSum):
         """The forces of the present step that are given, as those on the unknowns; the caller destroys the vector."""
         return self._on_unknowns(self.external, [part.own_load() for part in self._with_own])
 
+    def on_unknowns(self, forces: PETSc.Vec, *, own: bool) -> PETSc.Vec:
+        """Nodal forces as those on the unknowns, with the parts' own loads or not; the caller destroys the vector."""
+        return self._on_unknowns(forces, [part.own_load() * float(own) for part in self._with_own])
+
+    def configuration(self, x: PETSc.Vec) -> Configuration:
+        """The displacements of unknowns, and the parts' own fields, at the end of the present step."""
+        self._put(x)
+        fields = {part.key: part.own_result() for part in self._with_own}
+        return Configuration(self.u.copy(), self.interval.t, fields=fields)
+
     def given_forces_at(self, t: float) -> PETSc.Vec:
         """Loads and given forces of parts at a time, as those on the unknowns; the caller destroys the vector."""
         loads = self.history.loads_at(t)
@@ -290,6 +303,18 @@ class Equations(PartSum):
         if self.substitution:
             self.substitution.forces(rows)
         self._relative_residual = self.scale.relative(free_norm(self, out)) if self.traits.singular else 0.0
+
+    def nodal_residual(self, x: PETSc.Vec) -> npt.NDArray[np.float64]:
+        """(m,) internal forces less loads at the displacements of this rank, whatever the unknowns are in their place."""
+        out = self.vector()
+        self.residual(x, out)
+        out.destroy()
+        return np.asarray(self._forces.array_r.copy())
+
+    @property
+    def bodies(self) -> Sequence[Any]:
+        """The parts of the bodies."""
+        return self._kept.bodies
 
     def tangent(self) -> PETSc.Mat:
         """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.

@@ -62,11 +62,13 @@ class History:
         model: the model.
         table: a row for each accepted state: t, dt, iterations, residual, energy balance (`Audit`), observed values.
         states: row -> state, for the states that are kept.
+        theta: forces balance at t + theta dt of each step.
     """
 
     model: Model
     table: Table = field(default_factory=Table)
     states: dict[int, State] = field(default_factory=dict)
+    theta: float = 1.0
 
     def __repr__(self) -> str:
         span = f", t = {self.t[0]:g} to {self.t[-1]:g}" if self.table.rows else ""

@@ -68,7 +68,7 @@ class Journal:
         self.before: State | None = None
         self._checkpoint = Checkpoint(out, equations, self._mark(choices), 2 if directed else 1) if out else None
         self._written = 0
-        self.history, self.pace = History(self.model), pace
+        self.history, self.pace = History(self.model, theta=float(choices["theta"])), pace
 
     def _mark(self, choices: Mapping[str, Any]) -> str:
         """Fingerprint of the march. Of observing functions it contains the code, not values that they collect."""
@@ -84,7 +84,8 @@ class Journal:
         found = self._checkpoint.read(self._keep, resume) if self._checkpoint else None
         if not found:
             return False
-        self.history, self.pace = found
+        theta, (self.history, self.pace) = self.history.theta, found
+        self.history.theta = theta
         self._written = len(self.history)
         states, last = self.history.states, len(self.history) - 1
         if self._directed:

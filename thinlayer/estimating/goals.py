@@ -1,0 +1,275 @@
+"""Goals: numbers that a user wants of a structure, whose change with the layer's law is estimated."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from forms import work as forms
+from forms.kinematics import Expr
+from geometry.errors import unknown
+from geometry.seam import S
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.state import State, displacements_of
+from thinlayer.discretisation.supports import Place
+from thinlayer.errors import ModelError
+from thinlayer.estimating.places import nodes_of_sides
+from thinlayer.output.locating import Located
+from thinlayer.output.probe import Probe
+from thinlayer.ranges.areas import Areas
+from thinlayer.solving.adjoint import Adjoint
+
+Array = npt.NDArray[np.float64]
+
+
+class Goal(ABC):
+    """A number Q of the displacements of a structure, the same for all of its models.
+
+    Attributes:
+        name: of the goal, in tables and sentences.
+    """
+
+    name: str
+
+    def check(self, model: InterfaceModel) -> None:
+        """Raise ModelError unless the goal suits the model. Not collective."""
+
+    @abstractmethod
+    def value(self, state: State, model: InterfaceModel) -> float:
+        """Q in a state; of another model its displacements are taken to the interface model. Collective."""
+
+    @abstractmethod
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """Nodal weights q and motions g of supports for which Q = q . u - g . r, see `Adjoint`. Collective.
+
+        Raises:
+            ModelError: there are none.
+        """
+
+
+def unit(direction: Sequence[float], dim: int, goal: str) -> Array:
+    """A direction (d,) of unit length.
+
+    Raises:
+        ModelError: it is none.
+    """
+    try:
+        found = np.array(direction, float)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (dim,) or not np.isfinite(found).all() or not found.any():
+        raise ModelError(f"{goal}: the direction is {direction!r}; give {dim} numbers, not all zero")
+    return np.asarray(found / np.linalg.norm(found))
+
+
+def _written(vector: Any) -> str:
+    """A vector in the name of a goal; as it is if it is none, which `check` refuses."""
+    try:
+        return f"({', '.join(f'{c:.4g}' for c in vector)})"
+    except (TypeError, ValueError):
+        return repr(vector)
+
+
+@dataclass(frozen=True)
+class Compliance(Goal):
+    """The work of the loads in the displacements, less that of the supports in their prescribed ones; an energy.
+
+    For linear models at rest before it is -2 times the potential energy.
+    """
+
+    name: str = field(default="compliance", init=False)
+
+    def value(self, state: State, model: InterfaceModel) -> float:
+        loads = state.energies()["loads"]
+        if not _moves(model):
+            return loads
+        if not state.model.linear or any(term.given is not None for term in state.model.terms):
+            raise ModelError(
+                "compliance of supports that move: laws are not linear, or there are eigenstrains; take a reaction"
+            )
+        return 2 * loads - state.audit.supplied  # by loads and supports together
+
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        return adjoint.of_loads(), adjoint.of_prescribed()
+
+
+def _moves(model: InterfaceModel) -> bool:
+    """Whether a support has displacements that are not zero."""
+    return any(callable(value) or value != 0 for _, given in model.supports.entries for value in given.values())
+
+
+@dataclass(frozen=True)
+class Reaction(Goal):
+    """The force that a place gives to the structure along a direction, see `State.reaction`.
+
+    Attributes:
+        place: as in `State.reaction`.
+        direction: (d,) not zero.
+    """
+
+    place: Place
+    direction: Sequence[float]
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Of the goal."""
+        return f"reaction {self.place} along {_written(self.direction)}"
+
+    def check(self, model: InterfaceModel) -> None:
+        unit(self.direction, model.joint.dim, self.name)
+
+    def value(self, state: State, model: InterfaceModel) -> float:
+        return float(state.reaction(self.place).force @ unit(self.direction, model.joint.dim, self.name))
+
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        model = adjoint.model
+        places = [str(place) for place, _ in model.supports.entries]
+        entries = [k for k, one in enumerate(places) if one == self.place or one.split("/")[0] == self.place]
+        if not entries:
+            raise ModelError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
+        return adjoint.nothing(), adjoint.of_reaction(entries, unit(self.direction, model.joint.dim, self.name))
+
+
+@dataclass(frozen=True)
+class MeanTraction(Goal):
+    """The mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
+
+    Attributes:
+        direction: (d,) not zero.
+        seam: name of the seam; "S" where there is one.
+    """
+
+    direction: Sequence[float]
+    seam: str = S
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Of the goal."""
+        of = "" if self.seam == S else f" {self.seam}"
+        return f"mean traction{of} along {_written(self.direction)}"
+
+    def check(self, model: InterfaceModel) -> None:
+        unit(self.direction, model.joint.dim, self.name)
+        if self.seam not in (S, *model.joint.seams):
+            raise ModelError(f"{self.name}: {unknown('seam', self.seam, model.joint.seams)}")
+
+    def value(self, state: State, model: InterfaceModel) -> float:
+        if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
+            raise ModelError(f"{self.name} of bonded bodies: their laws are not linear")
+        v, u = self._test(model), displacements_of(state, model)
+        given = state.bodies if state.model is model else model.bodies
+        works = [state.work(given, v)] if state.model.V is model.V else [forms.work(model.bodies, u, v)]
+        works += [-model.external_work(v, state.t)]
+        if model.parts:
+            works.append(model.added_work(u, v))
+        return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(one))) for one in works if one.integrals())
+
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        model = adjoint.model
+        if not all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies):
+            raise ModelError(f"{self.name}: there is no map of it, as a law of the bodies is not linear")
+        du, v = ufl.TestFunction(model.V), self._test(model)
+        return adjoint.of_form(forms.work(model.bodies, v, du)), adjoint.nothing()
+
+    def _test(self, model: InterfaceModel) -> fem.Function:
+        """Displacements in which the reactions of the bodies on the seam do the mean traction's work."""
+        e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
+        names = [self.seam] if self.seam != S else [*model.joint.seams]
+        area = sum(Areas(model.layers[name].sheet, model.kinematics).total for name in names)
+        v, count = fem.Function(model.V), fem.Function(model.V)
+        for name in names:
+            base = name in model.joint.base_seams
+            for factor, nodes in zip((-1.0, 1.0), nodes_of_sides(model, name), strict=True):
+                v.x.array.reshape(-1, d)[nodes] = factor * e / area * (1.0 if base else 0.5)
+                count.x.array.reshape(-1, d)[nodes] = 1.0
+        for f in (v, count):  # nodes that this rank sees, but another one has
+            f.x.scatter_reverse(la.InsertMode.add)
+            f.x.scatter_forward()
+        v.x.array[:] /= np.maximum(count.x.array, 1.0)
+        return v
+
+
+@dataclass(frozen=True)
+class Displacement(Goal):
+    """The displacement of a place along a direction.
+
+    Attributes:
+        x: (d,) the place, in the interface model.
+        direction: (d,) not zero.
+        side: of S, "lower" or "upper", for a place on S.
+        seam: the seam whose side is meant, as in `Probe`.
+    """
+
+    x: Sequence[float]
+    direction: Sequence[float]
+    side: str | None = None
+    seam: str = S
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Of the goal."""
+        side = f" {self.side}" if self.side else ""
+        return f"displacement at {_written(self.x)}{side} along {_written(self.direction)}"
+
+    def check(self, model: InterfaceModel) -> None:
+        unit(self.direction, model.joint.dim, self.name)
+        self._located(model)
+
+    def _located(self, model: InterfaceModel) -> Located:
+        found = Located.of(model.domain.joint, [self.x])
+        return found if self.side is None else found.on_side(self.side, self.seam)
+
+    def value(self, state: State, model: InterfaceModel) -> float:
+        shown = replace(state, model=model, u=displacements_of(state, model))  # full models have their bodies elsewhere
+        u = Probe(shown).displacement(self.x, side=self.side, seam=self.seam)
+        return float(u @ unit(self.direction, model.joint.dim, self.name))
+
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        model, located, d = adjoint.model, self._located(adjoint.model), adjoint.model.joint.dim
+        e, V = unit(self.direction, d, self.name), model.V
+        original = model.domain.original_cells[: model.domain.mesh.topology.index_map(d).size_local]
+        mine = np.flatnonzero(original == located.cell[0])
+        dofs, values = np.empty(0, np.int64), np.empty(0)
+        if len(mine):
+            basis = V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0]
+            dofs = (V.dofmap.list[mine[0]][:, None] * d + np.arange(d)).ravel().astype(np.int64)
+            values = (basis[:, None] * e).ravel()
+        return adjoint.of_nodes(dofs, values), adjoint.nothing()
+
+
+@dataclass(frozen=True)
+class Functional(Goal):
+    """A UFL functional of one's own.
+
+    Attributes:
+        name: of the goal.
+        of: function (u, model) of the displacements and the interface model that returns a form without arguments, on the
+            model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`, ...
+    """
+
+    name: str
+    of: Callable[[Any, InterfaceModel], Expr]
+
+    def _form(self, u: fem.Function, model: InterfaceModel) -> Expr:
+        form = self.of(u, model)
+        if not isinstance(form, ufl.Form) or form.arguments():
+            raise ModelError(f"the goal {self.name!r} is {form!r:.80}; it must be a UFL form without test functions")
+        return form
+
+    def value(self, state: State, model: InterfaceModel) -> float:
+        form = self._form(displacements_of(state, model), model)
+        return float(model.comm.allreduce(fem.assemble_scalar(compiled(form))))
+
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        u = adjoint.state.u
+        derivative = ufl.derivative(self._form(u, adjoint.model), u, ufl.TestFunction(adjoint.model.V))
+        return adjoint.of_form(derivative), adjoint.nothing()

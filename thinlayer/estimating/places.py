@@ -1,0 +1,110 @@
+"""Places on S: how far they are from free ends, nodes of its sides, and densities from values at nodes."""
+
+from __future__ import annotations
+
+import basix
+import numpy as np
+import ufl
+from scipy.spatial import cKDTree
+
+from forms.kinematics import Expr
+from geometry.inflating.parting import points_on_middle
+from geometry.joint import Joint
+from geometry.sheet import Rim
+from geometry.topology import FloatArray, IntArray
+from thinlayer.compiling.compat import interpolation_points
+from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.joint_fields import cellwise
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.seams import SeamLayer, seam_entities
+from thinlayer.output.surface_density import SurfaceDensity
+from thinlayer.parts.part import DISPLACEMENTS
+from thinlayer.solving.adjoint import Adjoint
+
+NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tractions and jumps are not estimated
+SAME_PLACE = 1e-9  # distance of two places that are one, over the size of the joint
+
+
+def distance_to(joint: Joint, rim: Rim, x: FloatArray) -> FloatArray:
+    """Distances (n,) of places x (n, d) from the ridges of a rim: points in 2D, straight edges in 3D."""
+    found = np.full(len(x), np.inf)
+    for first, last in joint.points[rim.vertices][:, [0, -1]]:
+        along = last - first
+        square = float(along @ along)
+        share = np.clip((x - first) @ along / square, 0.0, 1.0) if square else np.zeros(len(x))
+        found = np.minimum(found, np.linalg.norm(x - first - share[:, None] * along, axis=1))
+    return found
+
+
+def away_from_ends(model: InterfaceModel, one: SeamLayer, length: float) -> Expr:
+    """1 on the part of a seam that is farther than a length from its free ends, 0 elsewhere. Collective."""
+    joint, rim = model.joint, free_rim(model, one.sheet)
+    if not len(rim.vertices):
+        return ufl.as_ufl(1.0)
+    vertices = np.unique(one.sheet.vertices)
+    values = np.zeros(len(joint.points))
+    values[vertices] = distance_to(joint, rim, joint.points[vertices])
+    distance = cellwise(model.domain, ("Lagrange", 1), values[joint.corners][..., None])
+    return ufl.conditional(ufl.gt(model.sides_of(one.name).upper(distance), length), 1.0, 0.0)
+
+
+def density_of(adjoint: Adjoint, summands: dict[str, FloatArray]) -> SurfaceDensity:
+    """The density of summands at nodes (`Adjoint.summands`): each is shared by the vertices of its cell. Collective."""
+    model = adjoint.model
+    joint = model.joint
+    vertices = np.unique(np.concatenate([one.sheet.vertices.ravel() for one in model.layers.values()]))
+    sums = np.zeros(len(joint.points))
+    _add_nodal(sums, model, summands[DISPLACEMENTS])
+    for part in adjoint.equations.layers:
+        if part.field is not None and part.key in summands:
+            x = part.field.function_space.tabulate_dof_coordinates()[: part.own_size, : joint.dim]
+            near, number = cKDTree(points_on_middle(model.domain.joint)[vertices]).query(x)
+            assert (near <= SAME_PLACE * np.ptp(joint.points)).all()
+            np.add.at(sums, vertices[number], summands[part.key])
+    return SurfaceDensity(model, vertices, model.comm.allreduce(sums)[vertices])
+
+
+def _add_nodal(sums: FloatArray, model: InterfaceModel, values: FloatArray) -> None:
+    """Add values (m,) at the displacements of this rank to the vertices of the joint, by functions of degree 1."""
+    V, joint = model.V, model.joint
+    d = V.dofmap.bs
+    of_nodes = values.reshape(-1, d).sum(axis=1)
+    dofs = np.asarray(V.dofmap.list)
+    nodes, first = np.unique(dofs.ravel(), return_index=True)
+    owned = nodes < len(of_nodes)
+    cell, place = np.divmod(first[owned], dofs.shape[1])
+    element = basix.create_element(basix.ElementFamily.P, basix.CellType[joint.cell_type], 1)
+    shares = element.tabulate(0, interpolation_points(V))[0, :, :, 0]
+    corners = joint.corners[model.domain.original_cells[cell]]
+    np.add.at(sums, corners, shares[place] * of_nodes[nodes[owned], None])
+
+
+def nodes_of_sides(model: InterfaceModel, name: str) -> tuple[IntArray, IntArray]:
+    """Local nodes of the displacements on the upper and on the lower side of a seam (on a rigid base: none). Collective.
+
+    They are those that this rank's facets have, ghosts included.
+    """
+    domain, d, dofmap = model.domain, model.joint.dim, model.V.dofmap
+    if name in model.joint.base_seams:
+        entities = _on_boundary(model, domain.facets(name).astype(np.int64))
+    else:
+        entities = seam_entities(domain, name).astype(np.int64)
+    sides = []
+    for first in (0, 2):
+        found = [
+            dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_closure_dofs(d - 1, facet)]
+            for cell, facet in entities[:, first : first + 2]
+        ]
+        sides.append(np.unique(np.concatenate([np.empty(0, np.int64), *found])).astype(np.int64))
+    return sides[0], sides[1]
+
+
+def _on_boundary(model: InterfaceModel, facets: IntArray) -> IntArray:
+    """(cell, local facet) of local facets on the boundary, (n, 2)."""
+    topology, d = model.domain.mesh.topology, model.joint.dim
+    topology.create_connectivity(d - 1, d)
+    topology.create_connectivity(d, d - 1)
+    to_cell, to_facet = topology.connectivity(d - 1, d), topology.connectivity(d, d - 1)
+    cells = [to_cell.links(facet)[0] for facet in facets]
+    local = [np.flatnonzero(to_facet.links(cell) == facet)[0] for cell, facet in zip(cells, facets, strict=True)]
+    return np.column_stack([cells, local]).astype(np.int64).reshape(-1, 2)

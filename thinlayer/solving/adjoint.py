@@ -1,0 +1,200 @@
+"""Adjoint: responses of a model at one of its equilibria to small forces and motions, with the transposed tangent there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import dolfinx.fem.petsc
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from forms.kinematics import Expr
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.state import Configuration, State, displacements_of
+from thinlayer.parts.making import layer_parts
+from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
+from thinlayer.solving.equations import Equations
+from thinlayer.solving.linear_solvers import linear_solvers, mark, solve_linear
+from thinlayer.solving.options import OptionValue, defaults, value_of
+from thinlayer.solving.part_sum import PartSum
+
+Array = npt.NDArray[np.float64]
+
+
+class Adjoint:
+    """Weights z of a goal Q at an equilibrium u_1 of an interface model: K_1^t z = Q', z = g where displacements are held.
+
+    A goal is Q(u) = q . u - g . r(u), with nodal weights q, the reactions r of what holds the model, and motions g of it.
+    Let another law of the layer have the forces F_0 at S, and its equilibrium u_0 under the same loads; those of this law
+    are F_1. If both are linear and symmetric then exactly
+
+        Q(u_1) - Q(u_0) = -z . (F_1(u_0) - F_0(u_0)),
+
+    a sum over the nodes of S; otherwise it holds to first order in the difference. Use it in a `with` statement.
+
+    Args:
+        state: u_1.
+        old: the configuration from which it was found in one step; None: from rest at its time.
+        options: PETSc options of the solve of u_1, as in `solve`; its factor is then used again if the model is linear.
+    """
+
+    def __init__(
+        self, state: State, old: Configuration | None = None, options: Mapping[str, OptionValue] | None = None
+    ) -> None:
+        assert isinstance(state.model, InterfaceModel)
+        self.state, self.model = state, state.model
+        self.equations = equations = Equations(self.model)
+        self._given = dict(options or {})
+        self._x, self._r = equations.vector(), equations.vector()
+        self._interval = self._between(state, old)
+        equations.begin(self._interval)
+        equations.put_state(state, self._x)
+        equations.residual(self._x, self._r)
+        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
+        self._options = {**linear[0], **self._given}
+        self._tangent: PETSc.Mat | None = None
+        if not (self.model.linear and self.model.symmetric and equations.factor.of == (0.0, 1.0)):
+            A = equations.tangent()
+            self._tangent = A.copy()
+            equations.hold(A)
+            mark(A, self.model, saddle=equations.traits.saddle)
+            with defaults(self._options):
+                equations.factor.renew(A, None, equations.tell)
+
+    def _between(self, state: State, old: Configuration | None) -> Interval:
+        begun = self.equations.rest(state.t) if old is None else old
+        return Interval(begun, state.t, state.t - begun.t, 1.0)
+
+    def __enter__(self) -> Adjoint:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for thing in (self._x, self._r, self._tangent):
+            if thing is not None:
+                thing.destroy()
+        self.equations.destroy()
+
+    # ---------------------------------------------------------------- goals, as vectors of unknowns to be destroyed
+    def nothing(self) -> PETSc.Vec:
+        """Zero."""
+        return self.equations.vector()
+
+    def of_form(self, form: Expr) -> PETSc.Vec:
+        """The values q of a UFL form that is linear in a test function of the model's displacements."""
+        forces = dolfinx.fem.petsc.assemble_vector(compiled(form))
+        forces.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        return self._on_unknowns(forces)
+
+    def of_nodes(self, dofs: npt.NDArray[np.int64], values: Array) -> PETSc.Vec:
+        """Weights q (n,) at displacements (n,), local numbers that one rank gives, ghosts included."""
+        f, forces = fem.Function(self.model.V), self.equations.u.x.petsc_vec.duplicate()
+        np.add.at(f.x.array, dofs, values)
+        f.x.scatter_reverse(la.InsertMode.add)
+        forces.array[:] = f.x.array[: self.equations.n_displacements]
+        return self._on_unknowns(forces)
+
+    def of_loads(self) -> PETSc.Vec:
+        """The loads as weights q, those of plates included."""
+        return self.equations.on_unknowns(self.equations.loads, own=True)
+
+    def of_prescribed(self) -> PETSc.Vec:
+        """Motions g: the displacements that supports prescribe."""
+        g = self.nothing()
+        g.array[self.equations.held] = self.equations.prescribed
+        return g
+
+    def of_reaction(self, entries: Sequence[int], direction: Array) -> PETSc.Vec:
+        """Motions g for which -g . r is the force along a direction (d,) of some supports, by number of their entries."""
+        moved = -self.model.prescribed.dual_to_resultant(entries, direction)
+        forces = self.equations.u.x.petsc_vec.duplicate()
+        forces.array[:] = moved
+        return self._on_unknowns(forces)
+
+    def _on_unknowns(self, forces: PETSc.Vec) -> PETSc.Vec:
+        found = self.equations.on_unknowns(forces, own=False)
+        forces.destroy()
+        return found
+
+    # ---------------------------------------------------------------- weights
+    def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
+        """The weights z, as displacements and the layers' own fields; q and g are destroyed."""
+        equations, held = self.equations, self.equations.held
+        z, out = equations.vector(), equations.vector()
+        g.array[np.setdiff1d(np.arange(g.getLocalSize()), held)] = 0.0
+        if g.norm():
+            self._times(g, out)
+            q.axpy(-1.0, out)
+        q.array[held] = 0.0
+        ksp = equations.factor.ksp
+        assert ksp is not None
+        with defaults(self._options):
+            if self.model.symmetric:
+                solve_linear(ksp, q, z)
+            else:
+                ksp.solveTranspose(q, z)
+        z.array[held] = g.array_r[held]
+        found = equations.configuration(z)
+        for thing in (q, g, z, out):
+            thing.destroy()
+        return found
+
+    def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
+        """K^t x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
+        if self._tangent is not None:
+            self._tangent.multTranspose(x, out)
+            return
+        zero, at_zero = self.equations.vector(), self.equations.vector()
+        self.equations.residual(x, out)
+        self.equations.residual(zero, at_zero)
+        out.axpy(-1.0, at_zero)
+        zero.destroy()
+        at_zero.destroy()
+
+    # ---------------------------------------------------------------- forces of the layers
+    def summands(self, z: Configuration, other: State, old: Configuration | None = None) -> dict[str, Array]:
+        """The summands of -z . (F_1(u_0) - F_0(u_0)): (m,) at the displacements of this rank ("u"), and at own unknowns.
+
+        The layers' own fields, such as pressures, are those of u_1.
+
+        Args:
+            z: weights.
+            other: u_0, of an interface model of the same mesh, or of bonded bodies.
+            old: as of the constructor, for u_0.
+        """
+        equations, u = self.equations, displacements_of(other, self.model)
+        equations.put_state(self.state, self._x)
+        if isinstance(other.model, InterfaceModel):
+            theirs = layer_parts(other.model, equations.history.held, equations.bodies)
+            before = self._forces(theirs, other, u, self._between(other, old))
+            for part in theirs:
+                part.destroy()
+        else:
+            equations.put_state(Configuration(u, other.t, fields=self.state.fields), self._x)
+            total = equations.nodal_residual(self._x)
+            equations.put_state(self.state, self._x)
+            before = self._forces(equations.layers, self.state, u, self._interval) - total
+            before[equations.history.held] = 0.0
+        after = self._forces(equations.layers, self.state, u, self._interval)
+        with_own = [part for part in equations.layers if part.field is not None]
+        own = {part.key: -part.own_start(z) * part.own_residual() for part in with_own}
+        return {DISPLACEMENTS: -z.u.x.array[: len(after)] * (after - before), **own}
+
+    def _forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
+        """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
+        out = self.equations.u.x.petsc_vec.duplicate()
+        out.set(0.0)
+        if not parts:
+            return np.asarray(out.array_r.copy())
+        layers = PartSum(parts)
+        layers.begin_parts(interval)
+        for part in parts:
+            if part.field is not None:
+                part.field.x.array[: part.own_size] = part.own_start(state)
+                part.field.x.scatter_forward()
+        layers.forces(u, u, out)
+        found = out.array_r.copy()
+        out.destroy()
+        return np.asarray(found)
