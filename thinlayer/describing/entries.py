@@ -17,7 +17,7 @@ Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
 
 PLANES = ("strain", "stress", "axisymmetric")
-ELEMENTS = ("P2", "Q2", "S2")  # an interface law of order 1 needs degree 2
+ELEMENTS = ("P2", "Q2", "S2")  # of degree 2, as interface laws of order 1 need it
 LAW = "the parameters of a law, such as E and nu"
 GOALS = {
     "compliance": {},
@@ -184,6 +184,16 @@ def load(section: Section) -> Force:
     if "body" in section.values:
         found["body"] = section.text("body")
     return Force(found, section.where())
+
+
+def element(section: Section) -> str | None:
+    """The finite element, of degree 2; None: not given."""
+    name = section.text("element")
+    if name not in (None, *ELEMENTS):
+        section.refuse(
+            f"{name} is not of degree 2, which the better law needs; allowed: {', '.join(ELEMENTS)}", "element"
+        )
+    return name
 
 
 def times(section: Section) -> tuple[float, ...]:
