@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from geometry.inflating.bands import Copies
 from geometry.joint import Joint
-from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
-from geometry.topology import BITS, BoolArray, FacetTable, IntArray
+from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE
+from geometry.topology import BITS, BoolArray, FacetTable, IntArray, ridge_keys, ridges
 
 
 def moved_facets(
-    joint: Joint, copies: Copies, layers: IntArray, n_bands: int, footprint: IntArray, gaps: Sequence[str]
+    joint: Joint, copies: Copies, layers: IntArray, n_bands: int, footprint: IntArray, filled: BoolArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
     """Facet sets of the inflated joint, and the names of those between bodies and layers.
 
@@ -24,24 +23,27 @@ def moved_facets(
         layers: vertices of the layers' cells, those of bands first.
         n_bands: number of the latter.
         footprint: node of S below or above each node.
-        gaps: names of seams without cells.
+        filled: (n_S,) which facets of S have cells.
     """
     vertices = joint.table.vertices[joint.surface_rows]
     order = np.argsort(joint.surface[:, : vertices.shape[1]], axis=1)
     above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
     on_base = joint.surface_cells[:, 0] < 0
-    filled = ~np.isin(joint.seam_numbers, [list(joint.seams).index(name) for name in gaps])
     out: dict[str, IntArray] = {}
     for number, seam in enumerate(joint.seams):
         here, prefix = joint.seam_numbers == number, "" if len(joint.seams) == 1 else f"{seam}/"
         out[f"{prefix}{UPPER_FACE}"] = above[here]
         if not on_base[here].any():
             out[f"{prefix}{LOWER_FACE}"] = below[here]
+    gaps = [name for number, name in enumerate(joint.seams) if not filled[joint.seam_numbers == number].any()]
     faces = tuple(name for name in out if name.split("/")[0] not in gaps)
     if (on_base & filled).any():
         out[BASE] = below[on_base & filled]
     sides, of_band = _side_faces(layers, n_bands, joint.cell_type, np.concatenate([above[filled], below[filled]]))
     stands = footprint[sides]
+    at_cut = np.isin(_ridges(stands, joint.dim), _cut(joint, filled)).any(axis=1)
+    if at_cut.any():
+        out[CUT] = sides[at_cut]
     ridges, upright = _ridges(stands, joint.dim), (stands == stands[:, :1]).all(axis=1)
     for name, facets in joint.facets.items():
         if name in joint.seams:
@@ -55,6 +57,18 @@ def moved_facets(
         if continued.any():
             out[f"{name}/{LAYER}"] = sides[continued]
     return out, faces
+
+
+def _cut(joint: Joint, filled: BoolArray) -> IntArray:
+    """Keys of the ridges of S between facets with cells and facets of the same seam without."""
+    found = []
+    for number in range(len(joint.seams)):
+        here = joint.seam_numbers == number
+        with_cells, without = (
+            ridge_keys(ridges(joint.surface[here & some], joint.cell_type)[0]) for some in (filled, ~filled)
+        )
+        found.append(np.intersect1d(with_cells, without))
+    return np.concatenate(found)
 
 
 def _side_faces(layers: IntArray, n_bands: int, cell_type: str, faces: IntArray) -> tuple[IntArray, BoolArray]:

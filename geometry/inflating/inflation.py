@@ -12,13 +12,13 @@ from geometry.inflating.bands import Copies, Footing, Posts, band_cells, posts_o
 from geometry.inflating.blocks import Filled, fill
 from geometry.inflating.faces import moved_facets
 from geometry.inflating.junctions import Corners, are_filled, common_normals, junction_posts, junctions_of, polyhedra_of
-from geometry.inflating.layering import Layering, check_junctions, check_layering, claims_of
+from geometry.inflating.layering import Layering, check_junctions, check_layering, claims_of, facets_with_cells
 from geometry.inflating.motion import NOT_KEPT, UNIFORM, extended_motion, face_motion, kept_motion
 from geometry.inflating.room import is_swept, require_apart, require_room
 from geometry.joint import Band, Joint, Profile
 from geometry.periodic import repeated, require_inside
 from geometry.seam import JUNCTIONS, LAYER
-from geometry.topology import FloatArray, IntArray, node_jacobians
+from geometry.topology import BoolArray, FloatArray, IntArray, node_jacobians
 
 
 def inflate(
@@ -31,6 +31,7 @@ def inflate(
     bodies: str = "kept",
     junctions: Sequence[str] = (),
     gaps: Sequence[str] = (),
+    meshed: BoolArray | None = None,
 ) -> Joint:
     """Open S into meshed layers.
 
@@ -54,6 +55,8 @@ def inflate(
         gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the end
             of a gap go on: the junction there is filled as others are. It is empty where two neighbouring seams are gaps:
             the body between them would touch its cells at a corner only.
+        meshed: (n_S,) which facets of S, in the order of `joint.surface`, get cells; at the others the thickness is left
+            empty between the bodies, and the sides of cells where they begin are named "LAYER/CUT". None: all facets do.
 
     Returns:
         A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
@@ -70,7 +73,8 @@ def inflate(
             inside out, layers
             that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, of an odd number of
             cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three layers there;
-            bodies that touch at a vertex, or along an edge, only; gaps alone.
+            bodies that touch at a vertex, or along an edge, only; gaps alone; facets without cells where S branches, or
+            all of them.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
@@ -81,6 +85,7 @@ def inflate(
     periods, joint = joint.periods, replace(joint, periods=None)
     fixed = np.unique(np.concatenate(periods.pairs)) if periods else np.empty(0, np.int64)
     claims = claims_of(joint, junctions, gaps)
+    with_cells = facets_with_cells(joint, gaps, meshed)
     layers = Layering.of(joint, eps, profile, cells_through, fractions)
     copies = Copies.of(joint)
     posts, footing = posts_of(joint, copies, layers.heights)
@@ -96,7 +101,7 @@ def inflate(
     footprint = np.concatenate([np.arange(len(joint.points)), copies.new, np.empty(posts.size, np.int64)])
     motion[nodes], footprint[nodes] = moved, below
 
-    bands, names = _bands(joint, posts, footing, layers, claims)
+    bands, names = _bands(joint, posts, footing, layers, claims, with_cells)
     between = _Cells.empty(joint)
     if len(meetings.of):
         filled = fill(joint, posts, meetings, around, copied, footprint[: len(copied)])
@@ -115,7 +120,7 @@ def inflate(
     cells = np.concatenate([copies.cells, in_layers])
     _check_cells(joint, points, cells, len(bands.cells))
     facets, faces = moved_facets(
-        joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint, gaps
+        joint, copies, in_layers[:, : joint.corners.shape[1]], len(bands.cells), footprint, with_cells
     )
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     opened = Joint(
@@ -219,7 +224,7 @@ def _numbers(n: int, *cells: IntArray) -> IntArray:
 
 
 def _bands(
-    joint: Joint, posts: Posts, footing: Footing, layers: Layering, claims: Sequence[str]
+    joint: Joint, posts: Posts, footing: Footing, layers: Layering, claims: Sequence[str], with_cells: BoolArray
 ) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
     """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face; not of gaps."""
     found: list[_Cells] = []
@@ -227,7 +232,7 @@ def _bands(
     first = len(joint.regions)
     for seam in [name for name in joint.seams if name in claims]:
         number = list(joint.seams).index(seam)
-        rows, fractions = np.flatnonzero(joint.seam_numbers == number), layers.fractions[seam]
+        rows, fractions = np.flatnonzero((joint.seam_numbers == number) & with_cells), layers.fractions[seam]
         cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
         whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)

@@ -12,7 +12,7 @@ from forms.base import is_finite
 from geometry.errors import GeometryError, place, unknown
 from geometry.inflating.bands import Posts, level_heights
 from geometry.joint import Joint, Profile
-from geometry.topology import FloatArray, IntArray
+from geometry.topology import BoolArray, FloatArray, IntArray
 
 WAYS = ("kept", "extended")
 Given = TypeVar("Given")
@@ -28,6 +28,26 @@ def claims_of(joint: Joint, junctions: Sequence[str], gaps: Sequence[str]) -> li
     if not claims:
         raise GeometryError("all seams are gaps: there is no layer to mesh; use the interface model")
     return claims
+
+
+def facets_with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | None) -> BoolArray:
+    """(n_S,) which facets of S get cells: those of `meshed`, None being all, that are in no gap.
+
+    Raises:
+        GeometryError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, where some
+            facets get none.
+    """
+    in_gaps = np.isin(joint.seam_numbers, [list(joint.seams).index(name) for name in gaps])
+    if meshed is None:
+        return np.asarray(~in_gaps)
+    chosen, n = np.asarray(meshed), len(joint.surface_rows)
+    if chosen.dtype != bool or chosen.shape != (n,):
+        raise GeometryError(f"meshed has shape {chosen.shape} and type {chosen.dtype}; it needs {n} truth values")
+    if joint.seams_meet and not chosen.all():
+        raise GeometryError("S branches, or seams meet: all facets of S get cells, as those at junctions need them")
+    if not (found := chosen & ~in_gaps).any():
+        raise GeometryError("no facet of S gets cells: there is no layer to mesh; use the interface model")
+    return np.asarray(found)
 
 
 def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:

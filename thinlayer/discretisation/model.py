@@ -25,6 +25,7 @@ from geometry.topology import is_tensor
 from thinlayer.discretisation.addition import check_additions
 from thinlayer.discretisation.eigenstrains import given_strain
 from thinlayer.discretisation.family import Family
+from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
@@ -83,6 +84,7 @@ class Model(ABC):
         coordinates: place and time as arguments of given strains; loads and supports have their own.
         centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
         broken: whether displacements jump across S.
+        followers: displacements that follow others; None: none does.
         mark: hash of the data, equal on all ranks.
         family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
         made_from: description, as JSON, of the data at the time the model was built.
@@ -90,6 +92,7 @@ class Model(ABC):
 
     name: ClassVar[str]
     broken: ClassVar[bool] = False
+    followers: Followers | None = None
 
     def __init__(self, structure: Setup, layer: object, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
@@ -244,6 +247,10 @@ class Model(ABC):
     def _layer_terms(self) -> list[forms.Term]:
         """The terms of the layer's law."""
 
+    def law_elsewhere(self) -> tuple[Model, list[forms.Term]] | None:
+        """Terms of interface laws where a layer is not meshed, and the model that they are of; None: there are none."""
+        return None
+
     # ---------------------------------------------------------------- other models of the family
     def with_loads(
         self,
@@ -299,6 +306,15 @@ class Model(ABC):
             vars(new).pop(name, None)
         self.family.several = True
         return new
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences for the log: what was chosen that the user left open."""
+        return []
+
+    def free_ends(self, name: str) -> str | None:
+        """Why the layer of a seam is taken for an infinite one at its free ends; None: it is not."""
+        return None
 
     # ---------------------------------------------------------------- spaces
     @cached_property
@@ -415,8 +431,12 @@ class Model(ABC):
 
     @property
     def substituted(self) -> bool:
-        """Whether solvers have other unknowns than displacements: supports are inclined, or parts of the boundary rigid."""
-        return self.prescribed.frames is not None or any(part.ties_nodes for part in self.parts)
+        """Whether solvers have other unknowns than displacements.
+
+        Supports are inclined, parts of the boundary rigid, or displacements follow others.
+        """
+        tied = self.followers is not None or any(part.ties_nodes for part in self.parts)
+        return tied or self.prescribed.frames is not None
 
     @property
     def break_times(self) -> set[float]:

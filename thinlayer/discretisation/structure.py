@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from thinlayer.discretisation.kinds import BondedModel, FullModel, InterfaceModel
-from thinlayer.discretisation.layer import Layers
+from thinlayer.discretisation.layer import Layers, ThinLayer
+from thinlayer.discretisation.mixed import MixedModel, Where
 from thinlayer.discretisation.setup import Setup
 
 
@@ -82,6 +83,21 @@ class Structure(Setup):
             ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
         """
         return InterfaceModel(self, layer, bodies=bodies)
+
+    def mixed(self, layer: ThinLayer, *, where: Where, bodies: str = "kept", cells_through: int = 4) -> MixedModel:
+        """The model whose layer is meshed on a part of S and replaced by its interface law on the rest. Collective.
+
+        Args:
+            layer: a layer with a linear law; its order is that of the interface law.
+            where: the part of S where the layer is meshed, a function of places x (d, n) before inflating that returns n
+                truth values, asked at the centres of the facets of S; or these values, (n_S,), as
+                `Surface.most_of` gives them.
+            bodies, cells_through: as in `full`.
+
+        Raises:
+            ModelError, GeometryError, LawError: says what cannot be built, where, and what is allowed.
+        """
+        return MixedModel(self, layer, where, bodies=bodies, cells_through=cells_through)
 
     def bonded(self) -> BondedModel:
         """The model without a layer: bodies perfectly bonded on S (on a rigid base S does not move). Collective.

@@ -14,6 +14,7 @@ from forms.kinematics import Expr
 from geometry.parallel import on_root
 from geometry.seam import S
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
+from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.pressure_report import columns_of_pressure
@@ -63,6 +64,8 @@ def compare(
         raise ModelError(f"compare: at is {at!r}; give a time, a finite number")
     full, interface = (_state(one, at) for one in (full, interface))
     meshed, limit = full.model, interface.model
+    if isinstance(limit, MixedModel):
+        limit = limit.by_law
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise ModelError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
     if full.model.joint is not interface.model.joint:
@@ -90,7 +93,7 @@ def compare(
         by_law = field(interface)
         sizes[name] = surface.norm(by_law, part)
         row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if sizes[name] else math.nan
-    return row | sizes | columns_of_pressure(interface, seam)
+    return row | sizes | (columns_of_pressure(interface, seam) if interface.model is limit else {})
 
 
 def _state(one: State | History, at: float | None) -> State:

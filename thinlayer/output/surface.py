@@ -11,15 +11,18 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from forms.base import is_number
 from forms.interface import Interface
 from forms.kinematics import Expr, layer_frame, lift
 from geometry.errors import unknown
 from geometry.order import order_on_s
 from geometry.seam import S
 from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.errors import ModelError
+from thinlayer.output.concentration import most_of, sums_on_facets, widened
 from thinlayer.output.junction_tractions import JunctionTractions
 from thinlayer.output.lines import Line, Plane, lines_on
 from thinlayer.output.other_side import OtherSide
@@ -35,7 +38,7 @@ class Surface:
     Those of a full model are transferred to the spaces of the interface model.
 
     Attributes:
-        model: an interface model.
+        model: an interface model (of a mixed model given, its own one).
         seam: name of a seam of its joint; "S": all of them.
 
     Raises:
@@ -46,6 +49,8 @@ class Surface:
     seam: str = S
 
     def __init__(self, model: Model, seam: str = S) -> None:
+        if isinstance(model, MixedModel):
+            model = model.by_law
         if not isinstance(model, InterfaceModel):
             hint = ": give the state's model" if isinstance(model, State) else ""
             raise ModelError(f"Surface needs an interface model, not {short(model)}{hint}")
@@ -210,3 +215,21 @@ class Surface:
         """L2 norm over S of a vector expression, or of one of another shape, weighted with `where`. Collective."""
         f = self._expression(f)
         return float(np.sqrt(self.integral(self._expression(where, ()) * ufl.inner(f, f))))
+
+    def most_of(self, f: Expr, all_but: float, *, margin: float = 0.0) -> npt.NDArray[np.bool_]:
+        """(n_S,) the fewest facets of S that hold the integral of |f| but for a share, for `Structure.mixed`. Collective.
+
+        Args:
+            f: scalar expression on S, such as `Estimate.map` gives.
+            all_but: the share that the others may hold, from 0 to less than 1.
+            margin: length by which the part of S that is chosen is made wider.
+
+        Raises:
+            ModelError: a number out of range; an integral that is zero, or not finite; where seams meet.
+        """
+        if not is_number(margin) or not 0 <= margin < np.inf:
+            raise ModelError(f"margin is {margin!r}; it must be a length >= 0")
+        if self.model.pairs:
+            raise ModelError("most_of needs seams that do not meet, as mixed models do")
+        sums = sums_on_facets(self.model, self.sides, self._expression(f, ()))
+        return widened(self.model, most_of(sums, all_but), margin)

@@ -16,6 +16,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
+from thinlayer.parts.law_elsewhere import LawElsewhere
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
@@ -54,6 +55,8 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         masters = joint.masters if joint.periods else None
         for p in constrained:
             parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
+    if found := model.law_elsewhere():
+        parts.append(LawElsewhere(model, *found))
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts

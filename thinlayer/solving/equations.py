@@ -36,7 +36,8 @@ from thinlayer.solving.uniqueness import RigidMotions
 class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
 
-    If supports are inclined or plates are rigid, others take the place of the displacements, see `Substitution`.
+    If supports are inclined, plates are rigid, or some displacements follow others, there are other unknowns in place of the
+    displacements, see `Substitution`.
 
     The constructor and all methods are collective.
 
@@ -73,7 +74,7 @@ class Equations(PartSum):
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
         ties = {part.key: part.tie for part in self._with_own if part.tie is not None}
         frames = model.prescribed.frames
-        self.substitution = Substitution(self._layout, frames, ties) if ties or frames is not None else None
+        self.substitution = Substitution(self._layout, frames, ties, model.followers) if model.substituted else None
         held, _ = self._prescribed(None)
         self.held, self._held_order = np.unique(
             held.astype(np.int32), return_index=True

@@ -57,11 +57,12 @@ class ReactionSums:
 
     def _resultants(self, r: PETSc.Vec, *, layers: bool = True) -> Array:
         """Forces and moments for nodal forces r less loads; of layers on bases if asked for."""
-        model = self.model
-        rows = [model.prescribed.resultants(r.array_r, self._motions)]
-        for R in self.substitution.ties.values() if self.substitution else ():
+        model, given = self.model, self.substitution
+        forces = given.passed_on(r.array_r) if given else r.array_r
+        rows = [model.prescribed.resultants(forces, self._motions)]
+        for R in given.ties.values() if given else ():
             tied = np.diff(R.indptr) > 0
-            rows.append((r.array_r[tied] @ self._motions[tied])[None])
+            rows.append((forces[tied] @ self._motions[tied])[None])
         first = len(model.supports.entries) + len(rows) - 1
         for name in model.holders[first:]:
             on_base = r.duplicate()

@@ -79,7 +79,7 @@ class RigidMotions:
         of_pieces = _of_pieces(motions, piece, len(self._names))
         shown = scipy.sparse.hstack([of_pieces, *(-R for R in ties)], format="csr")
         y = (given.Q.T @ shown).tocsr()
-        held = self.held[self.held < n]
+        held = np.setdiff1d(self.held[self.held < n], given.following)  # these move as what they follow does
         rows = np.asarray(y[held].todense())
         gram = rows.T @ rows
         first = of_pieces.shape[1]

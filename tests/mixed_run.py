@@ -1,0 +1,60 @@
+"""Numbers of mixed models, printed as JSON; run on several ranks by the tests."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from mpi4py import MPI
+
+from forms import LinearElastic
+from geometry import sandwich
+from thinlayer import Structure, Surface, ThinLayer, solve
+
+BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(40.0, 0.3)
+EPS = 1 / 8
+
+
+def near_ends(x):
+    return abs(x[0] - 0.5) > 0.5 - 2 * EPS
+
+
+def plane(cell: str) -> Structure:
+    joint = sandwich(1.0, 0.5, 0.4, h=1 / 4, h_S=1 / 16, cell=cell)
+    return Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -1.0)})
+
+
+def space(cell: str) -> Structure:
+    """Rollers hold nodes at the cuts, too."""
+    joint = sandwich(1.0, 0.4, 0.3, depth=0.25, h=1 / 4, cell=cell)
+    supports = {"BOTTOM": 0.0, "FRONT": {"z": 0.0}, "BACK": {"z": 0.0}}
+    return Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.3, -1.0, 0.1)})
+
+
+def numbers() -> dict[str, float]:
+    found: dict[str, float] = {}
+    for structure, bodies in (
+        (plane("triangle"), "kept"),
+        (plane("quadrilateral"), "extended"),
+        (space("hexahedron"), "kept"),
+    ):
+        layer = ThinLayer(LAYER, EPS, order=1)
+        model = structure.mixed(layer, where=near_ends, bodies=bodies.replace("space", "kept"), cells_through=2)
+        state, surface = solve(model), Surface(model)
+        name = structure.joint.cell_type
+        held = sum(one.force for one in state.reactions_by_place().values())
+        found |= {
+            f"{name} loads": state.energies()["loads"],
+            f"{name} layer": state.energies()["layer"],
+            f"{name} bodies": state.energies()["bodies"],
+            f"{name} traction": surface.norm(surface.traction(state)),
+            f"{name} jump": surface.norm(surface.jump(state)),
+            f"{name} unbalanced": float(np.abs(held + state.applied().force).max()),
+        }
+    return found
+
+
+if __name__ == "__main__":
+    values = numbers()
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(values))
