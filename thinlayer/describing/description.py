@@ -76,7 +76,7 @@ class Description:
             tuple(entries.load(one) for one in section.tables("loads", "place and force, or first, second and force")),
             section.text("plane", entries.PLANES),
             entries.element(section),
-            section.text("bodies", ("kept", "extended")) or "kept",
+            entries.bodies(section),
             entries.times(section),
             goals,
             entries.tolerance(section, [*entries.ALWAYS, *(goals or ["compliance"])]),

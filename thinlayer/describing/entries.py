@@ -196,6 +196,11 @@ def element(section: Section) -> str | None:
     return name
 
 
+def bodies(section: Section) -> str:
+    """How bodies make room for the layer."""
+    return section.text("bodies", ("kept", "extended")) or "kept"
+
+
 def times(section: Section) -> tuple[float, ...]:
     """Times of steps; () if there are none."""
     times = section.values.get("times", ())
@@ -234,9 +239,10 @@ def tolerance(section: Section, quantities: list[str]) -> dict[str, float]:
     value = section.values.get("tolerance")
     if value is None:
         return {}
-    what = "the largest relative change that is allowed, such as 0.05"
-    if not isinstance(value, Mapping):
-        return {"traction": section.positive("tolerance", what)}
-    one = section.table("tolerance", f"quantities, each with {what}")
+    what = "the largest relative change that is allowed, between 0 and 1"
+    one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, "tolerance")
     one.allow(quantities, "quantity")
-    return {name: one.positive(name, what) for name in value}
+    for name in one.values:
+        if one.positive(name, what) >= 1:
+            one.refuse(f"{one.values[name]!r} is not < 1; it is {what}", name)
+    return {name: float(one.values[name]) for name in one.values}
