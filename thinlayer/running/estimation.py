@@ -45,16 +45,18 @@ def run(record: Record, asked: Asked) -> None:
         found[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)
     table = Table([{"instead": name, **row} for name, one in found.items() for row in _rows(one)])
     record.write("estimate.csv", table)
-    if case.units:
-        record.say("lengths in {}, stresses in {}".format(*case.units))
-    for name, one in found.items():
-        record.say("\n".join([QUESTIONS[name], *(f"  {sentence}" for sentence in one.sentences)]))
-    record.say(f"\n{table}\n")
     record.results = {
         name: {"sentences": one.sentences, "laws": one.laws, "cost": one.cost} for name, one in found.items()
     }
-    if case.tolerance:
-        _tell_thickness(record, case, [*found])
+    if case.units:
+        record.say("lengths in {}, stresses in {}".format(*case.units))
+    thicknesses = []
+    for name, one in found.items():
+        record.say("\n".join([QUESTIONS[name], *(f"  {sentence}" for sentence in one.sentences)]))
+        thicknesses += _thicknesses(record, case, name)
+    record.say(f"\n{table}\n")
+    if thicknesses:
+        record.write("thin_enough.csv", Table(thicknesses))
     for name, one in found.items():
         _draw(record, case, name, one)
 
@@ -82,23 +84,22 @@ def _rows(found: Estimate) -> list[dict[str, Any]]:
     ]
 
 
-def _tell_thickness(record: Record, case: Case, instead: list[str]) -> None:
-    """The thickness below which each quantity changes by less than its tolerance."""
+def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
+    """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
     layer: Any = case.layer
-    for name in instead:
-        for quantity, tolerance in case.tolerance.items():
-            if name == BOND and quantity == "jump":
-                continue  # bonded bodies have none
-            goal = goals.get(quantity, quantity)
-            try:
-                thin = thin_enough(case.structure, layer, tolerance, goal, bonded=name == BOND, bodies=case.bodies)
-                eps, told = thin.eps, str(thin)
-            except ModelError as error:  # an answer too: no thickness is thin enough
-                eps, told = math.nan, str(error)
-            rows.append({"instead": name, "quantity": quantity, "tolerance": tolerance, "eps": eps})
-            record.say(told if name == LAW else f"{told} (bodies bonded)")
-    record.write("thin_enough.csv", Table(rows))
+    for quantity, tolerance in case.tolerance.items():
+        if name == BOND and quantity == "jump":
+            continue  # bonded bodies have none
+        goal = goals.get(quantity, quantity)
+        try:
+            thin = thin_enough(case.structure, layer, tolerance, goal, bonded=name == BOND, bodies=case.bodies)
+            eps, told = thin.eps, str(thin)
+        except ModelError as error:  # an answer too: no thickness is thin enough
+            eps, told = None, str(error).removeprefix("thin_enough: ")
+        rows.append({"instead": name, "quantity": quantity, "tolerance": tolerance, "eps": eps})
+        record.say(f"  {told}")
+    return rows
 
 
 def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
@@ -107,7 +108,7 @@ def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
         try:
             density = found.density(goal)
         except ModelError as error:
-            record.say(f"no picture: {error}")
+            record.say(f"no picture of {goal}: {error}")
             continue
         file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"
         length = case.units[0] if case.units else ""
