@@ -49,12 +49,6 @@ class Dropped:
         return cls(case, eps, found, full)
 
     @property
-    def unknowns(self) -> int:
-        """Displacements of the model on S."""
-        dofmap = self.found.state.u.function_space.dofmap
-        return int(dofmap.index_map.size_global * dofmap.index_map_bs)
-
-    @property
     def truth(self) -> dict[str, float]:
         """Changes of traction and jump to meshed layers, relative, where the estimate tells them; of goals, absolute."""
         model = self.found.better.model
@@ -93,6 +87,11 @@ def solved(case: Case, model: Model) -> State | History:
     """The state of a model, or the history of the case's step."""
     with _unwarned():
         return march(model, [case.step]) if case.step else solve(model)
+
+
+def unknowns(model: Model) -> int:
+    """The number of displacements."""
+    return int(model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs)
 
 
 def last(found: State | History) -> State:
