@@ -17,9 +17,9 @@ ROUND = 9  # digits of places
 def along(one: Dropped) -> Table:
     """Changes of the normal components of t and [u] along S, and densities of the change of the compliance.
 
-    Bodies, loads and supports are linear and fixed, so that with L the loads, t_0, u_0 of the law of order 0, and u those
-    with meshed layers, L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for any v that is u_0 on the faces;
-    v is taken linear between them. Of the estimate the density is its own.
+    Bodies, loads and supports are linear and fixed. With L the loads, t_0, u_0 of the law of order 0 and u with meshed
+    layers, L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for any v that is u_0 on the faces; v is
+    linear between them. Of the estimate the density is its own.
 
     Args:
         one: two bodies in 2D, S between them on y = 0 at all x, linear laws, loads alone.
