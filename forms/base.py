@@ -1,8 +1,10 @@
-"""Shared by all packages here: base classes of errors, tests for numbers, names of the packages."""
+"""Shared by all packages here: base classes of errors, words for unknown names, tests for numbers, names of packages."""
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable
 from numbers import Real
 from typing import Any
 
@@ -15,6 +17,16 @@ class ThinlayerError(Exception):
 
 class InputError(ThinlayerError, ValueError):
     """Input that cannot be used. The message says what is wrong, where, and which values are allowed."""
+
+
+def unknown(kind: str, name: object, known: Iterable[str]) -> str:
+    """Message for a name that does not exist: the nearest known one and the whole list."""
+    known = sorted(known)
+    lowered = {one.lower(): one for one in known}
+    near = [lowered[one] for one in difflib.get_close_matches(str(name).lower(), lowered, n=1)]
+    return (
+        f"unknown {kind} {name!r}" + (f", did you mean {near[0]!r}?" if near else "") + f"; known: {', '.join(known)}"
+    )
 
 
 def is_number(value: Any) -> bool:

@@ -21,7 +21,7 @@ OF_ONE_STRESS = (
     "stiffness",
     "stations",
     "elastic_moduli",
-    "free_end",
+    "end_strips",
     "stations_at_ends",
     "plane_stress",
     "otherwise",

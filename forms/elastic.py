@@ -13,15 +13,16 @@ import ufl
 from scipy.spatial.transform import Rotation
 
 from forms.base import is_number
-from forms.ends.constants import FreeEnd, free_end
-from forms.ends.weights import EndWeights
+from forms.ends.constants import free_end
+from forms.ends.weights import EndWeights, Strips
 from forms.fields import Field, OutOfRange, Parameter, field_of
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
 from forms.law import BulkLaw, LawError, Step, choice, require
 from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-LARGEST_RATIO = 9.0 * (1 + 1e-12)  # lmbda/mu, nu = 0.45, beyond which the pressure of a layer is better a field on S
+LARGEST_NU = 0.45  # of layers whose free ends are known without a pressure on S
+ROUNDING = 1e-9  # of Poisson's ratio, from moduli
 OUT_OF_PLANE = [2, 3, 4]
 IN_PLANE = [0, 1, 5]
 
@@ -43,6 +44,11 @@ def isotropic_stiffness(law: BulkLaw, n: npt.NDArray[np.float64]) -> npt.NDArray
     named = law.parameters()
     identity = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     return float(named["lmbda"]) * np.outer(identity, identity) + 2 * float(named["mu"]) * np.eye(6)
+
+
+def poisson_ratio(law: Any) -> float:
+    """Poisson's ratio of a law with the moduli lmbda and mu, numbers."""
+    return float(law.lmbda) / (float(law.lmbda) + float(law.mu)) / 2
 
 
 class LinearLaw(BulkLaw):
@@ -128,18 +134,15 @@ class LinearElastic(LinearLaw):
     def _share(self) -> Any:
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
-    def free_end(self) -> FreeEnd:
-        """As of any law; in plane stress, where the law's moduli are those of `plane_stress`, its ratio is nu/(1 + nu).
+    def end_strips(self) -> Strips | None:
+        """Known for Poisson's ratios from 0 to `LARGEST_NU`, beyond which the pressure falls over more than the strip.
 
-        Raises:
-            LawError: lmbda < 0, or parameters that are functions.
+        In plane stress, where the law's moduli are those of `plane_stress`, its ratio is nu/(1 + nu).
         """
         if self.fields:
-            return super().free_end()
-        nu = float(self.lmbda) / (float(self.lmbda) + float(self.mu)) / 2
-        if nu < 0:
-            raise LawError(f"edges='free' of {self!r}: Poisson's ratio is {nu:.4g}; allowed: from 0 on")
-        return free_end(nu)
+            return None
+        nu = poisson_ratio(self)
+        return Strips.of(free_end(nu)) if 0 <= nu <= LARGEST_NU * (1 + ROUNDING) else None
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         """Two strains give the energy of the mean strain (`forms.ends.weights`), a third one that of its change."""
@@ -150,8 +153,8 @@ class LinearElastic(LinearLaw):
         return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._change)]
 
     def for_next_order(self) -> LinearLaw:
-        """`Rubber` where the pressure evens out over more than the thickness: for lmbda > 9 mu, nu > 0.45."""
-        if self.fields or self.lmbda <= LARGEST_RATIO * self.mu:
+        """`Rubber` where the pressure evens out over more than the thickness, for nu > 0.45."""
+        if self.fields or self.lmbda / (self.lmbda + self.mu) / 2 <= LARGEST_NU + ROUNDING:
             return self
         from forms.rubber import Rubber  # an elastic law itself
 

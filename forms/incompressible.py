@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.elastic import LinearElastic, LinearLaw, lame
+from forms.ends.constants import free_end
+from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
 from forms.kinematics import Expr
 from forms.law import Step, positive
 from forms.stations import Station, of_pressure
@@ -48,6 +50,12 @@ class Incompressible(LinearLaw):
     def stations(self) -> list[Station[Any]]:
         """The pressure is a field on S, which flows along S."""
         return of_pressure(self)
+
+    def end_strips(self) -> Strips | None:
+        return None if self.fields else Strips.with_pressure(free_end(0.5))
+
+    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
+        return of_pressure_at_ends(self, weights)
 
     def stiffness(self, n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return 2 * float(self.mu) * np.eye(6)

@@ -27,8 +27,7 @@ from forms.stations import Station, at_gauss_points
 from forms.traits import Traits
 
 if TYPE_CHECKING:
-    from forms.ends.constants import FreeEnd
-    from forms.ends.weights import EndWeights
+    from forms.ends.weights import EndWeights, Strips
 
 
 class Step(NamedTuple):
@@ -299,19 +298,12 @@ class BulkLaw(Law):
         """UFL condition (ufl.lt, ufl.And, ...) for the points where the law holds; elsewhere `otherwise` is evaluated."""
         return None
 
-    def free_end(self) -> FreeEnd:
-        """Constants of a free end of a layer with this law.
-
-        Raises:
-            LawError: they are not known.
-        """
-        raise LawError(
-            f"edges='free' of {type(self).__name__}: constants of free ends are known for LinearElastic with lmbda >= 0 "
-            "and parameters that are numbers"
-        )
+    def end_strips(self) -> Strips | None:
+        """Strips along a free end of a layer with this law, for its interface law of order 1; None: they are not known."""
+        return None
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
-        """As `stations`, with the weights of the layer's free ends; laws that have a `free_end` have them."""
+        """As `stations`, with the weights of the layer's free ends; laws that have `end_strips` have them."""
         raise LawError(f"{type(self).__name__} has no stations at free ends")
 
     def stations(self) -> list[Station[Any]]:

@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame
+from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
+from forms.ends.constants import free_end
+from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
 from forms.kinematics import Expr
 from forms.law import Step, positive, require
 from forms.stations import Station, of_pressure
@@ -62,3 +64,9 @@ class Rubber(LinearLaw):
     def stations(self) -> list[Station[Any]]:
         """The pressure is a field on S, which flows along S."""
         return of_pressure(self)
+
+    def end_strips(self) -> Strips | None:
+        return None if self.fields else Strips.with_pressure(free_end(poisson_ratio(self)))
+
+    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
+        return of_pressure_at_ends(self, weights)

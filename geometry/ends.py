@@ -28,6 +28,7 @@ class StraightEnd:
         offset: m . x of its points.
         along: (d,) unit vector along it; zero in 2D.
         reach: least and largest along . x of its points.
+        length: of it; 1 in 2D.
     """
 
     n: FloatArray
@@ -36,17 +37,29 @@ class StraightEnd:
     offset: float
     along: FloatArray
     reach: tuple[float, float]
+    length: float = 1.0
 
     def distance(self, x: FloatArray) -> FloatArray:
         """Distance (...) of places (..., d) of S from it."""
         return np.asarray(self.offset - x @ self.m)
 
+    def has(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether places (n, d) of S lie on it."""
+        allowed = (self.level[1] - self.level[0]) / 2
+        return np.asarray((np.abs(self.distance(x)) <= allowed) & self._reaches(x))
+
+    def beside(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether places (n, d) of S lie on it, or beside it, inwards."""
+        return self.has(x) | self.faces(x)
+
     def faces(self, x: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether places (n, d) of S lie beside it, inwards."""
-        at, (low, high), distance = x @ self.along, self.reach, self.distance(x)
-        bottom, top = self.level
-        level = x @ self.n
-        return np.asarray((at >= low) & (at <= high) & (distance > 0) & (level >= bottom) & (level <= top))
+        return np.asarray((self.distance(x) > 0) & self._reaches(x))
+
+    def _reaches(self, x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether places (n, d) lie in its plane, between its first and its last point."""
+        at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
+        return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
 
 
 def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
@@ -77,7 +90,8 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         at = x[same].reshape(-1, x.shape[2]) @ along
         height, allowed = float(x[left[0], 0] @ n), FLAT * size
         level = height - allowed, height + allowed
-        ends.append(StraightEnd(n, level, m, float(offset), along, (float(at.min()), float(at.max()))))
+        reach, whole = (float(at.min()), float(at.max())), float(rim.length[same].sum())
+        ends.append(StraightEnd(n, level, m, float(offset), along, reach, whole))
         left = left[~same[left]]
     return ends
 

@@ -18,7 +18,6 @@ from geometry.parallel import world
 from studies.problems import FOURIER_BODY, fourier
 from studies.transfer import Wave
 from thinlayer import PressureReport, RangeWarning, State, Structure, Surface, Table, ThinLayer, plotting, solve
-from thinlayer.discretisation.end_weights import LARGEST_NU, LARGEST_STIFFNESS, ROUNDING
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
@@ -30,10 +29,12 @@ CONTRASTS = (10, 200, 200_000)  # Young's modulus of the bodies over the shear m
 LAWS = {
     "order_0": "order 0",
     "order_1": "LinearElastic, order 1",
-    "edges": 'order 1, edges="free"',
+    "edges": "order 1, free ends",
     "rubber": "Rubber, order 1",
+    "rubber_edges": "Rubber, free ends",
 }
-LETTERS = dict(zip(LAWS, "01ER", strict=True))
+LETTERS = dict(zip(LAWS, "01ERF", strict=True))
+CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # at free ends -> not corrected
 QUANTITIES = ("traction", "jump", "compliance")
 LEVELS = (0.001, 0.01, 0.05, 0.2)  # errors at which cells of the maps change their colour
 WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
@@ -89,10 +90,10 @@ def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
     """The laws that take a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
     if math.isinf(lmbda):
         law = Incompressible(mu).per_thickness(eps)
-        return {"order_0": ThinLayer(law, eps), "rubber": ThinLayer(law, eps, order=1)}
+        return {"order_0": ThinLayer(law, eps), "rubber": ThinLayer(law, eps, order=1, edges="plain")}
     elastic = LinearElastic(lmbda, mu).per_thickness(eps)
-    layers = {"order_0": ThinLayer(elastic, eps), "order_1": ThinLayer(elastic, eps, order=1)}
-    return layers | ({"rubber": ThinLayer(_rubber(lmbda, mu, eps), eps, order=1)} if lmbda else {})
+    layers = {"order_0": ThinLayer(elastic, eps), "order_1": ThinLayer(elastic, eps, order=1, edges="plain")}
+    return layers | ({"rubber": ThinLayer(_rubber(lmbda, mu, eps), eps, order=1, edges="plain")} if lmbda else {})
 
 
 def _rubber(lmbda: float, mu: float, eps: float) -> Rubber | Incompressible | LinearElastic:
@@ -155,9 +156,9 @@ class FreeEnds:
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
         """The laws that take a material; ends are corrected where Poisson's ratio and the bodies' stiffness allow it."""
         layers = _layers(lmbda, mu, eps)
-        if lmbda / (2 * (lmbda + mu)) <= LARGEST_NU + ROUNDING and lmbda + 2 * mu <= LARGEST_STIFFNESS * E_BODY:
-            layers["edges"] = replace(layers["order_1"], edges="free")
-        return layers
+        corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED.items() if law in layers}
+        legal = {name: self.structure(eps).interface(one).free_ends("S") is None for name, one in corrected.items()}
+        return layers | {name: one for name, one in corrected.items() if legal[name]}
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
         """Relative errors of the traction, the jump (both L2 on the inner half of S) and the compliance of a state."""

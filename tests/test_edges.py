@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
+import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, LawError, LinearElastic, Rubber
+from forms import Anisotropic, Incompressible, LawError, LinearElastic, Rubber
 from forms.ends import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.law import Step
@@ -63,7 +66,7 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     faces = Faces(
         n_ufl, eps, ufl.as_vector(jump.tolist()), ufl.as_matrix((change @ along).tolist()), mean, kinematics.along
     )
-    weights = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, values))
+    weights = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, values), ufl.as_ufl(1.0))
 
     def energy(stations):
         return sum(float((s.share * s.law.energy(Step(s.strain(s.law, faces), n_ufl)))(())) for s in stations)
@@ -71,15 +74,26 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     found, plain = energy(law.stations_at_ends(weights)), energy(law.stations())
     infinite = written(law, eps, n, m, jump, gradient, 0, 0, 1, 1)
     assert found - plain == pytest.approx(written(law, eps, n, m, jump, gradient, *values) - infinite, rel=1e-10)
-    none = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, (0.0, 0.0, 1.0, 1.0)))
+    none = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, (0.0, 0.0, 1.0, 1.0, 1.0)))
     assert energy(law.stations_at_ends(none)) == pytest.approx(plain, rel=1e-12)
+    # with a pressure: the part of shear, which has none, and the flow
+    law = Rubber(3.0, 0.7)
+    stations, infinite = law.stations_at_ends(replace(weights, flow=ufl.as_ufl(0.6))), law.stations()
+    only_shear = written(LinearElastic(0.0, 0.7), eps, n, m, jump, gradient, 0, 0.22, 1, 0.8)
+    neither = written(LinearElastic(0.0, 0.7), eps, n, m, jump, gradient, 0, 0, 1, 1)
+    assert energy(stations) - energy(infinite) == pytest.approx(only_shear - neither, rel=1e-10)
+    pressed, *others = stations
+    assert float(pressed.flow(law)(())) == pytest.approx(0.6 / (12 * 0.7), rel=1e-12)
+    volumes = [float(ufl.tr(s.strain(s.law, faces))(())) for s in (pressed, infinite[0])]
+    assert volumes[0] == pytest.approx(volumes[1], rel=1e-12)
+    assert not any(s.law.traits.constrained or s.flow(s.law) for s in others)
 
 
 @pytest.mark.parametrize("nu", np.linspace(0, 0.45, 10))
 def test_the_energy_is_convex_at_free_ends(nu):
     """Smallest eigenvalue over mu, where all of an end's strips lie in one facet, and stresses along S fade."""
     strips, lmbda, mu = Strips.of(free_end(nu)), 2 * nu / (1 - 2 * nu), 1.0
-    a_N, a_T = strips.c_N / strips.l_N, strips.c_T / strips.l_T
+    a_N, a_T = strips.opening.c / strips.opening.length, strips.shear.c / strips.shear.length
     assert max(a_N, a_T) < 0.75
     for f in np.linspace(0, 1, 5):
         normal = [[(lmbda + 2) * (1 - a_N), lmbda * f], [lmbda * f, (lmbda + 2) / (1 - a_N)]]
@@ -125,8 +139,13 @@ def test_weights_have_the_deficit_of_the_end(cell):
     opposite = [end for end in ends if abs(abs(end.m[:2] @ [c, s]) - 1) < 1e-9]
     found, area, strips, _ = weights_on(joint, eps, opposite)
     length = 2 * depth.get("depth", 1.0)
-    assert found.a_N @ area == pytest.approx(strips.c_N * eps * length, rel=1e-12)
-    assert found.a_T @ area == pytest.approx(strips.c_T * eps * length, rel=1e-12)
+    assert found.a_N @ area == pytest.approx(strips.opening.c * eps * length, rel=1e-12)
+    assert found.a_T @ area == pytest.approx(strips.shear.c * eps * length, rel=1e-12)
+    pressed = Strips.with_pressure(free_end(0.3))
+    of_pressure = FacetWeights.of(opposite, Sheet(joint), eps, pressed)
+    assert of_pressure.resistance @ area == pytest.approx((1 / free_end(0.3).kappa - 1) * eps * length, rel=1e-12)
+    assert not of_pressure.a_N.any()
+    np.testing.assert_array_equal(of_pressure.a_T, found.a_T)
     assert np.linalg.norm(found.m, axis=1) == pytest.approx(1.0)
 
 
@@ -148,6 +167,7 @@ def errors(structure_at, law, edges, inner):
         one = structure_at(eps)
         full = solve(one.full(ThinLayer(law, eps), cells_through=8))
         limit = solve(one.interface(ThinLayer(law, eps, order=1, edges=edges)))
+        assert (limit.model.free_ends("S") is None) == (edges == "free")
         row = compare(full, limit, where=inner)
         work = limit.energies()["loads"] / full.energies()["loads"] - 1
         found.append([row["error_traction"], row["error_jump"], abs(work)])
@@ -171,21 +191,20 @@ def based(eps):
 
 
 ORDERS = [
-    (stack, 40.0, 0.3, 2.1),
-    (stack, 8.0, 0.45, 1.9),
-    (stack, 40.0, 0.0, 2.3),
-    (unequal, 8.0, 0.3, 2.0),
-    (based, 8.0, 0.3, 1.9),
+    (stack, LinearElastic.shear(40.0, 0.3), 2.1),
+    (stack, LinearElastic.shear(8.0, 0.45), 1.9),
+    (stack, LinearElastic.shear(40.0, 0.0), 2.3),
+    (unequal, LinearElastic.shear(8.0, 0.3), 2.0),
+    (based, LinearElastic.shear(8.0, 0.3), 1.9),
 ]
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # that order 1 without weights is too stiff
-@pytest.mark.parametrize(("structure_at", "mu", "nu", "low"), ORDERS)
-def test_order_2_away_from_free_ends(structure_at, mu, nu, low):
-    law = LinearElastic.shear(mu, nu)
+@pytest.mark.parametrize(("structure_at", "law", "low"), ORDERS)
+def test_order_2_away_from_free_ends(structure_at, law, low):
     middle = lambda x: abs(x[0] - 0.5) < 0.25
     right = errors(structure_at, law, "free", middle)
-    wrong = errors(structure_at, law, None, middle)
+    wrong = errors(structure_at, law, "plain", middle)
     assert min(observed_orders(EPS, right[:, k])[-1] for k in range(3)) > low
     assert np.all(right[-1] < 0.2 * wrong[-1])
     assert max(observed_orders(EPS, wrong[:, k])[-1] for k in range(3)) < 1.3
@@ -202,13 +221,13 @@ def test_a_plate_in_plane_strain_is_its_section():
         state = solve(setup.interface(ThinLayer(law, 0.1, order=1, edges=edges)))
         return state.energies()["loads"] / (depth or 1)
 
-    section, infinite, plate = work("free"), work(None), work("free", 0.3, held, (0.3, -1, 0))
+    section, infinite, plate = work("free"), work("plain"), work("free", 0.3, held, (0.3, -1, 0))
     assert section > 1.02 * infinite  # ends make it weaker
     assert plate == pytest.approx(section, rel=1e-3)
 
 
 def test_there_is_no_warning_of_ends_that_the_law_knows():
-    layers = [ThinLayer(LinearElastic.shear(8.0, 0.45), EPS[0], order=1, edges=edges) for edges in ("free", None)]
+    layers = [ThinLayer(LinearElastic.shear(8.0, 0.45), EPS[0], order=1, edges=edges) for edges in ("free", "plain")]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         solve(stack(EPS[0]).interface(layers[0]))
@@ -223,7 +242,7 @@ def test_held_sides_are_no_free_ends():
         "supports": {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}},
         "tractions": {"TOP": (0, -1)},
     }
-    layers = [ThinLayer(LinearElastic.shear(3.0, 0.35), 0.1, order=1, edges=edges) for edges in ("free", None)]
+    layers = [ThinLayer(LinearElastic.shear(3.0, 0.35), 0.1, order=1, edges=edges) for edges in ("free", "plain")]
     works = [solve(Structure(joint, **setup).interface(layer)).energies()["loads"] for layer in layers]
     assert works[0] == pytest.approx(works[1], rel=1e-12)
 
@@ -247,42 +266,76 @@ def test_the_same_on_two_ranks():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"edges": "open"}, "allowed: None, 'free'"),
+        ({"edges": "open"}, "allowed: None, 'free', 'plain'"),
         ({"order": 0}, "use order=1"),
-        ({"law": Rubber(1.0, 1.0)}, "known for LinearElastic"),
-        ({"law": Anisotropic(np.eye(6))}, "known for LinearElastic"),
-        ({"law": LinearElastic.young(lambda x: 1 + x[0], 0.3)}, "parameters that are numbers"),
-        ({"law": LinearElastic.young(1.0, -0.1)}, "from 0 on"),
-        ({"profile": lambda x: 1 + x[0]}, "with profile="),
-        ({"eigenstrain": 0.01}, "with eigenstrain="),
     ],
 )
-def test_layers_without_constants_are_refused(given, message):
+def test_other_values_are_refused(given, message):
     with pytest.raises(LawError, match=message):
         ThinLayer(**{"law": LinearElastic.young(1.0, 0.3), "eps": 0.1, "order": 1, "edges": "free"} | given)
 
 
+def require_plain(structure, layer, message, **options):
+    """edges="free" is refused with the reason; without it the law is that of an infinite layer, and the model says why."""
+    with pytest.raises(ModelError, match=f"edges='free' of the layer: .*{message}"):
+        structure.interface(replace(layer, edges="free"), **options)
+    model = structure.interface(replace(layer, edges=None), **options)
+    assert re.search(message, model.free_ends("S"))
+    assert model.identity() == structure.interface(replace(layer, edges="plain"), **options).identity()
+
+
 @pytest.mark.parametrize(
-    ("nu", "mu", "more", "message"),
+    ("law", "given", "message"),
     [
-        (0.46, 1.0, {}, "allowed: at most 0.45"),
-        (0.3, 80.0, {}, "much stiffer"),
-        (0.3, 1.0, {"plane": "axisymmetric"}, "curved"),
+        (Anisotropic(np.eye(6)), {}, "they are for LinearElastic"),
+        (LinearElastic.young(lambda x: 1 + x[0], 0.3), {}, "parameters that are numbers"),
+        (Rubber(lambda x: 1 + x[0], 1.0), {}, "parameters that are numbers"),
+        (LinearElastic.young(1.0, -0.1), {}, "from 0 to 0.45"),
+        (LinearElastic.shear(1.0, 0.46), {}, "from 0 to 0.45"),
+        (LinearElastic.shear(1.0, 0.3), {"eigenstrain": 0.01}, "with eigenstrain="),
+        (LinearElastic.shear(80.0, 0.3), {}, "much stiffer"),
+        (Rubber.shear(80.0, 0.3), {}, "much stiffer"),
+        (Rubber.shear(1.0, 0.1), {}, "cells at free ends must not be longer than the fall of the pressure"),
+        (Incompressible(1.0), {}, "S is short"),
     ],
 )
-def test_models_outside_the_range_are_refused(nu, mu, more, message):
-    setup = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={}, **more)
-    layer = ThinLayer(LinearElastic.shear(mu, nu), 0.1, order=1, edges="free")
-    with pytest.raises(ModelError, match=message):
-        setup.interface(layer)
-
-
-def test_apart_bodies_and_curved_ends_are_refused():
-    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1, edges="free")
+def test_layers_without_constants(law, given, message):
     setup = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={})
-    with pytest.raises(ModelError, match="kept"):
-        setup.interface(layer, bodies="extended")
-    cylinders = disc(1.0, lower=0.3, upper=0.3, h=0.4)
-    setup = Structure(cylinders, body=BODY, supports={"BOTTOM": 0}, tractions={})
-    with pytest.raises(ModelError, match="one is curved at"):
-        setup.interface(layer)
+    require_plain(setup, ThinLayer(law, 0.1, order=1, **given), message)
+
+
+def test_structures_without_constants():
+    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1)
+    setup = {"body": BODY, "supports": {"BOTTOM": 0}, "tractions": {}}
+    plates, cylinders = sandwich(1.0, 0.3, 0.3, 0.3), disc(1.0, lower=0.3, upper=0.3, h=0.4)
+    require_plain(Structure(plates, **setup), layer, "not kept", bodies="extended")
+    wedge = replace(layer, profile=lambda x: 1 + x[0])
+    require_plain(Structure(plates, **setup), wedge, "with profile=", bodies="extended")
+    require_plain(Structure(plates, plane="axisymmetric", **setup), layer, "curved")
+    require_plain(Structure(cylinders, **setup), layer, "one is curved at")
+    short = sandwich(0.15, 0.3, 0.3, 0.15)
+    require_plain(Structure(short, **setup), layer, "S is short")
+
+
+def test_ends_are_corrected_where_they_may_be(caplog):
+    plates = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
+    layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1)
+    with caplog.at_level(logging.INFO, logger="thinlayer.solve"):
+        works = {
+            edges: solve(plates.interface(replace(layer, edges=edges))).energies()["loads"]
+            for edges in (None, "free", "plain")
+        }
+    assert works[None] == works["free"] > 1.01 * works["plain"]
+    said = [line for line in caplog.messages if line.startswith("free ends of the layer: ")]
+    assert [line.partition(": ")[2] for line in said] == [
+        "corrected",
+        "corrected",
+        "not corrected, as edges='plain' was asked for",
+    ]
+    models = {edges: plates.interface(replace(layer, edges=edges)) for edges in works}
+    assert models[None].identity() == models["free"].identity() != models["plain"].identity()
+    assert plates.interface(replace(layer, order=0)).free_ends("S") == "the interface law is of order 0"
+    assert models[None].with_layer(replace(layer, edges="plain")).free_ends("S") == models["plain"].free_ends("S")
+    assert plates.full(layer).free_ends("S") is None
+    with pytest.raises(ModelError, match="unknown layer 'T'"):
+        models[None].free_ends("T")

@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
         TurningPoint,
     )
     from thinlayer.estimating.estimate import Estimate, estimate
+    from thinlayer.estimating.thickness import ThinEnough, thin_enough
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
     from thinlayer.output.contact_report import ContactReport
@@ -41,6 +42,7 @@ if TYPE_CHECKING:  # for editors and mypy alone
     from thinlayer.output.probe import Probe
     from thinlayer.output.surface import Surface
     from thinlayer.output.sweep import observed_orders, sweep
+    from thinlayer.output.zoom import Zoom
     from thinlayer.parts.contact import ContactPart
     from thinlayer.parts.phases import PhaseReport
     from thinlayer.parts.plates import RigidPlate
@@ -68,6 +70,7 @@ _NAMES = {
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError", "TurningPoint"],
     "estimating.estimate": ["Estimate", "estimate"],
+    "estimating.thickness": ["ThinEnough", "thin_enough"],
     "files.table": ["Table"],
     "output.comparison": ["compare"],
     "output.contact_report": ["ContactReport"],
@@ -76,6 +79,7 @@ _NAMES = {
     "output.pressure_report": ["PressureReport"],
     "output.probe": ["Probe"],
     "output.surface": ["Surface"],
+    "output.zoom": ["Zoom"],
     "output.ensemble": ["ensemble"],
     "output.sweep": ["observed_orders", "sweep"],
     "pointwise.drive": ["PointHistory", "drive"],

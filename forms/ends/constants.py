@@ -32,7 +32,8 @@ class FreeEnd:
         c_N: a layer of length L under an opening w_N bears the force M w_N (L - c_N) per such end.
         m_N: first moment, about the end, of the normal tractions that are missing, over M w_N.
         rho_N: mean distance from the end of the tractions along S that balance lmbda w_N.
-        c_T: as c_N, of the force mu w_T; also the mean distance of the tractions across S that balance its moment.
+        c_T: as c_N, of the force mu w_T; also the mean distance of the tractions across S that balance its moment, and the
+            mean displacement of the end across S, towards the face that moves outwards, over minus w_T.
         m_T: first moment of the shear tractions that are missing, over mu w_T.
         kappa: factor of the flow along S of a pressure (`forms.rubber`) within one thickness of the end, with which the
             pressure alone gives c_N.
@@ -45,6 +46,16 @@ class FreeEnd:
     c_T: float
     m_T: float
     kappa: float
+
+    @property
+    def drawn_in(self) -> float:
+        """Mean distance by which the end is drawn in as the layer opens, over w_N.
+
+        The end is free of the stress lmbda w_N/eps along S of an infinite layer: what it takes away from the energy,
+        c_N M w_N^2/2, is half the work of this stress in the end's displacement.
+        """
+        lmbda = lame_over_mu(self.nu)
+        return self.c_N * (lmbda + 2) / lmbda if lmbda else 0.0
 
 
 def lame_over_mu(nu: float) -> float:

@@ -37,10 +37,10 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> tuple[F
         LawError: nu out of range.
     """
     lmbda = lame_over_mu(nu)
-    delta = math.sqrt(lmbda / 12) if nu < 0.5 else 0.0
-    grid = _grid(lmbda, delta, degree, levels)
+    delta = pressure_length(lmbda)
+    grid = half_grid(lmbda, delta, degree, levels)
     # T: u_x is odd in y - 1/2; the end is pushed by mu w, which the uniform strain misses there
-    sheared = _solved(grid, lambda x: np.stack([0 * x[:, 0], 1 + 0 * x[:, 0]], axis=1), odd=0)
+    sheared = loaded(grid, lambda x: np.stack([0 * x[:, 0], 1 + 0 * x[:, 0]], axis=1), odd=0)
     w, x, y, s11, s22, s12 = sheared.everywhere()
     c_T, m_T = 2 * sheared.work, -2 * float(np.sum(w * (s12 * x + s11 * (y - MIDDLE))))
     w, x, y, s11, s22, s12 = sheared.along_top(MIDDLE)
@@ -49,7 +49,7 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> tuple[F
         kappa, second["kappa"] = _flow(grid)
         return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, kappa), second
     # N: u_y is odd in y - 1/2; the end is pressed by lmbda w, here by 1
-    pressed = _solved(grid, lambda x: np.stack([1 + 0 * x[:, 0], 0 * x[:, 0]], axis=1), odd=1)
+    pressed = loaded(grid, lambda x: np.stack([1 + 0 * x[:, 0], 0 * x[:, 0]], axis=1), odd=1)
     M = lmbda + 2
     w, x, y, s11, s22, s12 = pressed.everywhere()
     c_N, rho_N = 2 * pressed.work * lmbda**2 / M, -2 * float(np.sum(w * s11))
@@ -60,7 +60,12 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> tuple[F
     return FreeEnd(nu, c_N, m_N, rho_N, c_T, m_T, kappa), second
 
 
-def _grid(lmbda: float, delta: float, degree: int, levels: int) -> Grid:
+def pressure_length(lmbda: float) -> float:
+    """Length over which the pressure of N falls; 0 if there is no such field, lmbda = math.inf."""
+    return math.sqrt(lmbda / 12) if lmbda < math.inf else 0.0
+
+
+def half_grid(lmbda: float, delta: float, degree: int, levels: int) -> Grid:
     """The lower half of the strip, 0 < y < MIDDLE: a square whose cells shrink to its corner (0, 0), and a row of cells.
 
     The pressure of N falls over the length `delta`, all else over a fraction of the thickness.
@@ -81,7 +86,7 @@ def _grid(lmbda: float, delta: float, degree: int, levels: int) -> Grid:
     return Grid(np.array(points), np.array(cells), lmbda, degree)
 
 
-def _solved(grid: Grid, traction: Callable[[Array], Array], odd: int) -> Solution:
+def loaded(grid: Grid, traction: Callable[[Array], Array], odd: int) -> Solution:
     """The state under tractions on the end, where faces do not move and this component is zero on the middle line."""
     end, face, middle = (grid.on(where) for where in (lambda x: x[:, 0] == 0, lambda x: x[:, 1] == 0, _in_the_middle))
     far = grid.on(lambda x: x[:, 0] == grid.points[:, 0].max())
@@ -99,7 +104,7 @@ def _flow(grid: Grid) -> tuple[float, float]:
     With Y = y - 1/2 the flow 1/8 - Y^2/2 with the pressure x has the shear stress -Y on the end, which is taken away. The
     pressure far from the end then is x + 1/kappa - 1.
     """
-    flow = _solved(grid, lambda x: np.stack([0 * x[:, 0], MIDDLE - x[:, 1]], axis=1), odd=1)
+    flow = loaded(grid, lambda x: np.stack([0 * x[:, 0], MIDDLE - x[:, 1]], axis=1), odd=1)
     w, x, _, s11, s22, _ = flow.everywhere()
     last = x > np.unique(grid.points[:, 0])[-2]
     far = float(np.sum((w * (s11 + s22))[last]) / (2 * np.sum(w[last])))

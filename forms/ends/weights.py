@@ -18,44 +18,79 @@ It is the energy of the isotropic law itself at two strains: with q = 1 - a, and
     e_N' = sqrt(q_N) e_N - (1 - f_N) lmbda/M tr e_S/sqrt(q_N),    e_N'' = lmbda/M sqrt((1 - f_N^2)/q_N) tr e_S,
     e_S' = e_S/sqrt(q_N),                                         e_S'' = 0,
     g' = sqrt(q_T) g_m + f_T h_m/sqrt(q_T),                       g'' = sqrt((1 - f_T^2)/q_T) h_m.
+
+A law with a pressure on S that is zero at free ends (`forms.rubber`) has the part of shear alone. Against openings its
+pressure makes it weaker by itself, with c_N if within one thickness of an end the flow along S is kappa times that of an
+infinite layer (`FreeEnd.kappa`). What adds up across an end is the resistance to the flow: on facets that the strip ends in
+the flow has the harmonic mean, 1 + (1/kappa - 1) times the part of the facet in the strip.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import ufl
 
-from forms.ends.constants import FreeEnd
+from forms.ends.constants import FreeEnd, lame_over_mu
 from forms.kinematics import Expr, lift
-from forms.stations import Faces
+from forms.stations import Faces, Station, of_pressure
 
 LONGEST = 3.0  # length over the thickness of the strip where openings are weaker
 
 
 @dataclass(frozen=True)
-class Strips:
-    """Lengths over the thickness of an isotropic layer's free end.
+class Strip:
+    """A strip along a free end, where a weight is c/length; lengths are over the thickness.
 
     Attributes:
-        c_N, c_T: as of `FreeEnd`.
-        l_N, l_T: of the strips where the layer is weaker against openings, and against shear.
-        r_N, r_T: over which the stress along S is handed to the faces if the layer opens, and if it is sheared.
+        c: integral of the weight across the end; 0: there is none.
+        length: of the strip, > 0.
     """
 
-    c_N: float
-    l_N: float
+    c: float = 0.0
+    length: float = 1.0
+
+
+@dataclass(frozen=True)
+class Strips:
+    """The strips of an isotropic layer's free end, and lengths over the thickness.
+
+    Attributes:
+        opening, shear: where the layer is weaker against openings, and against shear.
+        resistance: where a pressure meets more resistance to its flow along S.
+        r_N, r_T: over which the stress along S is handed to the faces if the layer opens, and if it is sheared; 0: at once.
+        modulus: over mu, of the layer's tractions at the end against the bodies.
+    """
+
+    opening: Strip
+    shear: Strip
+    resistance: Strip
     r_N: float
-    c_T: float
-    l_T: float
     r_T: float
+    modulus: float
+
+    @property
+    def longest(self) -> float:
+        """Length of the longest strip where the layer is weaker."""
+        return max(strip.length for strip in (self.opening, self.shear, self.resistance) if strip.c)
 
     @classmethod
     def of(cls, end: FreeEnd) -> Strips:
         """The strips with the first moments of an end."""
         l_N = min(2 * end.m_N / end.c_N, LONGEST) if end.c_N else LONGEST
-        return cls(end.c_N, l_N, 2 * end.rho_N, end.c_T, 2 * end.m_T / end.c_T, 2 * end.c_T)
+        return cls(Strip(end.c_N, l_N), _of_shear(end), Strip(), 2 * end.rho_N, 2 * end.c_T, lame_over_mu(end.nu) + 2)
+
+    @classmethod
+    def with_pressure(cls, end: FreeEnd) -> Strips:
+        """Those of a law whose pressure falls to zero at the end: it is weaker against openings by itself."""
+        return cls(
+            Strip(), _of_shear(end), Strip(1 / end.kappa - 1), 0.0, 2 * end.c_T, min(lame_over_mu(end.nu) + 2, 12.0)
+        )
+
+
+def _of_shear(end: FreeEnd) -> Strip:
+    return Strip(end.c_T, 2 * end.m_T / end.c_T)
 
 
 @dataclass(frozen=True)
@@ -66,6 +101,7 @@ class EndWeights:
         m: unit normal of the nearest end, in S; (d,).
         a_N, a_T: how much weaker the layer is against openings and shear; 0 <= a < 1.
         f_N, f_T: how much of the stress along S there is; 0 <= f <= 1.
+        flow: factor of the flow along S of a pressure; > 0.
     """
 
     m: Expr
@@ -73,18 +109,31 @@ class EndWeights:
     a_T: Expr
     f_N: Expr
     f_T: Expr
+    flow: Expr
+
+    def sheared(self, faces: Faces) -> tuple[Expr, Expr]:
+        """What weights of shear add to the strain (3, 3) of an infinite layer, and g'' as a strain of its own."""
+        m, n = lift(self.m), lift(faces.n)
+        g, h = 2 * ufl.dot(n, faces.across() * m), 2 * ufl.dot(n, faces.mean * m)
+        root, shear = ufl.sqrt(1 - self.a_T), ufl.sym(ufl.outer(m, n))
+        return ((root - 1) * g + (self.f_T / root - 1) * h) * shear, ufl.sqrt(1 - self.f_T**2) / root * h * shear
 
     def strains(self, faces: Faces, share: Any) -> tuple[Expr, Expr]:
         """The two strains (3, 3) at which the isotropic law with lmbda/M = share has the energy W."""
-        m, n = lift(self.m), lift(faces.n)
-        across, mean = faces.across(), faces.mean
-        e_N, e_S = ufl.dot(n, across * n), faces.in_s(mean)
-        g, h = 2 * ufl.dot(n, across * m), 2 * ufl.dot(n, mean * m)
-        root_N, root_T = ufl.sqrt(1 - self.a_N), ufl.sqrt(1 - self.a_T)
-        trace = share * ufl.tr(e_S) / root_N
-        both = (root_T - 1) * g + (self.f_T / root_T - 1) * h
-        shear = ufl.sym(ufl.outer(m, n))
-        first = across + mean + (1 / root_N - 1) * e_S + both * shear
-        first += ((root_N - 1) * e_N - (1 - self.f_N) * trace) * faces.normal
-        second = ufl.sqrt(1 - self.f_N**2) * trace * faces.normal + ufl.sqrt(1 - self.f_T**2) / root_T * h * shear
-        return first, second
+        n, across, mean, (first, second) = lift(faces.n), faces.across(), faces.mean, self.sheared(faces)
+        e_N, e_S, root = ufl.dot(n, across * n), faces.in_s(mean), ufl.sqrt(1 - self.a_N)
+        trace = share * ufl.tr(e_S) / root
+        first += across + mean + (1 / root - 1) * e_S
+        first += ((root - 1) * e_N - (1 - self.f_N) * trace) * faces.normal
+        return first, second + ufl.sqrt(1 - self.f_N**2) * trace * faces.normal
+
+
+def of_pressure_at_ends(law: Any, weights: EndWeights) -> list[Station[Any]]:
+    """`forms.stations.of_pressure` near free ends."""
+    mean, stiff = of_pressure(law)
+    sheared = replace(
+        mean,
+        strain=lambda law, faces: mean.strain(law, faces) + weights.sheared(faces)[0],
+        flow=lambda law: weights.flow * mean.flow(law),
+    )
+    return [sheared, Station(stiff.law, 1, lambda law, faces: weights.sheared(faces)[1]), stiff]

@@ -163,9 +163,9 @@ class BrokenMesh:
         if law.traits.constrained:
             raise LawError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
-        if thin and (thin.edges is not None or thin.eigenstrain is not None):
-            given = "edges" if thin.edges is not None else "eigenstrain"
-            raise LawError(f"{given}=... of a layer on a mesh of one's own is not known here; use it in a Model")
+        if thin and (thin.edges == "free" or thin.eigenstrain is not None):
+            given = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
+            raise LawError(f"{given} of a layer on a mesh of one's own is not known here; use it in a Model")
         if thin and thin.order:
             self._require_no_locking(tag, law)
         if thin and thin.order and thin.profile is not None:

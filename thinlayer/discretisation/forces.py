@@ -28,13 +28,13 @@ BodyForce = Load | Mapping[str, Load]
 
 @dataclass(frozen=True)
 class Weighted:
-    """A place of a layer's volume.
+    """A place of a layer's volume, or of its side.
 
     Attributes:
         measure: of its cells, or of its seam.
         weight: factor of the measure, times the thickness on S.
         value: how a function of place and time is taken there.
-        mean: mean over the thickness of displacements there.
+        mean: mean over the thickness of displacements there; of a side what its load does work in.
         on_base: the part of this mean that is of a rigid base, for motions that move it as well; None: there is no base.
     """
 
@@ -117,8 +117,12 @@ class Forces:
         self.given[what] = load
         force = vector(load, at, self.domain.joint.dim, what)
         for one in places:
-            self._in_layers.append((what, one.value(force) * one.weight, one))
-            self._seams.append(name)
+            self.add_weighted(name, what, force, one)
+
+    def add_weighted(self, name: str, what: str, force: Expr, place: Weighted) -> None:
+        """Add a force, a UFL vector, at a place of the layer of a seam."""
+        self._in_layers.append((what, place.value(force) * place.weight, place))
+        self._seams.append(name)
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
         self.given[what] = load

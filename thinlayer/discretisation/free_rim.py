@@ -38,9 +38,9 @@ def free_rim(model: Model, sheet: Sheet) -> Rim:
 
 
 def neglected_rim(model: Model, one: SeamLayer) -> Rim:
-    """The free ends of which an interface law without a pressure knows nothing: all, or none with edges="free"."""
+    """The free ends of which an interface law knows nothing: all, or none (`InterfaceModel.free_ends`)."""
     rim = free_rim(model, one.sheet)
-    return rim[np.full(len(rim.vertices), not (one.thin and one.thin.edges))]
+    return rim[np.full(len(rim.vertices), model.free_ends(one.name) is not None)]
 
 
 def fall_of_pressure(one: SeamLayer, rim: Rim) -> FloatArray:

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,8 @@ from geometry.joint import Joint
 from geometry.seam import BASE, S
 from thinlayer.discretisation.apart import Middle, apart, require_same_room
 from thinlayer.discretisation.axis import require_revolution, require_shifts
-from thinlayer.discretisation.end_weights import end_weights, require_free_ends
 from thinlayer.discretisation.forces import Forces, Weighted
+from thinlayer.discretisation.free_ends import SeamEnds
 from thinlayer.discretisation.free_rim import require_unloaded_sides
 from thinlayer.discretisation.joint_fields import cellwise, director, relative_thickness
 from thinlayer.discretisation.layer import Gap, LawOnS, Layers, ThinLayer, constants, for_terms, gaps_of, real_law
@@ -34,8 +34,10 @@ from thinlayer.discretisation.loads import Coordinates, Load
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.pairs import Pairs
 from thinlayer.discretisation.placed import known_at
+from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.seams import SeamLayer, loads_of_layers, seam_entities
 from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
 from thinlayer.parallel.agreement import on_all
@@ -262,16 +264,18 @@ class InterfaceModel(LayeredModel):
 
     def _forces(self, structure: Setup) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
+        points = partial(ConcentratedForms, self.domain, self.joint, structure.degree, forces.at)
+        to_base = 2 * self._middle.to_s if self._middle else None
         for one in self.layers.values():
             if one.flows:
                 require_unloaded_sides(one, structure.tractions)
+            elif one.thin and one.thin.order == 1:
+                add_side_loads(forces, self, one, self.sides_of(one.name), points, to_base)
         return forces
 
     def _check_layers(self) -> None:
         for one in self.layers.values():
             one.check(self._bodies)
-            if one.thin and one.thin.edges:
-                require_free_ends(one, self._bodies)
 
     def _check_beside(self, other: Self) -> None:
         self._check_layers()
@@ -331,7 +335,31 @@ class InterfaceModel(LayeredModel):
         return Pairs(self.domain) if self.joint.seams_meet else None
 
     def _layer_terms(self) -> list[forms.Term]:
+        with on_all(self.comm):
+            self.ends = {name: self._ends_of(one) for name, one in self.layers.items()}
         return [term for one in self.layers.values() if not one.contact for term in self.terms_of(one)]
+
+    def _ends_of(self, one: SeamLayer) -> SeamEnds:
+        ends = SeamEnds.of(self, one, self._bodies)
+        if ends.unknown and one.thin and one.thin.edges == "free":
+            raise ModelError(f"edges='free' of {one}: {ends.unknown}")
+        return ends
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was chosen at the free ends of layers of order 1."""
+        some = [(one, self.ends[name].said) for name, one in self.layers.items() if one.thin and one.thin.order]
+        return [f"free ends of {one}: {said}" for one, said in some]
+
+    def free_ends(self, name: str) -> str | None:
+        """Why the interface law of a seam knows nothing of its free ends; None: it does, or there are none.
+
+        Raises:
+            ModelError: no layer of this name.
+        """
+        if name not in self.ends:
+            raise ModelError(unknown("layer", name, self.ends))
+        return self.ends[name].unknown
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
@@ -346,7 +374,7 @@ class InterfaceModel(LayeredModel):
         else:
             eps = self._thickness(one.name, one.thin, sides)
             slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
-            ends = end_weights(self, one, law.free_end(), sides) if one.thin.edges else None
+            ends = self.ends[one.name].expressions(self, one, sides)
             if ends is not None:
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer))
@@ -360,6 +388,10 @@ class InterfaceModel(LayeredModel):
         if layer.profile is not None:
             eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
         return eps
+
+    def _data(self) -> dict[str, Any]:
+        known = [name for name, ends in self.ends.items() if ends.weights is not None]
+        return super()._data() | ({"free ends": known} if known else {})
 
     def _places_of(self, one: SeamLayer) -> list[Weighted]:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""

@@ -28,6 +28,7 @@ from thinlayer.errors import ModelError
 # keys of what laws remember and store, in states and in files
 LAYER, CONTACT, BODY, PRESSURE = "layer", "contact", "body", "pressure"
 BODIES = "bodies"  # name of all bodies together, beside the names of seams
+EDGES = (None, "free", "plain")
 LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 
 
@@ -40,23 +41,24 @@ class ThinLayer:
             series: `Stack((fraction, law), ...)` from the lower to the upper face.
         eps: thickness, a length > 0; multiplied by the profile if it varies along S.
         order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
-            of the layer are on rollers (at free ends errors are several times smaller than with order 0, but their
-            observed order stays below 1, see `edges`); needs elements of degree 2, and bodies="extended" where S is
-            curved or the thickness varies; a Stack of `LinearElastic` sublayers alone; other laws than `LinearElastic`
-            and `Rubber` with lmbda/mu <= 12 at rest.
+            of the layer are on rollers, and away from its free ends where these are corrected, see `edges`; needs elements
+            of degree 2, and bodies="extended" where S is curved or the thickness varies; a Stack of `LinearElastic`
+            sublayers alone; other laws than `LinearElastic` and `Rubber` with lmbda/mu <= 12 at rest.
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
             > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's real parameters are
             those of the thickness eps, everywhere.
         eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through the
             thickness. On S the strain is [u] (x) n/eps less it, so that it enters the tractions of a soft layer at order
             eps: it changes the limit only if it is itself of the size of [u]/eps.
-        edges: "free": at free ends of S, straight ones, the interface law of order 1 is corrected by what a layer lacks
-            there, so that its error is O(eps^2) away from them, too (`forms.ends.weights`); for `LinearElastic` with nu
-            from 0 to 0.45 between much stiffer bodies. None: it is not.
+        edges: at free ends of S, straight ones, the interface law of order 1 is corrected by what a layer lacks there, so
+            that its error is O(eps^2) away from them, too (`forms.ends.weights`): for `LinearElastic` with nu from 0 to
+            0.45, `Rubber` and `Incompressible` between much stiffer bodies. None: where that holds
+            (`InterfaceModel.free_ends` has the reason if not). "free": always; a model where it does not hold is refused.
+            "plain": never.
 
     Raises:
         LawError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; a law without
-            one of order 1, or without constants of free ends.
+            one of order 1.
     """
 
     law: BulkLaw
@@ -81,18 +83,10 @@ class ThinLayer:
             self.law.stations()  # raises errors of laws without one of order 1
         if self.profile is not None and not callable(self.profile):
             raise LawError(f"the thickness profile is {self.profile!r}; it must be a function of coordinates")
-        if self.edges is not None:
-            self._check_edges()
-
-    def _check_edges(self) -> None:
-        if self.edges != "free":
-            raise LawError(f"edges is {self.edges!r}; allowed: None, 'free'")
-        if self.order != 1:
+        if self.edges not in EDGES:
+            raise LawError(f"edges is {self.edges!r}; allowed: {', '.join(map(repr, EDGES))}")
+        if self.edges == "free" and self.order != 1:
             raise LawError("edges='free' corrects the interface law of order 1; use order=1")
-        for name, given in (("profile", self.profile), ("eigenstrain", self.eigenstrain)):
-            if given is not None:
-                raise LawError(f"edges='free' of a layer with {name}=...: constants of its free ends are not known")
-        self.law.free_end()  # raises errors of laws without one
 
     @property
     def fractions(self) -> tuple[float, ...]:

@@ -68,12 +68,15 @@ class Pressure:
 
     p: Value
 
-    def traction(self, at: Coordinates, what: str) -> Expr:
-        """The traction as a UFL vector (d,); raises ModelError if p is no number."""
+    def value(self, at: Coordinates, what: str) -> Expr:
+        """p as a UFL scalar; raises ModelError if it is no number."""
         if not callable(self.p) and not (is_number(self.p) and math.isfinite(self.p)):
             raise ModelError(f"{what}: the pressure is {self.p!r}; it must be a finite number or a function (x, t)")
-        p = scalar(called(self.p, at, what), what) if callable(self.p) else fem.Constant(at.mesh, float(self.p))
-        return -p * ufl.FacetNormal(at.mesh)
+        return scalar(called(self.p, at, what), what) if callable(self.p) else fem.Constant(at.mesh, float(self.p))
+
+    def traction(self, at: Coordinates, what: str) -> Expr:
+        """The traction as a UFL vector (d,); raises ModelError if p is no number."""
+        return -self.value(at, what) * ufl.FacetNormal(at.mesh)
 
 
 def vector(load: Load, at: Coordinates, dim: int, what: str) -> Expr:

@@ -307,6 +307,15 @@ class Model(ABC):
         self.family.several = True
         return new
 
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences for the log: what was chosen that the user left open."""
+        return []
+
+    def free_ends(self, name: str) -> str | None:
+        """Why the layer of a seam is taken for an infinite one at its free ends; None: it is not."""
+        return None
+
     # ---------------------------------------------------------------- spaces
     @cached_property
     def splitting(self) -> Splitting:

@@ -65,6 +65,32 @@ class ConcentratedForms:
                 found.append((given * self._function(factor) / self._jacobian, self._dx))
         return found
 
+    def at_nodes(self, nodes: Nodes, weights: Array, split: bool) -> list[tuple[Coordinates, Expr, ufl.Measure]]:
+        """Places, densities g (c,) and measures: the sum over them of int g f dX is that over nodes of weights times f.
+
+        Args:
+            nodes: the nodes, without `along`.
+            weights: (n, k, c).
+            split: whether nodes in one cell are parted, so that each has its place as the argument of loads; else the
+                places have no meaning.
+        """
+        n, k, c = weights.shape
+        d, x, found = self.joint.dim, self._in_space(nodes)[0], []
+        wholes = [(np.arange(n), slice(None))]
+        for some, column in [(r, slice(j, j + 1)) for r in _rounds(nodes.cells) for j in range(k)] if split else wholes:
+            one = Nodes(nodes.cells[some], nodes.points[some, column])
+            element = basix.ufl.blocked_element(self._ufl, shape=(c,))
+            g = cellwise(self.domain, element, self._densities(one, weights[some, column])) / self._jacobian
+            places = np.zeros((len(self.domain.joint.cells), 1, d))
+            places[one.cells] = x[some, column][:, :1]
+            at = (
+                Coordinates(self.at.mesh, cellwise(self.domain, ("DG", 0, (d,)), places), self.at.t)
+                if split
+                else self.at
+            )
+            found.append((at, g, self._dx))
+        return found
+
     def _in_space(self, nodes: Nodes) -> tuple[Array, Array]:
         """Places (n, k, d) of nodes, as arguments of loads, and weights (n, k)."""
         joint = self.domain.joint
@@ -83,11 +109,11 @@ class ConcentratedForms:
         return places, weights
 
     def _densities(self, nodes: Nodes, weights: Array) -> Array:
-        """(n_cells, m) degrees of freedom of g, summed over the nodes of each cell."""
-        out = np.zeros((len(self.domain.joint.cells), len(self._inverse)))
+        """(n_cells, m, ...) degrees of freedom of g times weights (n, k, ...), summed over the nodes of each cell."""
+        out = np.zeros((len(self.domain.joint.cells), len(self._inverse), *weights.shape[2:]))
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
-        np.add.at(out, nodes.cells, (weights[..., None] * g).sum(axis=1))
+        np.add.at(out, nodes.cells, np.einsum("nk...,nkm->nm...", weights, g))
         return out
 
     def _function(self, values: Array) -> fem.Function:

@@ -219,7 +219,6 @@ class SeamLayer:
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
             "profile": None if shape is None else described(shape),
-            **({"edges": thin.edges} if thin and thin.edges else {}),
             **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
 

@@ -9,7 +9,8 @@ from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.seams import SeamLayer
-from thinlayer.errors import ModelError, ThinlayerError
+from thinlayer.errors import ModelError
+from thinlayer.parallel.agreement import on_all
 
 WITHOUT_ENDS = "without edge terms: up to 30 % low"
 
@@ -62,21 +63,18 @@ def _better(one: SeamLayer) -> ThinLayer:
     return replace(thin, law=thin.law if in_sheet else thin.law.for_next_order(), order=1)
 
 
-def better_model(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
-    """The model with better laws of its layers, and name of a seam -> what its law is. Collective."""
-    chosen, why = dict(layers), dict.fromkeys(layers, "")
-    for name, layer in layers.items():
-        try:
-            trial = replace(layer, edges="free")
-            model.with_layer({**dict.fromkeys(model.joint.seams), name: trial})
-            chosen[name] = trial
-        except ThinlayerError as error:
-            why[name] = str(error)
-    better = model.with_layer({**dict.fromkeys(model.joint.seams), **chosen})
-    found = {}
+def better_model(model: InterfaceModel) -> tuple[InterfaceModel, dict[str, BetterLaw]]:
+    """The model with better laws of its layers, and name of a seam -> what its law is. Collective.
+
+    Raises:
+        ModelError, LawError: there are none.
+    """
+    with on_all(model.comm):
+        layers = better_layers(model.layers)
+    better, found = model.with_layer({**dict.fromkeys(model.joint.seams), **layers}), {}
     for name, one in better.layers.items():
-        ends = len(free_rim(better, one.sheet).vertices) > 0
-        corrected = ", with its free ends" if ends and not why[name] else ""
-        lacks = f"{WITHOUT_ENDS} ({why[name]})" if ends and why[name] else ""
-        found[name] = BetterLaw(chosen[name], f"order 1 of {type(one.law).__name__}{corrected}", ends, lacks)
+        ends, why = len(free_rim(better, one.sheet).vertices) > 0, better.free_ends(name)
+        with_ends = ", with its free ends" if ends and why is None else ""
+        lacks = f"{WITHOUT_ENDS} ({why})" if why is not None else ""
+        found[name] = BetterLaw(layers[name], f"order 1 of {type(one.law).__name__}{with_ends}", ends, lacks)
     return better, found

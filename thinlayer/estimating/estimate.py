@@ -18,12 +18,13 @@ from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.estimating.better import BetterLaw, better_layers, better_model
+from thinlayer.estimating.better import BetterLaw, better_model
 from thinlayer.estimating.goals import Compliance, Goal
-from thinlayer.estimating.places import NEAR_ENDS, SurfaceDensity, away_from_ends
+from thinlayer.estimating.places import NEAR_ENDS, away_from_ends, density_of
 from thinlayer.estimating.yielding import why_not
 from thinlayer.files.table import Table
 from thinlayer.output.surface import Surface
+from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.options import OptionValue
@@ -134,7 +135,7 @@ class Estimate:
         before, theirs = self._before
         with Adjoint(self.better, before, self._options) as adjoint:
             z = adjoint.weights(*self._goals[goal].dual(adjoint))
-            return SurfaceDensity.of(adjoint, adjoint.summands(z, self.state, theirs))
+            return density_of(adjoint, adjoint.summands(z, self.state, theirs))
 
     def map(self, goal: str = "compliance") -> Expr:
         """`density` as a scalar UFL expression on S of the model of `better`. Collective."""
@@ -263,13 +264,12 @@ def _with_better_laws(state: State, layer: Layers | None) -> tuple[InterfaceMode
     if isinstance(model, InterfaceModel):
         if layer is not None:
             raise ModelError("estimate: layer= is for a state of bonded bodies; an interface model has its layers")
-        return better_model(model, better_layers(model.layers))
+        return better_model(model)
     if not isinstance(model, BondedModel):
         raise ModelError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")
     if layer is None:
         raise ModelError("estimate: bodies are bonded in this state; give layer=, what was left out")
-    begun = model.structure.interface(layer)  # type: ignore[attr-defined]
-    return better_model(begun, better_layers(begun.layers))
+    return better_model(model.structure.interface(layer))  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)

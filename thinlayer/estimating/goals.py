@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -203,7 +203,7 @@ class Displacement(Goal):
     """The displacement of a place along a direction.
 
     Attributes:
-        x: (d,) the place.
+        x: (d,) the place, in the interface model.
         direction: (d,) not zero.
         side: of S, "lower" or "upper", for a place on S.
         seam: the seam whose side is meant, as in `Probe`.
@@ -229,8 +229,8 @@ class Displacement(Goal):
         return found if self.side is None else found.on_side(self.side, self.seam)
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        side = self.side if isinstance(state.model, InterfaceModel) else None
-        u = Probe(state).displacement(self.x, side=side, seam=self.seam if side else S)
+        shown = replace(state, model=model, u=displacements_of(state, model))  # full models have their bodies elsewhere
+        u = Probe(shown).displacement(self.x, side=self.side, seam=self.seam)
         return float(u @ unit(self.direction, model.joint.dim, self.name))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:

@@ -1,9 +1,6 @@
-"""Places on S: how far they are from free ends, and densities that nodal values add up to."""
+"""Places on S: how far they are from free ends, nodes of its sides, and densities from values at nodes."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from functools import cached_property
 
 import basix
 import numpy as np
@@ -20,8 +17,8 @@ from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
+from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.parts.part import DISPLACEMENTS
-from thinlayer.ranges.areas import Areas
 from thinlayer.solving.adjoint import Adjoint
 
 NEAR_ENDS = 3.0  # distance from free ends, over the thickness, within which tractions and jumps are not estimated
@@ -51,67 +48,20 @@ def away_from_ends(model: InterfaceModel, one: SeamLayer, length: float) -> Expr
     return ufl.conditional(ufl.gt(model.sides_of(one.name).upper(distance), length), 1.0, 0.0)
 
 
-@dataclass(frozen=True)
-class SurfaceDensity:
-    """A density on S, linear between its vertices, the same on all ranks.
-
-    Attributes:
-        model: the interface model.
-        vertices: (n,) vertices of S, numbers in the joint.
-        sums: (n,) what the density adds up to around each vertex.
-    """
-
-    model: InterfaceModel
-    vertices: IntArray
-    sums: FloatArray
-
-    @property
-    def x(self) -> FloatArray:
-        """(n, d) places of the vertices."""
-        return np.asarray(points_on_middle(self.model.domain.joint)[self.vertices])
-
-    @cached_property
-    def areas(self) -> FloatArray:
-        """(n,) areas of S around the vertices."""
-        found = np.zeros(len(self.model.joint.points))
-        for one in self.model.layers.values():
-            np.add.at(found, one.sheet.vertices, Areas(one.sheet, self.model.kinematics).at_vertices)
-        return np.asarray(found[self.vertices])
-
-    @property
-    def values(self) -> FloatArray:
-        """(n,) the density."""
-        return np.asarray(self.sums / self.areas)
-
-    @property
-    def total(self) -> float:
-        """Its integral over S."""
-        return float(self.sums.sum())
-
-    @cached_property
-    def expression(self) -> Expr:
-        """It as a UFL expression on S."""
-        joint = self.model.joint
-        values = np.zeros(len(joint.points))
-        values[self.vertices] = self.values
-        f = cellwise(self.model.domain, ("Lagrange", 1), values[joint.corners][..., None])
-        return f("+") if any(name not in joint.base_seams for name in self.model.layers) else f
-
-    @classmethod
-    def of(cls, adjoint: Adjoint, summands: dict[str, FloatArray]) -> SurfaceDensity:
-        """The density of summands at nodes (`Adjoint.summands`): each is shared by the vertices of its cell. Collective."""
-        model = adjoint.model
-        joint = model.joint
-        vertices = np.unique(np.concatenate([one.sheet.vertices.ravel() for one in model.layers.values()]))
-        sums = np.zeros(len(joint.points))
-        _add_nodal(sums, model, summands[DISPLACEMENTS])
-        for part in adjoint.equations.layers:
-            if part.field is not None and part.key in summands:
-                x = part.field.function_space.tabulate_dof_coordinates()[: part.own_size, : joint.dim]
-                near, number = cKDTree(points_on_middle(model.domain.joint)[vertices]).query(x)
-                assert (near <= SAME_PLACE * np.ptp(joint.points)).all()
-                np.add.at(sums, vertices[number], summands[part.key])
-        return cls(model, vertices, model.comm.allreduce(sums)[vertices])
+def density_of(adjoint: Adjoint, summands: dict[str, FloatArray]) -> SurfaceDensity:
+    """The density of summands at nodes (`Adjoint.summands`): each is shared by the vertices of its cell. Collective."""
+    model = adjoint.model
+    joint = model.joint
+    vertices = np.unique(np.concatenate([one.sheet.vertices.ravel() for one in model.layers.values()]))
+    sums = np.zeros(len(joint.points))
+    _add_nodal(sums, model, summands[DISPLACEMENTS])
+    for part in adjoint.equations.layers:
+        if part.field is not None and part.key in summands:
+            x = part.field.function_space.tabulate_dof_coordinates()[: part.own_size, : joint.dim]
+            near, number = cKDTree(points_on_middle(model.domain.joint)[vertices]).query(x)
+            assert (near <= SAME_PLACE * np.ptp(joint.points)).all()
+            np.add.at(sums, vertices[number], summands[part.key])
+    return SurfaceDensity(model, vertices, model.comm.allreduce(sums)[vertices])
 
 
 def _add_nodal(sums: FloatArray, model: InterfaceModel, values: FloatArray) -> None:

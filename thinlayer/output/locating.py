@@ -98,6 +98,18 @@ class Located:
         at, row, side = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return at, row, side
 
+    def on_seam(self, seam: str) -> Located:
+        """The same; raises ModelError for an unknown seam, or places that are not on this one ("S": on any)."""
+        if seam not in (S, *self.joint.seams):
+            raise ModelError(unknown("seam", seam, self.joint.seams))
+        at, row, _ = self.facets()
+        off = np.setdiff1d(np.arange(len(self.x)), self.point[at[np.isin(row, self.joint.rows_of(seam))]])
+        if len(off):
+            raise ModelError(
+                f"{len(off)} of {len(self.x)} places are not on {seam}, the first at {place(self.x[off[0]])}"
+            )
+        return self
+
     def on_side(self, name: str, seam: str) -> Located:
         """The same with the cells on one side of a seam ("S": of all) alone, for places on it; others keep their cells.
 

@@ -109,7 +109,7 @@ class PressurePart(Part):
         if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
             forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
         if has_flow(term):  # on S: gradients of functions of its mesh are along S
-            flow = self._nodal(space, term.flow) * term.kinematics.on(region.mesh).factor
+            flow = self._means(term.flow) * term.kinematics.on(region.mesh).factor
             forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         matrices = [dolfinx.fem.petsc.assemble_matrix(fem.form(one, entity_maps=region.maps)) for one in forms]
         for matrix in matrices:
@@ -122,17 +122,16 @@ class PressurePart(Part):
             other.destroy()
         return C
 
-    def _nodal(self, space: fem.FunctionSpace, f: Expr) -> fem.Function:
-        """The interpolant of an expression on the region, from integrals by a rule whose points are the vertices."""
-        at_vertices = {"quadrature_rule": "vertex", "quadrature_degree": 1}
-        measure, q = self.region.measure(metadata=at_vertices), self.region.side(ufl.TestFunction(space))
+    def _means(self, f: Expr) -> fem.Function:
+        """The mean of an expression on each facet or cell of the region, as which it may jump. Collective."""
+        found = fem.Function(fem.functionspace(self.region.mesh, ("DG", 0)))
+        measure, q = self.region.measure, self.region.side(ufl.TestFunction(found.function_space))
         sums = []
         for one in (f, fem.Constant(self.region.parent_mesh, 1.0)):
             vector = fem.assemble_vector(fem.form(one * q * measure, entity_maps=self.region.maps))
             vector.scatter_reverse(la.InsertMode.add)
             vector.scatter_forward()
             sums.append(vector.array)
-        found = fem.Function(space)
         found.x.array[:] = sums[0] / sums[1]
         return found
 

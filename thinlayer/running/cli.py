@@ -1,25 +1,35 @@
-"""The command line: lists the studies, runs one, draws it again, prints versions.
+"""The command line: estimates what dropping a layer costs; lists the studies, runs one, draws it again; prints versions.
 
-DOLFINx and PETSc are imported only when a study runs, as that takes seconds.
+DOLFINx and PETSc are imported only when something is computed, as that takes seconds.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
-import logging
-import signal
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
+from forms.base import InputError
 from thinlayer.files.say import say
-from thinlayer.running import startup
-from thinlayer.running.arguments import command_line, folder, petsc_options, refuse
-from thinlayer.running.catalogue import Study, studies
+from thinlayer.running.arguments import command_line, folder, petsc_options, refuse, uses
+from thinlayer.running.catalogue import studies
+from thinlayer.running.recorded import (
+    BAD_INPUT,
+    CRASHED,
+    INTERRUPTED,
+    NOT_WRITTEN,
+    OK,
+    not_written,
+    recorded,
+    set_signals,
+    stop,
+)
+from thinlayer.running.startup import is_first
 
-OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
+if TYPE_CHECKING:
+    from thinlayer.running.record import Record
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.command == "info":
         refuse(parser, rest)
         return _info()
+    if chosen.command == "estimate":
+        return _estimate(parser, chosen, rest)
     return _run(parser, chosen, rest)
 
 
@@ -45,29 +57,22 @@ def start() -> int:
     try:
         return main()
     except KeyboardInterrupt:
-        return _stop(True, INTERRUPTED, "interrupted")
+        return stop(True, INTERRUPTED, "interrupted")
     except Exception as error:
         import traceback
 
         traceback.print_exception(error)
-        return _stop(True, CRASHED, "this is a defect of thinlayer, or of what it is installed with")
-
-
-def _set_signals() -> None:
-    """Restore Python's handling of signals. PETSc replaces it when it starts, and prints reports of its own."""
-    startup.raise_on_interrupt()
-    for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.getsignal(number))
+        return stop(True, CRASHED, "this is a defect of thinlayer, or of what it is installed with")
 
 
 def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
-    out = folder(parser, chosen)
+    out = folder(parser, chosen, Path(chosen.study))
     if not any(out.glob("*.csv")):
         parser.error(f"no table in {out}; run the study first")
     from thinlayer import ModelError
     from thinlayer.running.record import Record
 
-    _set_signals()
+    set_signals()
     try:
         record = Record(chosen.study, out, {})
         record.check_drawn()
@@ -79,114 +84,54 @@ def _draw(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
     except FileNotFoundError as error:
         parser.error(f"{out} is not a whole run of {chosen.study}: there is no {error.filename}")
     except OSError as error:
-        return _stop(True, NOT_WRITTEN, _not_written(error))
+        return stop(True, NOT_WRITTEN, not_written(error))
     say(f"drawn again in {out}")
     return OK
 
 
 def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
     study = studies()[chosen.study]
-    petsc = petsc_options(parser, study, rest)
+    petsc = petsc_options(parser, rest, lambda word: uses(study, word))
     given = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
-    out = folder(parser, chosen)
+
+    def work(record: Record) -> None:
+        module = importlib.import_module(f"studies.{study.name}")
+        module.run(record, **given)
+        module.draw(record)
+
+    out = _free_folder(parser, folder(parser, chosen, Path(study.name)))
+    return recorded(study.name, out, work, options=given, petsc=petsc, resume=chosen.resume, verbose=chosen.verbose)
+
+
+def _estimate(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
+    petsc = petsc_options(parser, rest)
+    from thinlayer.running.asked import Asked
+
+    try:
+        asked = Asked.of(chosen)
+    except InputError as error:
+        return stop(is_first(), BAD_INPUT, f"{type(error).__name__}: {error}")
+
+    def work(record: Record) -> None:
+        from thinlayer.running.estimation import run
+
+        run(record, asked)
+
+    out = _free_folder(parser, folder(parser, chosen, Path("estimate") / asked.name))
+    return recorded("estimate", out, work, options=asked.options, petsc=petsc, resume=None, verbose=chosen.verbose)
+
+
+def _free_folder(parser: argparse.ArgumentParser, out: Path) -> Path:
     if out.exists() and not out.is_dir():
         parser.error(f"--out {out} is a file")
-    return _run_study(study, out, given, petsc, chosen.resume, chosen.verbose)
-
-
-def _run_study(
-    study: Study, out: Path, given: dict[str, Any], petsc: dict[str, str | None], resume: bool, verbose: int
-) -> int:
-    startup.ignore_working_folder()
-    from mpi4py import MPI
-    from petsc4py import PETSc
-
-    from thinlayer.errors import InputError, SolveError
-    from thinlayer.parallel import abort, log
-    from thinlayer.running.record import Record
-    from thinlayer.solving.options import given_elsewhere
-
-    _set_signals()
-    abort.STATUS = CRASHED
-    if verbose:
-        log.show(logging.INFO if verbose == 1 else logging.DEBUG)
-    root = MPI.COMM_WORLD.rank == 0
-    if root and (elsewhere := given_elsewhere()):
-        print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
-    PETSc.Options().setValue("options_left", False)  # options that are not read are errors of ours, not PETSc's report
-    for name, value in petsc.items():
-        PETSc.Options().setValue(name, value)
-    record = Record(study.name, out, given | petsc, resume=resume)
-    try:
-        with record:
-            try:
-                module = importlib.import_module(f"studies.{study.name}")
-                module.run(record, **given)
-                module.draw(record)
-                record.close()
-            except InputError:
-                record.withdraw()
-                raise
-            except BaseException as error:
-                record.stop(_reason(error))
-                raise
-    except InputError as error:
-        return _stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")
-    except SolveError as error:
-        return _stop(root, SOLVE_FAILED, f"{error}\nresults so far are kept in {out}")
-    except OSError as error:
-        message = f"{_not_written(error)}\nresults so far are kept in {out}; --resume continues"
-        if not getattr(error, "on_all_ranks", False):
-            _end_all_ranks(MPI.COMM_WORLD, NOT_WRITTEN, message)
-        return _stop(root, NOT_WRITTEN, message)
-    except KeyboardInterrupt:
-        message = f"interrupted; results so far are kept in {out}; --resume continues"
-        _end_all_ranks(MPI.COMM_WORLD, INTERRUPTED, message)
-        return _stop(root, INTERRUPTED, message)
-    except BaseException as error:
-        if MPI.COMM_WORLD.size > 1:  # the error may be on one rank only, for which the others would wait for ever
-            abort.abort(error)
-        raise
-    if root:
-        for check in record.checks:
-            say(f"{'ok  ' if check.passed else 'FAIL'} {check}")
-        say(f"written to {out}")
-    if record.failed:
-        return _stop(root, CHECK_FAILED, "checks failed: " + "; ".join(str(check) for check in record.failed))
-    return OK
-
-
-def _reason(error: BaseException) -> str:
-    """Text of an error for run.json."""
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
-    return str(error) if isinstance(error, (RuntimeError, OSError)) else f"{type(error).__name__}: {error}"
-
-
-def _not_written(error: OSError) -> str:
-    where = f" {str(error.filename)!r}" if error.filename else ""
-    return f"a file{where} could not be written or read: {error.strerror or error}"
-
-
-def _stop(root: bool, status: int, message: str) -> int:
-    if root:
-        print(f"thinlayer: {message}", file=sys.stderr)
-    return status
-
-
-def _end_all_ranks(comm: Any, status: int, message: str) -> None:
-    """End all ranks of a parallel run, as the others may not know of the error; a serial run goes on."""
-    if comm.size > 1:
-        _stop(True, status, message)
-        sys.stderr.flush()
-        comm.Abort(status)
+    return out
 
 
 def _info() -> int:
     from thinlayer.running.provenance import versions
 
     found = versions()
-    _set_signals()
+    set_signals()
     width = max(map(len, found))
     say("\n".join(f"{name:<{width}}  {version}" for name, version in found.items()))
     return OK

@@ -14,9 +14,14 @@ def end_on_interrupt() -> None:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    if os.environ.get("PMIX_RANK", "0") == "0":
+    if is_first():
         os.write(2, b"thinlayer: interrupted; nothing was done\n")
     os._exit(130)
+
+
+def is_first() -> bool:
+    """Whether this is rank 0, before MPI has started."""
+    return all(os.environ.get(name, "0") == "0" for name in ("PMIX_RANK", "PMI_RANK", "OMPI_COMM_WORLD_RANK"))
 
 
 def raise_on_interrupt() -> None:

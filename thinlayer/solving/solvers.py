@@ -158,6 +158,8 @@ class Solver:
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)
         self._log = logger("solve", model.comm)
+        for line in model.remarks:
+            self._log.info(line)
         self.equations = Equations(model)
         self._linear: list[dict[str, OptionValue]] = [{}]  # without those that have failed
         if self.method not in METHODS:

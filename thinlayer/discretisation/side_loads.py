@@ -1,0 +1,268 @@
+"""Tractions on a layer's own side, of height eps, where the layer has no cells: forces of order eps on its two faces.
+
+A traction t on the side does the work eps t . v per length of the rim of S, v the mean displacement of the side. Between
+faces of displacements <u> -+ [u]/2 the ansatz of order 1 has v = <u>: each face gets half of the force. At a free end
+(`forms.ends`) the side moves besides by -(c_N M/lmbda) [u_N] along the outward normal m in S and by -c_T [u_m] along n
+(reciprocity: the energy that the end takes away), which is of the same size, and the force reaches the faces
+over lengths of the thickness, at the mean distances rho_N eps (along m), c_T eps (along n) and 7 zeta(3)/pi^3 eps
+(along the end). With the weights a of `forms.ends.weights` the work is then
+
+    int_S { eps [t_m v_m f_N' + t_n v_n f_T' + t_tau v_tau f'] - a_N M/lmbda t_m [v_N] - a_T t_n [v_m] },  v = <u>,
+
+f' = 1/r within r of the end. Without it loads on sides leave errors as large as what they do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from forms.ends.constants import FreeEnd
+from forms.ends.weights import Strips
+from forms.interface import Interface
+from forms.kinematics import Expr
+from geometry.ends import StraightEnd, share_within, straight_ends
+from geometry.joint import Joint
+from geometry.seam import LAYER
+from geometry.sheet import Rim, Sheet
+from geometry.topology import FloatArray, IntArray, ridge_keys
+from thinlayer.discretisation.forces import Forces, Weighted
+from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.joint_fields import cellwise
+from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.loads import Coordinates, Load, Pressure, vector
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.point_forms import ConcentratedForms
+from thinlayer.discretisation.point_loads import Nodes
+from thinlayer.discretisation.seams import SeamLayer
+
+ANTIPLANE = (
+    0.2713834  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
+)
+
+
+@dataclass(frozen=True)
+class SideLoad:
+    """A traction on the side of a layer of order 1.
+
+    Attributes:
+        what: words for errors.
+        load: as given.
+        rim: the ridges of S that have this side.
+    """
+
+    what: str
+    load: Load | Pressure
+    rim: Rim
+
+    @classmethod
+    def of(cls, model: Model, one: SeamLayer) -> Iterator[SideLoad]:
+        """Those of a layer, but for zeros."""
+        tractions, facets, rim = model.structure.tractions or {}, model.joint.facets, one.sheet.rim
+        for name in sorted(tractions):
+            whole = name.removesuffix(f"/{LAYER}")
+            given = cls(f"traction on {name!r}", tractions[name], rim)
+            if whole != name and (given.varies or np.any(np.asarray(given.value, float))):
+                here = rim.on(facets[whole])
+                if here.any():
+                    yield given.on(here)
+
+    def on(self, which: npt.NDArray[np.bool_]) -> SideLoad:
+        """The same on some of its ridges."""
+        return replace(self, rim=self.rim[which])
+
+    @property
+    def value(self) -> Any:
+        """The number, numbers or function that was given."""
+        return self.load.p if isinstance(self.load, Pressure) else self.load
+
+    @property
+    def varies(self) -> bool:
+        """Whether it is a function of place and time."""
+        return callable(self.value)
+
+    def traction(self, at: Coordinates, m: Expr) -> Expr:
+        """UFL vector (d,) at places of a side of the outward normal m."""
+        if isinstance(self.load, Pressure):
+            return -self.load.value(at, self.what) * m
+        return vector(self.load, at, len(m), self.what)
+
+    def weights(self, areas: FloatArray) -> FloatArray:
+        """Weights (..., c) for `at_points` of parts of a side, given by area times outward normal, (..., d)."""
+        return -areas if isinstance(self.load, Pressure) else np.linalg.norm(areas, axis=-1, keepdims=True)
+
+    def at_points(self, at: Coordinates, g: Expr) -> tuple[Expr, Callable[[Expr], Expr]]:
+        """The load at places with densities g (c,) of `weights`, and what it works in: of displacements v."""
+        if isinstance(self.load, Pressure):
+            return self.load.value(at, self.what), lambda v: ufl.dot(g, v)
+        return vector(self.load, at, at.mesh.geometry.dim, self.what), lambda v: g[0] * v
+
+
+def add_side_loads(
+    forces: Forces,
+    model: Model,
+    one: SeamLayer,
+    sides: Interface,
+    points: Callable[[], ConcentratedForms],
+    to_base: Expr | None,
+) -> None:
+    """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
+
+    Args:
+        forces: the forces.
+        model: the model.
+        one: the layer; with `edges` loads at its free ends are told with their constants, others by halves.
+        sides: of its seam.
+        points: makes forms of what acts at nodes.
+        to_base: (d,) how far a rigid base is from the facets of the body; None: the body meets it.
+    """
+    assert one.thin
+    free = ridge_keys(free_rim(model, one.sheet).vertices)
+    for load in SideLoad.of(model, one):
+        known = np.isin(ridge_keys(load.rim.vertices), free) & bool(one.thin.edges)
+        found = [*_at_ends(load.on(known), forces.at, model, one, sides)]
+        if not known.all():
+            found += _halves(load.on(~known), model, one, points(), to_base)
+        for force, place in found:
+            forces.add_weighted(one.name, load.what, force, place)
+
+
+# ---------------------------------------------------------------- ends with constants
+def _at_ends(
+    load: SideLoad, at: Coordinates, model: Model, one: SeamLayer, sides: Interface
+) -> Iterator[tuple[Expr, Weighted]]:
+    """The load at straight free ends, handed to the faces along strips."""
+    assert one.thin
+    mesh, based = model.domain.mesh, one.name in model.joint.base_seams
+    for end in straight_ends(load.rim, one.sheet):
+        shares = np.zeros((len(model.joint.cells), 1, 5))
+        upper = model.joint.surface_cells[one.sheet.facets, 1]
+        constants = real_law(one.layer, one.structure.kinematics).free_end()
+        shares[upper, 0] = _shares(end, one.sheet, float(one.thin.eps), constants)
+        known = sides.upper(cellwise(model.domain, ("DG", 0, (5,)), shares))
+        m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
+        place = replace(at, x=at.x + (offset - ufl.dot(m, at.x)) * m)
+        yield load.traction(place, m), _handed(known, m, sides, based)
+
+
+def _shares(end: StraightEnd, sheet: Sheet, eps: float, constants: FreeEnd) -> FloatArray:
+    """(n, 5) densities on facets: of eps times the load along m, n and the end; of what works in the opening and in shear.
+
+    The first three make the whole force of the side, on any mesh.
+    """
+    x, strips = sheet.joint.points[sheet.vertices], Strips.of(constants)
+    facet, count = np.searchsorted(sheet.facets, sheet.parts[0]), len(sheet.facets)
+    area = np.bincount(facet, sheet.areas, count)
+    here, distance = end.faces(x.mean(axis=1)) * sheet.areas, end.distance(x)
+
+    def within(reach: float) -> FloatArray:
+        return np.asarray(np.bincount(facet, share_within(distance, reach * eps) * here, count) / area)
+
+    handed = [within(reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE)]
+    forces = [eps * end.length * share / (share @ area) for share in handed]
+    drawn = constants.drawn_in / strips.l_N * within(strips.l_N), constants.c_T / strips.l_T * within(strips.l_T)
+    return np.stack([*forces, *drawn], axis=1)
+
+
+def _handed(shares: Expr, m: Expr, sides: Interface, based: bool) -> Weighted:
+    """The place of a load, from its shares on S."""
+    n = sides.n
+    along_m, along_n, along_end, opening, shear = (shares[k] for k in range(5))
+
+    def of_mean(v: Expr) -> Expr:
+        parts = (along_m - along_end) * ufl.dot(m, v) * m + (along_n - along_end) * ufl.dot(n, v) * n
+        return along_end * v + parts
+
+    def of_jump(w: Expr) -> Expr:
+        return opening * ufl.dot(n, w) * m + shear * ufl.dot(m, w) * n
+
+    def moved(v: Expr) -> Expr:
+        return of_mean((sides.upper(v) + sides.lower(v)) / 2) - of_jump(sides.jump(v))
+
+    def on_base(v: Expr) -> Expr:
+        return of_mean(sides.upper(v) / 2) + of_jump(sides.upper(v))
+
+    return Weighted(sides.measure, sides.factor, sides.upper, moved, on_base if based else None)
+
+
+# ---------------------------------------------------------------- other ends
+def _halves(
+    load: SideLoad, model: Model, one: SeamLayer, points: ConcentratedForms, to_base: Expr | None
+) -> Iterator[tuple[Expr, Weighted]]:
+    """The load as forces on the rims of both faces, half of it on each; a rigid base takes its half by itself."""
+    assert one.thin
+    joint, based = model.domain.joint, one.name in model.joint.base_seams
+    below, above = joint.surface_cells[one.sheet.parts[0][load.rim.simplex]].T
+    upper = Edge.of(joint, above, load.rim.vertices, joint.cell_points)
+    lower = Edge.of(joint, above, load.rim.vertices, joint.points[joint.cells]) if based else None
+    lower = lower or Edge.of(joint, below, load.rim.vertices, joint.cell_points)
+    height = float(one.thin.eps) * one.sheet.mean_normal if joint.parted is None else upper.x - lower.x
+    areas = _areas(height + 0 * upper.x, (upper.along + lower.along) / 2, load.rim.outward)
+    weights = load.weights(areas) / 2
+    faces = [upper] if based else [upper, lower]
+    nodes = Nodes(np.concatenate([face.cells for face in faces]), np.concatenate([face.X for face in faces]))
+    weights = np.concatenate([model.kinematics.factor_at(face.x)[..., None] * weights for face in faces])
+    for at, g, measure in points.at_nodes(nodes, weights, load.varies):
+        force, moved = load.at_points(at, g)
+
+        def on_base(v: Expr, moved: Callable[[Expr], Expr] = moved) -> Expr:
+            return moved(v if to_base is None else v + ufl.dot(ufl.grad(v), to_base))
+
+        yield force, Weighted(measure, 1, mean=moved, on_base=on_base if based else None)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Ridges of S on one face of a layer: vertices in 2D, edges in 3D with two Gauss points.
+
+    Attributes:
+        cells: (n,) cells that have them.
+        X: (n, k, d) points in the reference cell.
+        x: (n, k, d) their places.
+        along: (n, k, d) length in space that belongs to a point, as a vector along the edge; zero in 2D.
+    """
+
+    cells: IntArray
+    X: FloatArray
+    x: FloatArray
+    along: FloatArray
+
+    @classmethod
+    def of(cls, joint: Joint, cells: IntArray, vertices: IntArray, cell_points: FloatArray) -> Edge:
+        """The ridges of these vertices (n, d - 1) in cells (n,) whose nodes have these places."""
+        kind = basix.CellType[joint.cell_type]
+        corner = (joint.corners[cells][:, None] == vertices[..., None]).argmax(axis=2)
+        ends = np.asarray(basix.geometry(kind))[corner]  # (n, d - 1, d)
+        s, w = np.zeros((1, 1)), np.ones(1)
+        if joint.dim == 3:
+            s, w = basix.make_quadrature(basix.CellType.interval, 3)
+        tangent = (ends[:, -1] - ends[:, 0])[:, None]
+        X = ends[:, :1] + s[None, :, :1] * tangent
+        element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
+        x, along = np.zeros_like(X), np.zeros_like(X)
+        for row, cell in enumerate(cells):
+            table = element.tabulate(1, X[row])[..., 0]
+            x[row] = table[0] @ cell_points[cell]
+            J = np.einsum("jkn,ni->kij", table[1:], cell_points[cell])
+            along[row] = w[:, None] * np.einsum("kij,kj->ki", J, np.broadcast_to(tangent[row], X[row].shape))
+        return cls(cells, X, x, along)
+
+
+def _areas(height: FloatArray, along: FloatArray, outward: FloatArray) -> FloatArray:
+    """(n, k, d) area of a side at points of its edges times its outward normal.
+
+    Args:
+        height: (n, k, d) from the lower to the upper face.
+        along: (n, k, d) lengths along the edges.
+        outward: (n, d) directions to which the normals point.
+    """
+    across = np.stack([height[..., 1], -height[..., 0]], axis=-1) if height.shape[-1] == 2 else np.cross(height, along)
+    sense = np.sign(np.einsum("nkd,nd->nk", across, outward))
+    return np.asarray(sense[..., None] * across)

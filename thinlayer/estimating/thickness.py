@@ -1,0 +1,161 @@
+"""`thin_enough`: how thin a layer must be for its mesh to be dropped."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from forms.base import is_number
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.structure import Structure
+from thinlayer.errors import ModelError
+from thinlayer.estimating.estimate import Estimate, estimate
+from thinlayer.estimating.goals import Compliance, Goal
+from thinlayer.files.table import Table
+from thinlayer.parallel.agreement import on_all
+from thinlayer.solving.options import OptionValue
+from thinlayer.solving.solvers import solve
+
+FIELDS = ("traction", "jump")
+ACCURACY = 0.01  # of the thickness, relative
+STALLED = 0.98  # error over that of twice the thickness from which on it hardly falls
+HALVINGS = 20  # of the thickness, at most, in search of one that is thin enough
+THICKEST = 0.5  # thickness over the height of the thinner body up to which the search goes
+
+
+@dataclass(frozen=True)
+class ThinEnough:
+    """The thickness below which a layer's mesh may be dropped.
+
+    Attributes:
+        eps: the thickness; where the error stays below the tolerance, the largest that was tried.
+        tolerance: the relative error that is allowed.
+        quantity: "traction", "jump", or the name of a goal.
+        table: a row for each thickness that was tried: eps, error.
+        found: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
+    """
+
+    eps: float
+    tolerance: float
+    quantity: str
+    table: Table
+    found: bool
+
+    def __str__(self) -> str:
+        allowed = f"{100 * self.tolerance:.3g} % in {self.quantity}"
+        if self.found:
+            return f"thinner than {self.eps:.3g} the layer's mesh may be dropped: at most {allowed}"
+        return f"up to {self.eps:.3g} the layer's mesh may be dropped: at most {allowed}; thicker ones were not tried"
+
+
+def thin_enough(
+    structure: Structure,
+    layer: ThinLayer,
+    tolerance: float,
+    goal: str | Goal = "traction",
+    *,
+    bonded: bool = False,
+    bodies: str = "kept",
+    options: Mapping[str, OptionValue] | None = None,
+) -> ThinEnough:
+    """The thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
+
+    The layer's material stays the same: its real moduli are those of the thickness that is given. Each thickness is two
+    solves on one mesh; it takes six to twelve thicknesses.
+
+    Args:
+        structure: bodies, supports and loads.
+        layer: the layer, with the thickness at which the search begins; its law per thickness, as always.
+        tolerance: relative error that is allowed, between 0 and 1.
+        goal: "traction" or "jump", on S away from its free ends; or a goal.
+        bonded: whether the layer is ignored altogether, instead of replaced by its law of order 0.
+        bodies: "kept" or "extended", as of `Structure.interface`.
+        options: PETSc options, as in `solve`.
+
+    Raises:
+        ModelError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
+        SolveError: as in `solve`.
+    """
+    _check(structure, layer, tolerance, goal, bonded)
+    goals = (goal,) if isinstance(goal, Goal) else (Compliance(),)
+    quantity = goal if isinstance(goal, str) else goal.name
+
+    def scaled(eps: float) -> ThinLayer:
+        return replace(layer, eps=eps, law=layer.law.per_thickness(eps / float(layer.eps)))
+
+    begun = structure.interface(layer, bodies=bodies)
+    alone = solve(structure.bonded(), options=options) if bonded else None
+
+    def error(eps: float) -> float:
+        if alone is not None:
+            return _error(estimate(alone, scaled(eps), goals, options=options), quantity)
+        model = begun.with_layer(scaled(eps)) if bodies == "kept" else structure.interface(scaled(eps), bodies=bodies)
+        return _error(estimate(solve(model, options=options), goals=goals, options=options), quantity)
+
+    rows: dict[float, float] = {}
+    eps, found = _search(error, float(layer.eps), _thickest(begun), tolerance, rows)
+    table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
+    return ThinEnough(eps, tolerance, quantity, table, found)
+
+
+def _check(structure: Structure, layer: ThinLayer, tolerance: float, goal: str | Goal, bonded: bool) -> None:
+    with on_all(structure.comm):
+        if not isinstance(layer, ThinLayer):
+            raise ModelError(f"thin_enough: the layer is {layer!r:.80}; give a ThinLayer, one for all seams")
+        if not (is_number(tolerance) and 0 < tolerance < 1):
+            raise ModelError(f"thin_enough: the tolerance is {tolerance!r}; allowed: between 0 and 1")
+        if not (isinstance(goal, Goal) or goal in FIELDS):
+            raise ModelError(f"thin_enough: the goal is {goal!r}; allowed: {', '.join(FIELDS)}, or one of thinlayer.goals")
+        if bonded and goal == "jump":
+            raise ModelError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
+
+
+def _thickest(model: InterfaceModel) -> float:
+    """The largest thickness for which an interface law is tried."""
+    return THICKEST * min(height for one in model.layers.values() for height in one.sheet.heights)
+
+
+def _error(found: Estimate, quantity: str) -> float:
+    """The estimated error of a quantity; infinite where S is nowhere farther from its free ends."""
+    if found.unknown:
+        raise ModelError(f"thin_enough: {found.unknown}")
+    if quantity in FIELDS:
+        error = found.traction if quantity == "traction" else found.jump
+        return error if math.isfinite(error) else math.inf
+    goal = found.goals[quantity]
+    if not goal.better:
+        raise ModelError(f"thin_enough: {quantity} is zero, and so has no relative error")
+    return goal.relative
+
+
+def _search(
+    error: Callable[[float], float], start: float, thickest: float, tolerance: float, rows: dict[float, float]
+) -> tuple[float, bool]:
+    """The thickness with the error `tolerance`, and whether there is one; fills rows: thickness -> error."""
+
+    def excess(eps: float) -> float:
+        """Logarithm of the error over the tolerance."""
+        if eps not in rows:
+            rows[eps] = error(eps)
+        return math.log(max(rows[eps], 1e-300) / tolerance)
+
+    low = high = min(start, thickest)
+    while excess(low) > 0:
+        low, high = low / 2, low
+        if low < start / 2**HALVINGS or (excess(low) > 0 and rows[low] > STALLED * rows[high]):
+            raise ModelError(
+                f"thin_enough: no thickness is thin enough: the error is {rows[high]:.3g} at {high:.3g}, and hardly falls "
+                "with the thickness; is the layer much softer than the bodies?"
+            )
+    while excess(high) <= 0:
+        if high >= thickest:
+            return high, False
+        low, high = high, min(2 * high, thickest)
+    while high > (1 + ACCURACY) * low:
+        above, below = excess(high), excess(low)
+        share = -below / (above - below) if math.isfinite(above) else 0.5
+        middle = low * (high / low) ** min(max(share, 0.1), 0.9)
+        low, high = (low, middle) if excess(middle) > 0 else (middle, high)
+    return low, True

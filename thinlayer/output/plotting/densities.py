@@ -1,0 +1,105 @@
+"""Pictures of densities on S: curves by arc length in 2D, coloured facets in 3D."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import SymLogNorm
+
+from geometry.topology import is_tensor
+from thinlayer.errors import ModelError
+from thinlayer.output.plotting.curves import COLOURS
+from thinlayer.output.plotting.picture import Picture, finish, require_name
+from thinlayer.output.surface import Surface
+from thinlayer.output.surface_density import SurfaceDensity
+
+Array = npt.NDArray[np.float64]
+PANEL = (5.6, 3.4)  # width and height of a panel, inches
+SHOWN = 1e-3  # values over the largest that still have a colour of their own
+COLOUR_MAP = "RdBu_r"
+
+
+def density(
+    given: SurfaceDensity,
+    *,
+    save: str | Path | None = None,
+    title: str = "",
+    length: str = "",
+    quantity: str = "density",
+) -> Picture:
+    """A density on S, a panel for each seam: by arc length in 2D, as colours in the plane of the seam in 3D. Collective.
+
+    Args:
+        given: the density, as `Estimate.density` returns it.
+        save: PNG file; None: it is not saved.
+        title: text over the picture.
+        length: unit of length, for the labels.
+        quantity: label of the values.
+
+    Raises:
+        ModelError: no density; a seam in 3D that is not planar. OSError: the picture could not be written.
+    """
+    if not isinstance(given, SurfaceDensity):
+        raise ModelError(f"density: {given!r:.80} is no density; give what Estimate.density returns")
+    require_name(save)
+    model = given.model
+    seams, d = [*model.layers], model.joint.dim
+    if bent := [name for name in seams if d == 3 and not model.layers[name].sheet.planar]:
+        raise ModelError(f"pictures of densities in 3D are for planar seams, and {bent[0]!r} is curved")
+    figure = Picture(figsize=(PANEL[0] * len(seams), PANEL[1]), layout="constrained")
+    draw = _by_arc_length if d == 2 else _coloured
+    for axes, name in zip(figure.subplots(1, len(seams), squeeze=False)[0], seams, strict=True):
+        draw(figure, axes, given, name, f" ({length})" if length else "", quantity)
+        axes.set_title(name if len(seams) > 1 else "", fontsize=11)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    return finish(figure, save)
+
+
+def _by_arc_length(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, unit: str, quantity: str) -> None:
+    start = 0.0
+    for number, line in enumerate(Surface(given.model, name).along(given.expression)):
+        if number:
+            axes.axvline(start, color="0.7", linewidth=0.8)
+        values = line.values.ravel()
+        axes.fill_between(start + line.s, values, color=COLOURS[0], alpha=0.25, linewidth=0)
+        axes.plot(start + line.s, values, ".-", color=COLOURS[0], markersize=3)
+        start += line.length
+    axes.set_yscale("symlog", linthresh=SHOWN * float(np.abs(given.values).max()) or 1.0)
+    axes.axhline(0.0, color="0.4", linewidth=0.8)
+    axes.grid(color="0.9")
+    axes.set_xlabel(f"arc length{unit}")
+    axes.set_ylabel(quantity)
+
+
+def _coloured(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, unit: str, quantity: str) -> None:
+    joint = given.model.joint
+    corners = joint.table.vertices[joint.rows_of(name)]
+    first, second = _axes_of(given.model.layers[name].sheet.mean_normal)
+    x = joint.points[corners] @ np.column_stack([first, second])
+    at = np.zeros(len(joint.points))
+    at[given.vertices] = given.values
+    largest = float(np.abs(given.values).max()) or 1.0
+    ring = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
+    facets: Any = PolyCollection([*x[:, ring]], array=at[corners].mean(axis=1), cmap=COLOUR_MAP, edgecolor="face")
+    facets.set_norm(SymLogNorm(SHOWN * largest, vmin=-largest, vmax=largest))
+    axes.add_collection(facets)
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    for label, direction in ((axes.set_xlabel, first), (axes.set_ylabel, second)):
+        label(f"along ({', '.join(f'{c:.3g}' for c in direction + 0.0)}){unit}")
+    figure.colorbar(facets, ax=axes, label=quantity)
+
+
+def _axes_of(n: Array) -> tuple[Array, Array]:
+    """Two unit vectors in the plane across n, the first one along a coordinate axis as far as it can be."""
+    axis = np.eye(3)[int(np.abs(n).argmin())]
+    first = axis - (axis @ n) * n
+    first = first / np.linalg.norm(first)
+    second = np.cross(n, first)
+    return first, second if second.sum() > 0 else -second

@@ -1,0 +1,101 @@
+"""Pictures of stresses inside a layer at its free end, zoomed from an interface model, beside those of a meshed layer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.base import is_number
+from geometry.errors import unknown
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.output.meshed_places import meshed_places
+from thinlayer.output.plotting.picture import Picture, drawn_on_root, require_name
+from thinlayer.output.probe import Probe
+from thinlayer.output.zoom import Zoom
+
+Array = npt.NDArray[np.float64]
+COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
+NAMES = {"N": "normal traction t_N", "T": "shear traction t_T", "S": "stress along S"}
+POINTS = (121, 61)  # along S and through the thickness
+HIGHEST = 0.495  # heights that are drawn
+SHOWN = 0.02  # share of the largest values beyond the range of colours: those at corners
+
+
+def zoomed(
+    zoom: Zoom,
+    full: State | None = None,
+    *,
+    end: int = 0,
+    width: float = 3.0,
+    component: str = "N",
+    save: str | Path | None = None,
+    title: str = "",
+    stress: str = "",
+) -> Picture | None:
+    """A stress in the layer near a free end, and on lines through it; in 2D. Collective; rank 0 has the picture.
+
+    Args:
+        zoom: the zoom.
+        full: state of the meshed model of the same joint, to compare with.
+        end: number of the end in `zoom.ends`.
+        width: length of the part of the layer that is drawn, over the thickness, > 0.
+        component: "N", "T" or "S": normal traction, shear traction (of axes inward along S and along n), stress along S.
+        save: PNG file; None: it is not saved.
+        title: text over the picture.
+        stress: unit of stresses, for the labels.
+
+    Raises:
+        ModelError: 3D, no such end, component or width; a state of another joint. OSError: the file could not be written.
+    """
+    if not isinstance(zoom, Zoom):
+        raise ModelError(f"zoomed: zoom is {zoom!r:.80}; give Zoom(state)")
+    if component not in COMPONENTS:
+        raise ModelError(unknown("component", component, COMPONENTS))
+    if not (is_number(width) and 0 < width < np.inf):
+        raise ModelError(f"zoomed: width is {width!r}; allowed: > 0, over the thickness")
+    require_name(save)
+    if zoom.state.model.joint.dim != 2:
+        raise ModelError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
+    if end not in range(len(zoom.ends)):
+        raise ModelError(f"zoomed: end is {end!r}; S has {len(zoom.ends)} free ends")
+    if full is not None and full.model.joint is not zoom.state.model.joint:
+        raise ModelError("zoomed: the full state's model has another joint; build both from the same one")
+    at, axes = zoom.ends[end], zoom.axes_of_end(end)
+    # finer towards the end and the faces, but not at corners, where stresses are infinite
+    d = width * (1 - np.cos(np.linspace(0, np.pi / 2, POINTS[0])))
+    y = HIGHEST * np.sin(np.linspace(-np.pi / 2, np.pi / 2, POINTS[1]))
+    D, Y = np.meshgrid(d, y)
+    x, height = at.x[0] - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
+    i, j = COMPONENTS[component]
+    found = {"interface law, zoomed": zoom.stress(x, height)}
+    if full is not None:
+        found = {"meshed layer": Probe(full).stress(meshed_places(full.model, x, height, zoom.seam))} | found
+    values = {name: np.einsum("i,nij,j->n", axes[i], one, axes[j]).reshape(D.shape) for name, one in found.items()}
+    return drawn_on_root(zoom.state.model.comm, lambda: _drawn(values, D, Y, component, title, stress), save)
+
+
+def _drawn(values: dict[str, Array], D: Array, Y: Array, component: str, title: str, unit: str) -> Picture:
+    first = next(iter(values.values()))
+    low, high = np.quantile(first, [SHOWN, 1 - SHOWN])
+    figure = Picture(figsize=(7.2, 1.9 * len(values) + 3.0), layout="constrained")
+    rows = figure.subplots(len(values) + 1, 1, height_ratios=[*[1.0] * len(values), 1.5], sharex=True)
+    for axes, (name, one) in zip(rows[:-1], values.items(), strict=True):
+        colours = axes.pcolormesh(D, Y, one, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
+        axes.set(title=name, ylabel="height/eps", ylim=(-0.5, 0.5))
+    label = f"{NAMES[component]}{f' ({unit})' if unit else ''}"
+    figure.colorbar(colours, ax=list(rows[:-1]), label=label, extend="both")
+    for colour, height in zip(("tab:blue", "tab:orange", "tab:green"), (0.45, 0.0, -0.45), strict=True):
+        row = int(np.abs(Y[:, 0] - height).argmin())
+        for style, (name, one) in zip(("-", "--")[-len(values) :], values.items(), strict=True):
+            here = f"height {Y[row, 0]:.2f} eps, {name}"
+            rows[-1].plot(D[row], one[row], style, color=colour, linewidth=3 if style == "-" else 1.5, label=here)
+    spread = high - low
+    rows[-1].set(xlabel="distance from the end, over eps", ylabel=label, ylim=(low - spread / 3, high + spread / 3))
+    rows[-1].grid(color="0.9")
+    figure.legend(loc="outside lower center", ncols=len(values), frameon=False, fontsize=8)
+    if title:
+        figure.suptitle(title)
+    return figure

@@ -1,0 +1,225 @@
+"""What must hold of a layer, and of its free ends, for the stresses inside to be known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from forms.elastic import LARGEST_NU, ROUNDING
+from forms.ends.fields import EndFields, end_fields
+from forms.inside import FaceValues, Inside
+from forms.law import BulkLaw, LawError
+from geometry.ends import StraightEnd, straight_ends
+from geometry.errors import GeometryError, place, unknown
+from geometry.seam import S
+from geometry.sheet import Rim
+from thinlayer.discretisation.free_ends import LARGEST_STIFFNESS, softest_body
+from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.output.faces_at import FacesAt
+
+Array = npt.NDArray[np.float64]
+NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end
+DIGITS = 12  # of Poisson's ratio
+
+
+@dataclass(frozen=True, eq=False)
+class Zoomable:
+    """A layer whose stresses inside are known.
+
+    Attributes:
+        model: an interface model.
+        one: the layer.
+        inside: its sublayers.
+    """
+
+    model: Model
+    one: SeamLayer
+    inside: Inside
+
+    @classmethod
+    def of(cls, state: State, seam: str) -> Zoomable:
+        """The layer of a seam.
+
+        Raises:
+            ModelError: there is none, or its stresses inside are not known.
+        """
+        if not isinstance(state, State) or not isinstance(state.model, InterfaceModel):
+            given = state.model if isinstance(state, State) else state
+            raise ModelError(f"a zoom takes a state of an interface model, as solve returns it, not {given!r:.80}")
+        model, names = state.model, [*state.model.joint.seams]
+        name = names[0] if seam == S and len(names) == 1 else seam
+        if name not in names:
+            raise ModelError(unknown("seam", seam, names))
+        if name not in model.layers:
+            raise ModelError(f"the seam {name!r} is open: no layer is there")
+        one = model.layers[name]
+        thin, start = one.thin, f"zoom into {one}: "
+        if thin is None:
+            raise ModelError(f"{start}{type(one.layer).__name__} is a law on S, without a thickness")
+        if thin.eigenstrain is not None:
+            raise ModelError(f"{start}its eigenstrain is not in the fields of the zoom")
+        if model.domain.joint.parted is not None:
+            raise ModelError(f"{start}it needs bodies='kept', which meet on S")
+        return cls(model, one, _inside(real_law(one.layer, model.kinematics), start))
+
+    @property
+    def law(self) -> BulkLaw:
+        """The law with real parameters, for the model's kinematics."""
+        return real_law(self.one.layer, self.model.kinematics)
+
+    @property
+    def eps(self) -> float:
+        """Thickness; where it varies the one that its profile multiplies."""
+        assert self.one.thin
+        return float(self.one.thin.eps)
+
+    def thickness(self, x: Array) -> Array:
+        """(n,) thickness at places (n, d)."""
+        assert self.one.thin
+        profile = self.one.thin.profile
+        relative = np.ones(len(x)) if profile is None else np.asarray(profile(x.T), float)
+        return np.asarray(self.eps * np.broadcast_to(relative, (len(x),)))
+
+    def face_values(self, faces: FacesAt) -> FaceValues:
+        """What the interface law knows of the faces: at order 0 the jump alone."""
+        assert self.one.thin
+        n, d = faces.x.shape
+        lifted = _lifted(faces.n), _lifted(faces.u[1] - faces.u[0])
+        if self.one.thin.order == 0:
+            return FaceValues(*lifted, np.zeros((n, 3, 3)), np.zeros((n, 3, 3)))
+        along_s = np.eye(d) - faces.n[:, :, None] * faces.n[:, None]
+        gradient, hoops = faces.gradient @ along_s, faces.u[..., 0] / self.model.kinematics.radius(faces.x)
+        strains = np.zeros((2, n, 3, 3))
+        strains[..., :d, :d] = (gradient + np.swapaxes(gradient, 2, 3)) / 2
+        strains[..., 2, 2] += hoops
+        lower, upper = strains
+        return FaceValues(*lifted, (lower + upper) / 2, upper - lower)
+
+    # ---------------------------------------------------------------- ends
+    @cached_property
+    def rim(self) -> Rim:
+        """Where S has free ends."""
+        return free_rim(self.model, self.one.sheet)
+
+    @cached_property
+    def why_no_ends(self) -> str | None:
+        """Why stresses at free ends are not known; None: they are."""
+        one, sublayers = self.one, self.inside
+        assert one.thin
+        if len(sublayers.mu) > 1:
+            return "the fields of free ends are those of a layer of one law"
+        if self.nu < 0 or self.nu > LARGEST_NU + ROUNDING:
+            return f"Poisson's ratio is {self.nu:.4g}; the fields of free ends need 0 to {LARGEST_NU}"
+        if one.thin.profile is not None:
+            return "the thickness varies"
+        if self.model.kinematics.degree:
+            return "free ends of a body of revolution are curved"
+        try:
+            straight_ends(self.rim, one.sheet)
+        except GeometryError as error:
+            return str(error)
+        if not one.sheet.planar:
+            return "S is curved"
+        M, E = float(sublayers.M[0]), softest_body(one)
+        if M > LARGEST_STIFFNESS * E:
+            return (
+                f"the fields of free ends are those between rigid faces: lmbda + 2 mu of the layer is {M:.4g}, Young's "
+                f"modulus of a body on S {E:.4g}; allowed: at most {LARGEST_STIFFNESS:g} of it"
+            )
+        return None
+
+    def _require_ends(self) -> None:
+        if self.why_no_ends:
+            raise ModelError(f"zoom into {self.one} at its free ends: {self.why_no_ends}")
+
+    @property
+    def nu(self) -> float:
+        """Poisson's ratio of the lowest sublayer, in plane strain."""
+        lmbda, mu = self.inside.lmbda[0], self.inside.mu[0]
+        return round(float(lmbda / (lmbda + mu) / 2), DIGITS)
+
+    @property
+    def fields(self) -> EndFields:
+        """The fields of the free ends."""
+        self._require_ends()
+        return end_fields(self.nu)
+
+    @cached_property
+    def _ends(self) -> list[StraightEnd]:
+        self._require_ends()
+        return straight_ends(self.rim, self.one.sheet)
+
+    @property
+    def places_of_ends(self) -> list[tuple[StraightEnd, Array]]:
+        """Each free end and places (n, d) on it, vertices of the mesh in their order along it."""
+        joint, found = self.model.joint, []
+        for end in self._ends:
+            x = joint.points[np.unique(self.rim.vertices)]
+            x = x[end.has(x)]
+            found.append((end, x[np.argsort(x @ end.along)]))
+        return found
+
+    def near(self, x: Array) -> list[tuple[StraightEnd, Array]]:
+        """Each free end and the distances (n,) of places (n, d) that lie beside it, others inf.
+
+        Raises:
+            ModelError: a place is near an end whose fields are not known, or near two that meet.
+        """
+        if not len(self.rim.vertices):
+            return []
+        if self.why_no_ends:
+            close = self._distance(x) < NEAR * self.thickness(x)
+            if close.any():
+                raise ModelError(
+                    f"zoom into {self.one} at {place(x[close.argmax()])}, within {NEAR:g} thicknesses of a free end: "
+                    f"{self.why_no_ends}"
+                )
+            return []
+        found = [(end, np.where(end.beside(x), np.maximum(end.distance(x), 0.0), np.inf)) for end in self._ends]
+        both = np.sum([distance < NEAR * self.eps for _, distance in found], axis=0) > 1
+        if both.any():
+            raise ModelError(
+                f"zoom into {self.one} at {place(x[both.argmax()])}, within {NEAR:g} thicknesses of two free ends: the "
+                "fields of an end are those far from others"
+            )
+        return found
+
+    def _distance(self, x: Array) -> Array:
+        """Distances (n,) of places from the free ends."""
+        ridges = self.model.joint.points[self.rim.vertices]
+        start, step = ridges[:, 0], ridges[:, -1] - ridges[:, 0]
+        length = np.maximum(np.einsum("rd,rd->r", step, step), np.finfo(float).tiny)
+        share = np.clip(np.einsum("nrd,rd->nr", x[:, None] - start, step) / length, 0.0, 1.0)
+        nearest = start + share[..., None] * step
+        return np.asarray(np.linalg.norm(x[:, None] - nearest, axis=2).min(axis=1))
+
+
+def _lifted(v: Array) -> Array:
+    return np.pad(v, ((0, 0), (0, 3 - v.shape[1])))
+
+
+def _inside(law: BulkLaw, start: str) -> Inside:
+    """The sublayers of a law with real parameters; raises ModelError."""
+    fractions, moduli = [], []
+    for fraction, one in law.sublayers:
+        if one.fields:
+            raise ModelError(f"{start}parameters of {type(one).__name__} are functions; allowed: numbers")
+        try:
+            moduli.append(one.elastic_moduli())
+        except LawError as error:
+            raise ModelError(
+                f"{start}stresses inside are known for isotropic linear elastic laws (LinearElastic, or a Stack of them), "
+                f"not for {type(one).__name__}; mesh the layer (structure.full)"
+            ) from error
+        fractions.append(fraction)
+    lmbda, mu = np.array(moduli, float).T
+    return Inside(np.array(fractions), lmbda, mu)

@@ -1,0 +1,132 @@
+"""What the command line does around a run: signals, PETSc options, the record's folder, errors and exit statuses."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thinlayer.files.say import say
+from thinlayer.running import startup
+
+if TYPE_CHECKING:
+    from thinlayer.running.record import Record
+
+OK, CHECK_FAILED, BAD_INPUT, SOLVE_FAILED, NOT_WRITTEN, CRASHED, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
+
+
+def set_signals() -> None:
+    """Restore Python's handling of signals. PETSc replaces it when it starts, and prints reports of its own."""
+    startup.raise_on_interrupt()
+    for number in (signal.SIGPIPE, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.getsignal(number))
+
+
+def recorded(
+    name: str,
+    out: Path,
+    work: Callable[[Record], None],
+    *,
+    options: Mapping[str, Any],
+    petsc: Mapping[str, str | None],
+    resume: bool | None,
+    verbose: int,
+) -> int:
+    """Run something that keeps its results in a folder; returns the exit status. Collective.
+
+    Args:
+        name: of the study, for run.json.
+        out: the folder.
+        work: what is run.
+        options: options chosen by the user, for run.json.
+        petsc: PETSc options to set.
+        resume: whether an earlier run in the folder is continued; None: it cannot be.
+        verbose: 1: attempts of solves are shown; 2: their steps as well.
+    """
+    startup.ignore_working_folder()
+    from mpi4py import MPI
+    from petsc4py import PETSc
+
+    from thinlayer.errors import InputError, SolveError
+    from thinlayer.parallel import abort, log
+    from thinlayer.running.record import Record
+    from thinlayer.solving.options import given_elsewhere
+
+    set_signals()
+    abort.STATUS = CRASHED
+    if verbose:
+        log.show(logging.INFO if verbose == 1 else logging.DEBUG)
+    root = MPI.COMM_WORLD.rank == 0
+    if root and (elsewhere := given_elsewhere()):
+        print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
+    PETSc.Options().setValue("options_left", False)  # options that are not read are errors of ours, not PETSc's report
+    for option, value in petsc.items():
+        PETSc.Options().setValue(option, value)
+    record = Record(name, out, {**options, **petsc}, resume=bool(resume))
+    kept = f"results so far are kept in {out}{'' if resume is None else '; --resume continues'}"
+    try:
+        with record:
+            try:
+                work(record)
+                record.close()
+            except InputError:
+                record.withdraw()
+                raise
+            except BaseException as error:
+                record.stop(_reason(error))
+                raise
+    except InputError as error:
+        return stop(root, BAD_INPUT, f"{type(error).__name__}: {error}")
+    except SolveError as error:
+        return stop(root, SOLVE_FAILED, f"{error}\nresults so far are kept in {out}")
+    except OSError as error:
+        message = f"{not_written(error)}\n{kept}"
+        if not getattr(error, "on_all_ranks", False):
+            _end_all_ranks(MPI.COMM_WORLD, NOT_WRITTEN, message)
+        return stop(root, NOT_WRITTEN, message)
+    except KeyboardInterrupt:
+        message = f"interrupted; {kept}"
+        _end_all_ranks(MPI.COMM_WORLD, INTERRUPTED, message)
+        return stop(root, INTERRUPTED, message)
+    except BaseException as error:
+        if MPI.COMM_WORLD.size > 1:  # the error may be on one rank only, for which the others would wait for ever
+            abort.abort(error)
+        raise
+    if root:
+        for check in record.checks:
+            say(f"{'ok  ' if check.passed else 'FAIL'} {check}")
+        say(f"written to {out}")
+    if record.failed:
+        return stop(root, CHECK_FAILED, "checks failed: " + "; ".join(str(check) for check in record.failed))
+    return OK
+
+
+def _reason(error: BaseException) -> str:
+    """Text of an error for run.json."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return str(error) if isinstance(error, (RuntimeError, OSError)) else f"{type(error).__name__}: {error}"
+
+
+def not_written(error: OSError) -> str:
+    """Words for a file that could not be written or read."""
+    where = f" {str(error.filename)!r}" if error.filename else ""
+    return f"a file{where} could not be written or read: {error.strerror or error}"
+
+
+def stop(root: bool, status: int, message: str) -> int:
+    """Print a message on standard error, on rank 0; returns the status."""
+    if root:
+        print(f"thinlayer: {message}", file=sys.stderr)
+    return status
+
+
+def _end_all_ranks(comm: Any, status: int, message: str) -> None:
+    """End all ranks of a parallel run, as the others may not know of the error; a serial run goes on."""
+    if comm.size > 1:
+        stop(True, status, message)
+        sys.stderr.flush()
+        comm.Abort(status)
