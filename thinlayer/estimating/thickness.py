@@ -107,7 +107,9 @@ def _check(structure: Structure, layer: ThinLayer, tolerance: float, goal: str |
         if not (is_number(tolerance) and 0 < tolerance < 1):
             raise ModelError(f"thin_enough: the tolerance is {tolerance!r}; allowed: between 0 and 1")
         if not (isinstance(goal, Goal) or goal in FIELDS):
-            raise ModelError(f"thin_enough: the goal is {goal!r}; allowed: {', '.join(FIELDS)}, or one of thinlayer.goals")
+            raise ModelError(
+                f"thin_enough: the goal is {goal!r}; allowed: {', '.join(FIELDS)}, or one of thinlayer.goals"
+            )
         if bonded and goal == "jump":
             raise ModelError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
 

@@ -22,7 +22,6 @@ from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure import PressurePart, has_flow
 
-
 ON_S = "law of"  # first words of the keys of laws that act where a layer is not meshed
 
 
