@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -61,7 +62,7 @@ class _Blocks:
         return self.record.solved(solve(model) if self.law.traits.linear else march(model, TIMES).last)
 
     def by_law(self, order: int, edges: str) -> State:
-        layer = ThinLayer(self.law, self.eps, order=order, **({"edges": edges} if order else {}))
+        layer = ThinLayer(self.law, self.eps, order=order, edges=edges if order else None)
         return self.state(self.structure.interface(layer))
 
     def mixed(self, thicknesses: float) -> State:
@@ -102,7 +103,9 @@ def _thicknesses(record: Record, name: str, law: BulkLaw, thicknesses: Sequence[
         record.say(f"{name}, {one}")
         record.say(table)
     orders = {
-        one: [observed_orders(table["eps"], table[f"error_{of}"])[-1] for of in ("traction", "jump", "work")]
+        one: [
+            observed_orders(table["eps"], table[f"error_{of}"])[-1] or math.nan for of in ("traction", "jump", "work")
+        ]
         for one, table in tables.items()
     }
     record.check(f"{name}: least last order of the mixed model", min(orders["mixed"]), low=1.7)
