@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import math
 
-import numpy as np
 import pytest
 
-from forms import LinearElastic, MohrCoulomb, Norton
+from forms import LinearElastic, Norton
 from forms.traction import TractionLaw
 from geometry import sandwich
-from tests.estimate_run import EPS, GLUE, KINDS, LOWER, SOFT, chosen, estimated, numbers, structure
+from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, numbers, structure
 from tests.ranks import mpirun
 from thinlayer import (
     ModelError,
