@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from forms import Anisotropic, LinearElastic, MohrCoulomb, Rubber, Stack
-from forms.inside import FaceValues, Sublayers
+from forms import Anisotropic, Incompressible, LinearElastic, MohrCoulomb, Rubber, Stack
+from forms.inside import FaceValues, Pressed, Sublayers
 from geometry import block, disc, sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests.ranks import mpirun
@@ -75,6 +76,22 @@ def test_stresses_through_the_thickness_have_the_order_of_the_law(law, order):
     rate = observed_orders(THIN, found)[-1]
     assert rate == pytest.approx(order + 1, abs=0.2)
     assert found[-1] < (0.08 if order == 0 else 0.008)
+
+
+@pytest.mark.parametrize("law", [Rubber.shear(40.0, 0.499), Incompressible(40.0), Rubber.shear(40.0, 0.4)])
+def test_stresses_in_rubber_have_order_two(law):
+    found = errors(law, np.array([-0.45, 0.35]), 1)
+    assert observed_orders(THIN, found)[-1] > 1.7
+    assert found[-1] < 0.01
+
+
+def test_without_the_slope_of_the_pressure_stresses_in_rubber_have_order_one(monkeypatch):
+    whole = Pressed.stress
+    monkeypatch.setattr(
+        Pressed, "stress", lambda self, faces, eps, y: whole(self, replace(faces, slope=0 * faces.slope), eps, y)
+    )
+    found = errors(Incompressible(40.0), np.array([-0.45, 0.35]), 1)
+    assert observed_orders(THIN, found)[-1] < 1.3
 
 
 def test_without_their_slope_stresses_have_order_one(monkeypatch):
@@ -217,39 +234,23 @@ def test_two_ranks_find_the_same():
 
 
 # ---------------------------------------------------------------- refusals
-def interface(layer, **given):
-    return state(layer, **given)
+PLASTIC = MohrCoulomb(4.0, 3.0, cohesion=100.0, friction_angle=30)
 
 
 def test_layers_that_are_not_known_are_refused():
     with pytest.raises(ModelError, match="state of an interface model"):
         Zoom(state().model)
-    with pytest.raises(ModelError, match="bodies='kept'"):
-        Zoom(
-            solve(
-                Structure(joint(), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0, 1)}).interface(
-                    FREE_EXTENDED, bodies="extended"
-                )
-            )
-        )
-    for law in (
-        Rubber.shear(3.0, 0.45),
-        Anisotropic(np.diag([9.0, 9, 9, 3, 3, 3])),
-        Stack((0.5, GLUE), (0.5, PLASTIC)),
+    for layer, words in (
+        (ThinLayer(Anisotropic(np.diag([9.0, 9, 9, 3, 3, 3])), EPS), "layer of Anisotropic"),
+        (ThinLayer(Stack((0.5, GLUE), (0.5, PLASTIC)), EPS), "layer of MohrCoulomb"),
+        (ThinLayer(LinearElastic.shear(lambda x: 3 + x[0], 0.3), EPS), "functions"),
+        (ThinLayer(GLUE, EPS, eigenstrain=1e-3), "eigenstrain"),
     ):
-        with pytest.raises(
-            ModelError,
-            match=f"not for {'Rubber' if isinstance(law, Rubber) else '|'.join(['Anisotropic', 'MohrCoulomb'])}",
-        ):
-            Zoom(interface(ThinLayer(law, EPS)))
-    with pytest.raises(ModelError, match="functions"):
-        Zoom(interface(ThinLayer(LinearElastic.shear(lambda x: 3 + x[0], 0.3), EPS)))
-    with pytest.raises(ModelError, match="eigenstrain"):
-        Zoom(interface(ThinLayer(GLUE, EPS, eigenstrain=1e-3)))
-
-
-PLASTIC = MohrCoulomb(4.0, 3.0, cohesion=100.0, friction_angle=30)
-FREE_EXTENDED = ThinLayer(GLUE, EPS, order=1)
+        with pytest.raises(ModelError, match=words):
+            Zoom(state(layer))
+    blocks = Structure(joint(), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0, 1)})
+    with pytest.raises(ModelError, match="bodies='kept'"):
+        Zoom(solve(blocks.interface(ThinLayer(GLUE, EPS), bodies="extended")))
 
 
 def test_places_and_heights_out_of_range_are_refused():
@@ -271,6 +272,7 @@ def test_places_and_heights_out_of_range_are_refused():
     [
         (ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(1.0, 1.0))), EPS), {}, "one law"),
         (ThinLayer(LinearElastic.shear(3.0, 0.48), EPS), {}, "0 to 0.45"),
+        (ThinLayer(Rubber.shear(3.0, 0.48), EPS, order=1), {}, "0 to 0.45"),
         (ThinLayer(LinearElastic.shear(400.0, 0.3), EPS), {}, "rigid faces"),
         (ThinLayer(GLUE, EPS), {"plane": "axisymmetric", "supports": {"BOTTOM": {"y": 0}}}, "revolution"),
         (ThinLayer(GLUE, EPS, profile=lambda x: 1 + x[0] / 5), {}, "varies"),
@@ -280,7 +282,7 @@ def test_places_and_heights_out_of_range_are_refused():
 def test_ends_that_are_not_known_are_refused_and_the_inside_is_not(layer, given, words):
     if "plane" in given:
         given = given | {"tractions": {"TOP": (0.0, -1.0)}}
-    zoom = Zoom(interface(layer, **given))
+    zoom = Zoom(state(layer, **given))
     assert np.isfinite(zoom.stress([[0.65, 0.0]])).all()
     with pytest.raises(ModelError, match=words):
         zoom.stress([[1.3 - 2 * EPS, 0.0]])
