@@ -75,11 +75,11 @@ class Description:
             entries.body_force(section),
             tuple(entries.load(one) for one in section.tables("loads", "place and force, or first, second and force")),
             section.text("plane", entries.PLANES),
-            section.text("element", entries.ELEMENTS),
-            section.text("bodies", ("kept", "extended")) or "kept",
+            entries.element(section),
+            entries.bodies(section),
             entries.times(section),
             goals,
-            entries.tolerance(section, [*entries.ALWAYS, *goals]),
+            entries.tolerance(section, [*entries.ALWAYS, *(goals or ["compliance"])]),
             section.flag("bonded"),
         )
         if not (found.tractions or found.body_force or found.loads or found._moves()):

@@ -17,7 +17,7 @@ Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
 
 PLANES = ("strain", "stress", "axisymmetric")
-ELEMENTS = ("P2", "Q2", "S2")  # an interface law of order 1 needs degree 2
+ELEMENTS = ("P2", "Q2", "S2")  # of degree 2, as interface laws of order 1 need it
 LAW = "the parameters of a law, such as E and nu"
 GOALS = {
     "compliance": {},
@@ -186,6 +186,21 @@ def load(section: Section) -> Force:
     return Force(found, section.where())
 
 
+def element(section: Section) -> str | None:
+    """The finite element, of degree 2; None: not given."""
+    name = section.text("element")
+    if name not in (None, *ELEMENTS):
+        section.refuse(
+            f"{name} is not of degree 2, which the better law needs; allowed: {', '.join(ELEMENTS)}", "element"
+        )
+    return name
+
+
+def bodies(section: Section) -> str:
+    """How bodies make room for the layer."""
+    return section.text("bodies", ("kept", "extended")) or "kept"
+
+
 def times(section: Section) -> tuple[float, ...]:
     """Times of steps; () if there are none."""
     times = section.values.get("times", ())
@@ -224,9 +239,10 @@ def tolerance(section: Section, quantities: list[str]) -> dict[str, float]:
     value = section.values.get("tolerance")
     if value is None:
         return {}
-    what = "the largest relative change that is allowed, such as 0.05"
-    if not isinstance(value, Mapping):
-        return {"traction": section.positive("tolerance", what)}
-    one = section.table("tolerance", f"quantities, each with {what}")
+    what = "the largest relative change that is allowed, between 0 and 1"
+    one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, "tolerance")
     one.allow(quantities, "quantity")
-    return {name: one.positive(name, what) for name in value}
+    for name in one.values:
+        if one.positive(name, what) >= 1:
+            one.refuse(f"{one.values[name]!r} is not < 1; it is {what}", name)
+    return {name: float(one.values[name]) for name in one.values}

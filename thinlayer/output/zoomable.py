@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,8 +11,10 @@ import numpy.typing as npt
 
 from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.fields import EndFields, end_fields
-from forms.inside import FaceValues, Inside
+from forms.incompressible import Incompressible
+from forms.inside import FaceValues, Inside, Pressed, Sublayers
 from forms.law import BulkLaw, LawError
+from forms.rubber import Rubber
 from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
@@ -25,6 +28,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.faces_at import FacesAt
+from thinlayer.output.pressure_at import pressure_at
 
 Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end
@@ -36,14 +40,18 @@ class Zoomable:
     """A layer whose stresses inside are known.
 
     Attributes:
-        model: an interface model.
+        state: of an interface model.
+        model: the model.
         one: the layer.
-        inside: its sublayers.
+        inside: what gives its stresses.
+        moduli: lmbda and mu of a layer of one law; None: it has several.
     """
 
+    state: State
     model: Model
     one: SeamLayer
     inside: Inside
+    moduli: tuple[float, float] | None
 
     @classmethod
     def of(cls, state: State, seam: str) -> Zoomable:
@@ -69,7 +77,7 @@ class Zoomable:
             raise ModelError(f"{start}its eigenstrain is not in the fields of the zoom")
         if model.domain.joint.parted is not None:
             raise ModelError(f"{start}it needs bodies='kept', which meet on S")
-        return cls(model, one, _inside(real_law(one.layer, model.kinematics), start))
+        return cls(state, model, one, *_inside(real_law(one.layer, model.kinematics), start))
 
     @property
     def law(self) -> BulkLaw:
@@ -94,15 +102,20 @@ class Zoomable:
         assert self.one.thin
         n, d = faces.x.shape
         lifted = _lifted(faces.n), _lifted(faces.u[1] - faces.u[0])
+        pressure, slope = np.zeros(n), np.zeros((n, d))
+        if self.one.law.traits.constrained:
+            pressure, slope = pressure_at(self.state, self.one, faces.x)
+            slope -= np.einsum("ni,ni->n", slope, faces.n)[:, None] * faces.n
         if self.one.thin.order == 0:
-            return FaceValues(*lifted, np.zeros((n, 3, 3)), np.zeros((n, 3, 3)))
+            nothing = np.zeros((n, 3, 3))
+            return FaceValues(*lifted, nothing, nothing, pressure, np.zeros((n, 3)))
         along_s = np.eye(d) - faces.n[:, :, None] * faces.n[:, None]
         gradient, hoops = faces.gradient @ along_s, faces.u[..., 0] / self.model.kinematics.radius(faces.x)
         strains = np.zeros((2, n, 3, 3))
         strains[..., :d, :d] = (gradient + np.swapaxes(gradient, 2, 3)) / 2
         strains[..., 2, 2] += hoops
         lower, upper = strains
-        return FaceValues(*lifted, (lower + upper) / 2, upper - lower)
+        return FaceValues(*lifted, (lower + upper) / 2, upper - lower, pressure, _lifted(slope))
 
     # ---------------------------------------------------------------- ends
     @cached_property
@@ -113,9 +126,9 @@ class Zoomable:
     @cached_property
     def why_no_ends(self) -> str | None:
         """Why stresses at free ends are not known; None: they are."""
-        one, sublayers = self.one, self.inside
+        one, moduli = self.one, self.moduli
         assert one.thin
-        if len(sublayers.mu) > 1:
+        if moduli is None:
             return "the fields of free ends are those of a layer of one law"
         if self.nu < 0 or self.nu > LARGEST_NU + ROUNDING:
             return f"Poisson's ratio is {self.nu:.4g}; the fields of free ends need 0 to {LARGEST_NU}"
@@ -129,7 +142,7 @@ class Zoomable:
             return str(error)
         if not one.sheet.planar:
             return "S is curved"
-        M, E = float(sublayers.M[0]), softest_body(one)
+        M, E = moduli[0] + 2 * moduli[1], softest_body(one)
         if M > LARGEST_STIFFNESS * E:
             return (
                 f"the fields of free ends are those between rigid faces: lmbda + 2 mu of the layer is {M:.4g}, Young's "
@@ -143,9 +156,10 @@ class Zoomable:
 
     @property
     def nu(self) -> float:
-        """Poisson's ratio of the lowest sublayer, in plane strain."""
-        lmbda, mu = self.inside.lmbda[0], self.inside.mu[0]
-        return round(float(lmbda / (lmbda + mu) / 2), DIGITS)
+        """Poisson's ratio of a layer of one law, in plane strain."""
+        assert self.moduli
+        lmbda, mu = self.moduli
+        return round(1 / (1 + mu / lmbda) / 2, DIGITS) if lmbda else 0.0
 
     @property
     def fields(self) -> EndFields:
@@ -207,19 +221,32 @@ def _lifted(v: Array) -> Array:
     return np.pad(v, ((0, 0), (0, 3 - v.shape[1])))
 
 
-def _inside(law: BulkLaw, start: str) -> Inside:
-    """The sublayers of a law with real parameters; raises ModelError."""
-    fractions, moduli = [], []
+def _inside(law: BulkLaw, start: str) -> tuple[Inside, tuple[float, float] | None]:
+    """What gives the stresses of a law with real parameters; lmbda and mu of a layer of one law, else None.
+
+    Raises:
+        ModelError: stresses inside are not known.
+    """
+    if any(one.fields for _, one in law.sublayers):
+        raise ModelError(f"{start}parameters of {type(law).__name__} are functions; allowed: numbers")
+    if law.traits.constrained and isinstance(law, Rubber | Incompressible):
+        mu, compliance = float(law.mu), float(law.volume_compliance)
+        lmbda = 1 / compliance if compliance else math.inf
+        flows = lmbda > mu * 2 * LARGEST_NU / (1 - 2 * LARGEST_NU) * (1 + ROUNDING)
+        # below, the pressure follows the opening at each place, but for the second order in eps
+        return (Pressed(lmbda, mu) if flows else _sublayers([(1.0, lmbda, mu)])), (lmbda, mu)
+    found = []
     for fraction, one in law.sublayers:
-        if one.fields:
-            raise ModelError(f"{start}parameters of {type(one).__name__} are functions; allowed: numbers")
         try:
-            moduli.append(one.elastic_moduli())
+            lmbda, mu = one.elastic_moduli()
         except LawError as error:
             raise ModelError(
-                f"{start}stresses inside are known for isotropic linear elastic laws (LinearElastic, or a Stack of them), "
-                f"not for {type(one).__name__}; mesh the layer (structure.full)"
+                f"{start}stresses inside are known for isotropic linear elastic laws (LinearElastic, a Stack of them, "
+                f"Rubber, Incompressible), not for {type(one).__name__}; mesh the layer (structure.full)"
             ) from error
-        fractions.append(fraction)
-    lmbda, mu = np.array(moduli, float).T
-    return Inside(np.array(fractions), lmbda, mu)
+        found.append((fraction, float(lmbda), float(mu)))
+    return _sublayers(found), found[0][1:] if len(found) == 1 else None
+
+
+def _sublayers(found: list[tuple[float, float, float]]) -> Sublayers:
+    return Sublayers(*np.array(found).T)
