@@ -22,7 +22,7 @@ from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 LARGEST_NU = 0.45  # of layers whose free ends are known without a pressure on S
-ROUNDING = 1e-9  # of Poisson's ratio, from moduli
+ROUNDING = 1e-9  # of ratios of moduli
 OUT_OF_PLANE = [2, 3, 4]
 IN_PLANE = [0, 1, 5]
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, Norton
+from forms import Incompressible, KelvinVoigt, LinearElastic, Norton, VonMises
 from geometry import GeometryError, sandwich
 from geometry.inflating.inflation import inflate
 from tests.mixed_run import BODY, EPS, LAYER, near_ends, numbers, plane, space
 from tests.ranks import mpirun
-from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, estimate, march, observed_orders, solve
 from thinlayer.output.concentration import most_of
 
 M, MU = 140.0, 40.0  # of the layer, per thickness
@@ -34,6 +34,45 @@ def test_a_uniform_jump_of_stiff_bodies_passes_the_cuts(cell, order):
     if order and cell == "triangle":
         model.followers = None  # a free end at each cut gives way
         assert solve(model).energies()["layer"] < 0.03 * (1 - 0.01)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize(
+    ("law", "theta"),
+    [
+        (VonMises(60.0, 40.0, strength=0.3, hardening=5.0), 1.0),
+        (Norton(60.0, 40.0, 5.0, 1.5), 0.5),
+        (KelvinVoigt(60.0, 40.0, 6.0, 4.0), 0.5),
+    ],
+    ids=["yields", "creeps", "in forms"],
+)
+def test_laws_that_are_not_linear_and_remember_pass_the_cuts(law, order, theta):
+    joint = sandwich(1.0, 0.5, 0.4, h=1 / 4, h_S=1 / 8, cell="quadrilateral")
+    top = {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.005 * t}
+    moved = Structure(joint, body=LinearElastic.young(E=1e8, nu=0.3), supports={"BOTTOM": 0.0, "TOP": top})
+    layer = ThinLayer(law, EPS, order=order, **({"edges": "plain"} if order else {}))
+    mixed, law = (
+        march(model, [0.4, 1.0], theta=theta).last
+        for model in (moved.mixed(layer, where=lambda x: abs(x[0] - 0.5) < 0.2), moved.interface(layer))
+    )
+    for name in ("stored", "dissipated", "supplied"):  # bodies have 1e-6 of them
+        ours, theirs = (getattr(state.audit, name) for state in (mixed, law))
+        assert ours == pytest.approx(theirs, rel=1e-5, abs=1e-9), name
+    assert mixed.reaction("TOP").force == pytest.approx(law.reaction("TOP").force, rel=1e-5)
+    assert mixed.energies()["layer"] == pytest.approx(law.energies()["layer"], rel=1e-5)
+
+
+def test_a_layer_that_yields_at_its_free_ends_alone_is_followed_there():
+    eps, law = 1 / 16, VonMises(60.0, 40.0, strength=1.2, hardening=4.0)
+    joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 16, h_ends=eps / 4, cell="quadrilateral")
+    load = {"TOP": lambda x, t: (0.3 * t, -t)}
+    pressed = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions=load)
+    layer = ThinLayer(law, eps, order=1, edges="plain")
+    near = pressed.mixed(layer, where=lambda x: abs(x[0] - 0.5) > 0.5 - 3 * eps)
+    full, mixed, law = (march(model, [1.0]).last for model in (pressed.full(layer), near, pressed.interface(layer)))
+    yields = {name: memory[:, -1].max() > 0 for name, memory in mixed.memory.items()}
+    assert yields == {"layer": True, "law of layer 1": False, "law of layer 2": False}
+    assert compare(full, mixed)["error_jump"] < compare(full, law)["error_jump"] / 10
 
 
 @cache
@@ -166,7 +205,7 @@ def test_facets_without_cells_leave_the_thickness_empty():
         (ThinLayer(LAYER, EPS), lambda x: x[0] > 2, "no part of the layer is meshed"),
         (ThinLayer(LAYER, EPS), lambda x: x[0], "must say for each of the 16 facets"),
         (ThinLayer(LAYER, EPS), lambda x: x.nothing, "no numpy function of places"),
-        (ThinLayer(Norton(60.0, 40.0, 1.0, 2.0), EPS), near_ends, "for linear laws"),
+        (ThinLayer(Incompressible(40.0), EPS), near_ends, "which has a pressure"),
         (ThinLayer(LAYER, EPS, profile=lambda x: 1 + x[0]), near_ends, "uniform thickness"),
         (LAYER, near_ends, "one ThinLayer"),
     ],

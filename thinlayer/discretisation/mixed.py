@@ -121,18 +121,11 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
         raise ModelError("a mixed model needs nodal displacements, not elements S2")
     if not isinstance(layer, ThinLayer):
         raise ModelError("a mixed model needs one ThinLayer: its law is meshed on a part of S")
-    traits = layer.law.traits
-    if (
-        not traits.linear
-        or traits.remembers
-        or traits.rate
-        or traits.constrained
-        or traits.compiled
-        or layer.law.fields
-    ):
+    traits, kind = layer.law.traits, type(layer.law).__name__
+    if traits.constrained or traits.phases or layer.law.fields:
+        what = "a pressure" if traits.constrained else "phases" if traits.phases else "parameters that are functions"
         raise ModelError(
-            f"a mixed model is for linear laws without memory, rate, pressure or parameters that are functions, not for "
-            f"{type(layer.law).__name__}: the law's forces are carried from a model of their own as one matrix"
+            f"a mixed model is not for {kind}, which has {what}: these are not carried between cells and S"
         )
     if layer.profile is not None or layer.eigenstrain is not None:
         raise ModelError("a mixed model needs a layer of uniform thickness without eigenstrain")
@@ -154,13 +147,14 @@ def _between_cells(structure: Setup, layer: Layers, meshed: BoolArray) -> Layers
     assert isinstance(layer, ThinLayer)
     sheet = structure.sheet
     ends = sheet.rim.simplex
-    return replace(layer, edges=None) if meshed[sheet.parts[0][ends]].all() else layer
+    return replace(layer, edges="plain") if meshed[sheet.parts[0][ends]].all() else layer
 
 
 def _require_reach(model: InterfaceModel, meshed: BoolArray) -> None:
     """Raise ModelError where a law with constants of free ends acts within their reach of an end that is meshed."""
     (one,) = model.layers.values()
-    if not (one.thin and one.thin.edges):
+    assert one.thin
+    if not one.thin.order or model.free_ends(one.name) is not None:
         return
     joint, sheet = model.joint, one.sheet
     rim = free_rim(model, sheet)

@@ -19,7 +19,7 @@ from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
-from thinlayer.discretisation.free_ends import LARGEST_STIFFNESS, softest_body
+from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import real_law
@@ -142,11 +142,11 @@ class Zoomable:
             return str(error)
         if not one.sheet.planar:
             return "S is curved"
-        M, E = moduli[0] + 2 * moduli[1], softest_body(one)
-        if M > LARGEST_STIFFNESS * E:
+        contrast = softest_body(one) / moduli[1]
+        if contrast < LEAST_CONTRAST:
             return (
-                f"the fields of free ends are those between rigid faces: lmbda + 2 mu of the layer is {M:.4g}, Young's "
-                f"modulus of a body on S {E:.4g}; allowed: at most {LARGEST_STIFFNESS:g} of it"
+                "the fields of free ends are those between rigid faces: Young's modulus of a body on S is "
+                f"{contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g} times"
             )
         return None
 
