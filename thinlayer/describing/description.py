@@ -84,6 +84,11 @@ class Description:
         )
         if not (found.tractions or found.body_force or found.loads or found._moves()):
             section.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
+        slow = [one for one in (*found.layer.values(), *found.body.values()) if one.law.traits.rate]
+        if slow and not found.times:
+            section.refuse(
+                f"times is missing: {type(slow[0].law).__name__} depends on the rate of strains; give ends of time steps"
+            )
         return found
 
     def _moves(self) -> bool:

@@ -168,7 +168,8 @@ class Adjoint:
         equations.put_state(self.state, self._x)
         if isinstance(other.model, InterfaceModel):
             theirs = layer_parts(other.model, equations.history.held, equations.bodies)
-            before = self._forces(theirs, other, u, self._between(other, old))
+            begun = self._rest_of(theirs, other.t) if old is None else old
+            before = self._forces(theirs, other, u, self._between(other, begun))
             for part in theirs:
                 part.destroy()
         else:
@@ -181,6 +182,12 @@ class Adjoint:
         with_own = [part for part in equations.layers if part.field is not None]
         own = {part.key: -part.own_start(z) * part.own_residual() for part in with_own}
         return {DISPLACEMENTS: -z.u.x.array[: len(after)] * (after - before), **own}
+
+    def _rest_of(self, parts: Sequence[Part], t: float) -> Configuration:
+        """The configuration at rest, with the memory of these parts: their keys are not those of other laws."""
+        layers = PartSum(parts)
+        rest = layers.memory_at_rest
+        return Configuration(self.equations.rest(t).u, t, rest, stresses=layers.stresses_at_rest, at_rest=True)
 
     def _forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
