@@ -16,6 +16,7 @@ from forms.base import is_number
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.fields import Field, OutOfRange, Parameter, field_of
+from forms.inside import Inside, Sublayers
 from forms.kinematics import MANDEL, ROOT2, Expr, layer_frame
 from forms.law import BulkLaw, LawError, Step, choice, require
 from forms.stations import Faces, Station, at_gauss_points
@@ -116,6 +117,11 @@ class LinearElastic(LinearLaw):
 
     def elastic_moduli(self) -> tuple[Any, Any]:
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
+
+    def inside(self) -> Inside:
+        if self.fields or self.traits.compiled:
+            return super().inside()
+        return Sublayers.of([(1.0, float(self.lmbda), float(self.mu))])
 
     def stations(self) -> list[Station[Any]]:
         """The change of strain through the layer does not change the tractions: its stress times n is zero.

@@ -20,9 +20,10 @@ With uniform gradients this is exact. Otherwise its error is of the second order
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -88,6 +89,10 @@ class FaceValues:
 class Inside(Protocol):
     """What gives the stresses inside a layer."""
 
+    @property
+    def moduli(self) -> tuple[float, float] | None:
+        """Real lmbda and mu of a layer of one law; None: it has several."""
+
     def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
         """Stresses (n, 3, 3) at heights y (n,), from -1/2 to 1/2.
 
@@ -108,6 +113,11 @@ class Pressed:
 
     lmbda: float
     mu: float
+
+    @property
+    def moduli(self) -> tuple[float, float]:
+        """As of `Inside`."""
+        return self.lmbda, self.mu
 
     def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
         """As of `Inside`."""
@@ -132,6 +142,16 @@ class Sublayers:
     fractions: Array
     lmbda: Array
     mu: Array
+
+    @classmethod
+    def of(cls, sublayers: Sequence[tuple[float, float, float]]) -> Self:
+        """The layer of sublayers with these fractions, lmbda and mu."""
+        return cls(*np.array(sublayers, float).T)
+
+    @property
+    def moduli(self) -> tuple[float, float] | None:
+        """As of `Inside`."""
+        return (float(self.lmbda[0]), float(self.mu[0])) if len(self.mu) == 1 else None
 
     @cached_property
     def _ends(self) -> Array:

@@ -87,7 +87,7 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
             for component in ("N", "T"):
                 plotting.zoomed(zoom, full, end=1, component=component, save=record.path(f"end_{component}.png"))
     record.say(table)
-    for key, low in (("end", 1.0), ("inside", 1.3)):
+    for key, low in (("end", 1.0), ("inside", 1.2)):
         order = observed_orders(table["eps"], table[f"{key} order 1, free"])[-1]
         record.check(f"order of the error, {key}, nu = {nu:g}, E/mu = {ratio:g}", order or np.nan, low=low)
     for key, high in (("end", 0.05), ("H", 0.08)):

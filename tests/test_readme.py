@@ -34,7 +34,7 @@ SCRIPTS = re.findall(r"```python\n(.*?)```", DOCUMENT.partition(OWN)[0], re.DOTA
 @pytest.mark.parametrize("number", [0, 1], ids=["lap", "creep"])
 def test_script(tmp_path, number):
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", DOCUMENT, re.DOTALL | re.MULTILINE)
-    assert len(SCRIPTS) == len(tables) + 6 == 8
+    assert len(SCRIPTS) == len(tables) + 7 == 9
     (tmp_path / "script.py").write_text(SCRIPTS[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -61,6 +61,11 @@ def printed_by(tmp_path, monkeypatch, capsys):
 
 def test_loads_script(printed_by):
     out = printed_by(5)
+    assert "".join(f"    {line}\n" for line in out.splitlines()) in DOCUMENT
+
+
+def test_estimate_script(printed_by):
+    out = printed_by(8)
     assert "".join(f"    {line}\n" for line in out.splitlines()) in DOCUMENT
 
 

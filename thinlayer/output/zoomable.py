@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,10 +10,8 @@ import numpy.typing as npt
 
 from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.fields import EndFields, end_fields
-from forms.incompressible import Incompressible
-from forms.inside import FaceValues, Inside, Pressed, Sublayers
+from forms.inside import FaceValues, Inside
 from forms.law import BulkLaw, LawError
-from forms.rubber import Rubber
 from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
@@ -44,14 +41,12 @@ class Zoomable:
         model: the model.
         one: the layer.
         inside: what gives its stresses.
-        moduli: lmbda and mu of a layer of one law; None: it has several.
     """
 
     state: State
     model: Model
     one: SeamLayer
     inside: Inside
-    moduli: tuple[float, float] | None
 
     @classmethod
     def of(cls, state: State, seam: str) -> Zoomable:
@@ -77,7 +72,10 @@ class Zoomable:
             raise ModelError(f"{start}its eigenstrain is not in the fields of the zoom")
         if model.domain.joint.parted is not None:
             raise ModelError(f"{start}it needs bodies='kept', which meet on S")
-        return cls(state, model, one, *_inside(real_law(one.layer, model.kinematics), start))
+        try:
+            return cls(state, model, one, real_law(one.layer, model.kinematics).inside())
+        except LawError as error:
+            raise ModelError(f"{start}{error}") from error
 
     @property
     def law(self) -> BulkLaw:
@@ -102,14 +100,15 @@ class Zoomable:
         assert self.one.thin
         n, d = faces.x.shape
         lifted = _lifted(faces.n), _lifted(faces.u[1] - faces.u[0])
-        pressure, slope = np.zeros(n), np.zeros((n, d))
+        along_s = np.eye(d) - faces.n[:, :, None] * faces.n[:, None]
+        pressure: Array = np.zeros(n)
+        slope: Array = np.zeros((n, d))
         if self.one.law.traits.constrained:
-            pressure, slope = pressure_at(self.state, self.one, faces.x)
-            slope -= np.einsum("ni,ni->n", slope, faces.n)[:, None] * faces.n
+            pressure, gradient = pressure_at(self.state, self.one, faces.x)
+            slope = np.asarray(np.einsum("nij,nj->ni", along_s, gradient))
         if self.one.thin.order == 0:
             nothing = np.zeros((n, 3, 3))
             return FaceValues(*lifted, nothing, nothing, pressure, np.zeros((n, 3)))
-        along_s = np.eye(d) - faces.n[:, :, None] * faces.n[:, None]
         gradient, hoops = faces.gradient @ along_s, faces.u[..., 0] / self.model.kinematics.radius(faces.x)
         strains = np.zeros((2, n, 3, 3))
         strains[..., :d, :d] = (gradient + np.swapaxes(gradient, 2, 3)) / 2
@@ -126,7 +125,7 @@ class Zoomable:
     @cached_property
     def why_no_ends(self) -> str | None:
         """Why stresses at free ends are not known; None: they are."""
-        one, moduli = self.one, self.moduli
+        one, moduli = self.one, self.inside.moduli
         assert one.thin
         if moduli is None:
             return "the fields of free ends are those of a layer of one law"
@@ -157,8 +156,8 @@ class Zoomable:
     @property
     def nu(self) -> float:
         """Poisson's ratio of a layer of one law, in plane strain."""
-        assert self.moduli
-        lmbda, mu = self.moduli
+        assert self.inside.moduli
+        lmbda, mu = self.inside.moduli
         return round(1 / (1 + mu / lmbda) / 2, DIGITS) if lmbda else 0.0
 
     @property
@@ -219,34 +218,3 @@ class Zoomable:
 
 def _lifted(v: Array) -> Array:
     return np.pad(v, ((0, 0), (0, 3 - v.shape[1])))
-
-
-def _inside(law: BulkLaw, start: str) -> tuple[Inside, tuple[float, float] | None]:
-    """What gives the stresses of a law with real parameters; lmbda and mu of a layer of one law, else None.
-
-    Raises:
-        ModelError: stresses inside are not known.
-    """
-    if any(one.fields for _, one in law.sublayers):
-        raise ModelError(f"{start}parameters of {type(law).__name__} are functions; allowed: numbers")
-    if law.traits.constrained and isinstance(law, Rubber | Incompressible):
-        mu, compliance = float(law.mu), float(law.volume_compliance)
-        lmbda = 1 / compliance if compliance else math.inf
-        flows = lmbda > mu * 2 * LARGEST_NU / (1 - 2 * LARGEST_NU) * (1 + ROUNDING)
-        # below, the pressure follows the opening at each place, but for the second order in eps
-        return (Pressed(lmbda, mu) if flows else _sublayers([(1.0, lmbda, mu)])), (lmbda, mu)
-    found = []
-    for fraction, one in law.sublayers:
-        try:
-            lmbda, mu = one.elastic_moduli()
-        except LawError as error:
-            raise ModelError(
-                f"{start}stresses inside are known for isotropic linear elastic laws (LinearElastic, a Stack of them, "
-                f"Rubber, Incompressible), not for {type(one).__name__}; mesh the layer (structure.full)"
-            ) from error
-        found.append((fraction, float(lmbda), float(mu)))
-    return _sublayers(found), found[0][1:] if len(found) == 1 else None
-
-
-def _sublayers(found: list[tuple[float, float, float]]) -> Sublayers:
-    return Sublayers(*np.array(found).T)

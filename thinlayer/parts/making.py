@@ -22,7 +22,7 @@ from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure import PressurePart, has_flow
 
-ON_S = "law of"  # first words of the keys of laws that act where a layer is not meshed
+ON_S = "law"  # last part of the keys of laws that act where a layer is not meshed
 
 
 def body_parts(model: Model) -> list[Part]:
@@ -69,10 +69,10 @@ def _elsewhere(model: Model) -> list[Part]:
     if found is None:
         return []
     other, terms = found
-    in_forms = [p for p in terms if not p.law.traits.compiled]
-    parts: list[Part] = [LawForms("forms of layers", other.V, in_forms)] if in_forms else []
-    carrier = Carrier(model, other)
-    return [Carried(part, carrier, f"{ON_S} {part.key}") for part in [*parts, *_compiled(other, terms)]]
+    carrier, in_forms = Carrier(model, other), [p for p in terms if not p.law.traits.compiled]
+    keys = list(dict.fromkeys(p.key for p in in_forms))
+    parts: list[Part] = [LawForms(key, other.V, [p for p in in_forms if p.key == key]) for key in keys]
+    return [Carried(part, carrier, f"{part.key}/{ON_S}") for part in [*parts, *_compiled(other, terms)]]
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:
