@@ -12,7 +12,9 @@ from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
 
 from forms import work as forms
+from studies.dropping.further import further_cases
 from studies.dropping.known import known_cases
+from studies.dropping.mapping import along
 from studies.dropping.measuring import Dropped, effectivities, solved
 from studies.dropping.refused import refused_cases
 from thinlayer import RangeWarning, goals
@@ -122,3 +124,14 @@ def test_where_there_is_no_number_a_sentence_says_why(name):
     words, silent = case.told()
     assert case.says in words
     assert silent == case.silent
+
+
+def test_the_density_of_the_change_is_that_of_the_meshed_layer():
+    """Away from ends, where the law of order 1 has the strains of the meshed layer."""
+    (case,) = (one for one in further_cases() if one.name == "two stiffnesses")
+    one = Dropped.of(case, COARSE)
+    table = along(one)
+    inner = np.abs(table["x"] - 0.5) < 0.3
+    assert table["density"][inner] == pytest.approx(table["true_density"][inner], rel=0.06)
+    assert np.trapezoid(table["density"], table["x"]) == pytest.approx(one.estimated["compliance"], rel=1e-8)
+    assert np.trapezoid(table["true_density"], table["x"]) == pytest.approx(one.truth["compliance"], rel=1e-6)
