@@ -88,7 +88,7 @@ class Structure(Setup):
         """The model whose layer is meshed on a part of S and replaced by its interface law on the rest. Collective.
 
         Args:
-            layer: a layer with a linear law; its order is that of the interface law.
+            layer: the layer, without a pressure, phases or parameters that are functions; its order is that of the law.
             where: the part of S where the layer is meshed, a function of places x (d, n) before inflating that returns n
                 truth values, asked at the centres of the facets of S; or these values, (n_S,), as
                 `Surface.most_of` gives them.
