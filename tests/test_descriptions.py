@@ -139,7 +139,7 @@ def test_pairs_of_moduli(tmp_path, moduli):
 
 def test_other_laws(tmp_path):
     def law(text):
-        return described(tmp_path, LEAST.replace("E = 900, nu = 0.35", text)).layer[None].law
+        return described(tmp_path, "times = [1]" + LEAST.replace("E = 900, nu = 0.35", text)).layer[None].law
 
     assert law('law = "Rubber", K = 100, G = 0.5') == Rubber(100 - 2 * 0.5 / 3, 0.5)
     assert law('law = "Incompressible", E = 6') == law('law = "Incompressible", mu = 2') == Incompressible(2.0)
@@ -153,6 +153,28 @@ def test_other_laws(tmp_path):
     assert np.array_equal(springy.C, 2 * np.eye(6))
     stack = law("sublayers = [{fraction = 0.4, E = 6, nu = 0.1}, {fraction = 0.6, G = 3, nu = 0.2}]")
     assert stack == Stack((0.4, LinearElastic.young(6, 0.1)), (0.6, LinearElastic.shear(3, 0.2)))
+
+
+def test_histories(tmp_path):
+    found = described(
+        tmp_path,
+        """
+        times = [0.5, 2]
+        supports = {LEFT = {x = {times = [0, 2], values = [0, 0.1]}, y = 0}}
+        loads = [{place = [0, 1], force = {times = [0, 3.5], values = [[1, 2], [3, 4]]}}]
+        """
+        + LEAST.replace(
+            "[3, -50]",
+            "{times = [0, 2], values = [[0, 0], [3, -50]]}, "
+            "END = {pressure = {times = [-1, 0.5, 2], values = [0, 5, 1]}}",
+        ),
+    )
+    assert {".".join(path): dict(one.values) for path, one in found.histories.items()} == {
+        "supports.LEFT.x": {0: 0, 2: 0.1},
+        "tractions.TOP": {0: (0, 0), 2: (3, -50)},
+        "tractions.END": {-1: 0, 0.5: 5, 2: 1},
+        "loads.1.force": {0: (1, 2), 3.5: (3, 4)},
+    }
 
 
 # ---------------------------------------------------------------- refusals
@@ -195,6 +217,25 @@ def test_other_laws(tmp_path):
         (("[3, -50]", "[3]"), "tractions.TOP: [3] is no vector; give 2 components, in 3D 3"),
         (("[3, -50]", "5"), "tractions.TOP: 5 is no vector; give its components, or {pressure = 5}"),
         (("[3, -50]", "{press = 5}"), "tractions.TOP: unknown key 'press', did you mean 'pressure'?"),
+        (("[3, -50]", "{times = [0], values = [[1, 2]]}"), "tractions.TOP: a history is {times = [0, 1], values ="),
+        (("[3, -50]", "{times = [1, 0], values = [1, 2]}"), "tractions.TOP: a history is {times = [0, 1], values ="),
+        (("[3, -50]", "{times = [0, 1]}"), "tractions.TOP: values is missing: a history has times and values"),
+        (
+            ("[3, -50]", "{times = [0, 1], values = [[1, 2], 3]}"),
+            "tractions.TOP.values.2: 3 is no vector; give its comp",
+        ),
+        (
+            ("[3, -50]", "{times = [0, 1], values = [[1, 2], [3, 4]]}"),
+            "tractions.TOP: a history needs times, the ends of",
+        ),
+        (
+            ("[3, -50]}", "{times = [0, 1], values = [[1, 2], [3, 4]]}}\ntimes = [2]"),
+            "tractions.TOP: it is given from 0 to 1, and times go from 0 to 2",
+        ),
+        (
+            ("E = 900", 'law = "KelvinVoigt", theta_lmbda = 1, theta_mu = 1, E = 1'),
+            "times is missing: KelvinVoigt depends",
+        ),
         (("[3, -50]", "[3, nan]"), "tractions.TOP: [3, nan] is no vector"),
         (("tractions = {TOP = [3, -50]}", ""), "nothing loads the structure; give tractions, body_force, loads, or s"),
     ],

@@ -114,6 +114,20 @@ def test_a_history_is_marched_again():
         estimate(march(structure("between").interface(ThinLayer(LOWER, EPS)), [0.5, 1.0], theta=0.5))
 
 
+def test_newton_begins_at_the_given_state():
+    """From u_0 and from rest it finds the same."""
+    sides = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    pressed = {"TOP": lambda x, t: (0, -t * x[0])}
+    made = Structure(sandwich(1.3, 0.3, 0.4, 0.15), body=LOWER, supports=sides, tractions=pressed)
+    limit = solve(made.interface(ThinLayer(VonMises(4.0, 3.0, strength=0.5, hardening=2.0), EPS)), 1.0)
+    found = estimate(limit)
+    again = solve(found.better.model, 1.0)
+    difference = np.abs(again.u.x.array - found.better.u.x.array).max()
+    assert difference < 1e-9 * np.abs(again.u.x.array).max()
+    assert found.better.report.iterations <= again.report.iterations
+    assert found.unknown == ""  # it yields, but has no free ends
+
+
 # ---------------------------------------------------------------- words
 def test_sentences(every):
     said = every["between"].sentences

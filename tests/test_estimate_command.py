@@ -104,13 +104,30 @@ def test_times(lap, tmp_path):
     law = "KelvinVoigt E=3e3 nu=0.35 eps=0.4 theta_lmbda=1 theta_mu=2"
     refused = thinlayer("estimate", lap, "--layer", law, "--out", tmp_path / "out")
     assert refused.returncode == 2
-    assert "KelvinVoigt depends on the strain rate: no equilibrium without time" in refused.stderr
+    assert "times is missing: KelvinVoigt depends on the rate of strains" in refused.stderr
     (tmp_path / "lap.toml").write_text(f"times = [1, 4]\n{lap.read_text()}")
     done = thinlayer(
         "estimate", lap.with_suffix(".msh"), tmp_path / "lap.toml", "--layer", law, "--out", tmp_path / "out"
     )
     assert done.returncode == 0, done.stderr
     assert len(json.loads((tmp_path / "out" / "run.json").read_text())["solves"]) == 4
+
+
+def test_loads_that_grow(lap, tmp_path):
+    """A layer with a memory that stays elastic: at the end of a history the numbers are those of the elastic layer."""
+    grown = lap.read_text().replace("[-60, 5]", "{times = [0, 3], values = [[0, 0], [-60, 5]]}").replace("0.001", "0")
+    (tmp_path / "lap.toml").write_text(f"times = [1, 3]\n{grown}")
+    law = "VonMises E=3e3 nu=0.35 eps=0.4 strength=1e3"
+    mesh = lap.with_suffix(".msh")
+    done = thinlayer("estimate", mesh, tmp_path / "lap.toml", "--layer", law, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    found = numbers(tmp_path / "out" / "estimate.csv")
+    at_once = thinlayer("estimate", lap, "--layer", law, "--support", "LEFT/UPPER y=0", "--out", tmp_path / "at once")
+    assert at_once.returncode == 0, at_once.stderr
+    wanted = numbers(tmp_path / "at once" / "estimate.csv")
+    for name in ("compliance", "pull"):
+        assert found["law", name] == pytest.approx(wanted["law", name], rel=1e-6)
+    assert_drawn(tmp_path / "out" / "map_law_compliance.png")
 
 
 def test_previous_run_is_moved(lap, tmp_path):

@@ -10,7 +10,7 @@ from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.topology import is_tensor
 from thinlayer.describing.description import Description
-from thinlayer.describing.section import Section
+from thinlayer.describing.section import History, Section
 
 
 def require_fit(given: Description, joint: Joint) -> None:
@@ -53,8 +53,12 @@ class _Fit:
         if slash:
             self.name(part, [*self.joint.bodies, LAYER], f"part of {whole!r}", *keys)
 
-    def vector(self, one: Sequence[float], *keys: str) -> None:
-        """Refuse a vector of another dimension."""
+    def vector(self, one: Sequence[float] | History, *keys: str) -> None:
+        """Refuse a vector of another dimension, or a history of such vectors."""
+        if isinstance(one, History):
+            for value in one.values.values():
+                self.vector(value, *keys)
+            return
         if len(one) != self.joint.dim:
             what = f"{[*one]} has {len(one)} components; the mesh has {self.joint.dim} dimensions"
             self.section.refuse(what, *keys)

@@ -11,7 +11,7 @@ from typing import Any
 from forms.base import is_finite
 from forms.law import BulkLaw
 from thinlayer.describing.laws import law_of
-from thinlayer.describing.section import Section
+from thinlayer.describing.section import Section, is_growing
 
 Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
@@ -138,7 +138,7 @@ def supports(section: Section) -> dict[Place, Any]:
         if isinstance(value, Mapping):
             one = section.table(key, "components")
             one.allow(["x", "y", "z", *(["n"] if isinstance(place, str) else [])], "component")
-            found[place] = {axis: one.number(axis) for axis in value}
+            found[place] = {axis: one.history(axis, Section.number) for axis in value}
             if not found[place]:
                 section.refuse("no component is given, such as {x = 0}", key)
         else:
@@ -149,17 +149,21 @@ def supports(section: Section) -> dict[Place, Any]:
 def tractions(section: Section) -> dict[str, Any]:
     """Name of a facet set -> components, or {"pressure": number}."""
     found: dict[str, Any] = {}
-    for key, value in section.values.items():
-        if isinstance(value, Mapping):
-            one = section.table(key, "pressure")
-            one.allow(["pressure"])
-            one.require("pressure", "a stress, > 0 where it presses")
-            found[key] = {"pressure": one.number("pressure")}
-        elif is_finite(value):
-            section.refuse(f"{value:g} is no vector; give its components, or {{pressure = {value:g}}}", key)
-        else:
-            found[key] = section.vector(key)
+    for key in section.values:
+        found[key] = section.history(key, _traction)
     return found
+
+
+def _traction(section: Section, key: str) -> Any:
+    value = section.values[key]
+    if isinstance(value, Mapping):
+        one = section.table(key, "pressure")
+        one.allow(["pressure"])
+        one.require("pressure", "a stress, > 0 where it presses")
+        return {"pressure": one.history("pressure", Section.number)}
+    if is_finite(value):
+        section.refuse(f"{value:g} is no vector; give its components, or {{pressure = {value:g}}}", key)
+    return section.vector(key)
 
 
 def body_force(section: Section) -> Vector | dict[str, Vector] | None:
@@ -180,7 +184,7 @@ def load(section: Section) -> Force:
     for key in (*where, "force"):
         section.require(key, "the vector of the force" if key == "force" else "where the load acts")
     found: dict[str, Any] = {key: section.text(key) if line else section.vector(key) for key in where}
-    found["force"] = section.vector("force")
+    found["force"] = section.history("force", Section.vector)
     if "body" in section.values:
         found["body"] = section.text("body")
     return Force(found, section.where())
@@ -204,8 +208,7 @@ def bodies(section: Section) -> str:
 def times(section: Section) -> tuple[float, ...]:
     """Times of steps; () if there are none."""
     times = section.values.get("times", ())
-    good = isinstance(times, list | tuple) and all(map(is_finite, times))
-    if not good or any(b <= a for a, b in zip([0.0, *times], times, strict=False)):
+    if not is_growing(times) or (times and times[0] <= 0):
         section.refuse(f"{times!r} are no times; give numbers > 0 that grow, such as [0.5, 1]", "times")
     return tuple(float(t) for t in times)
 

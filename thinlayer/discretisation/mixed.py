@@ -12,10 +12,12 @@ import ufl
 from scipy.spatial import cKDTree
 
 from forms import work as forms
+from forms.kinematics import Expr
 from geometry.errors import place
 from geometry.seam import LAYER, S
 from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.layer import Layers, ThinLayer, layers_of
 from thinlayer.discretisation.model import Model
@@ -51,17 +53,15 @@ class MixedModel(FullModel):
         self.by_law = self._law_beside(InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies))
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
-        with on_all(self.comm):
-            for one in self._of_order_1:
-                one.check_next_term(bodies)
         self.followers = Followers.at_cuts(self.domain, self.V)
 
     def _data(self) -> dict[str, Any]:
         return super()._data() | {"meshed": described(self.meshed)}
 
-    @property
-    def _of_order_1(self) -> list[SeamLayer]:
-        return [one for one in self.layers.values() if one.thin and one.thin.order]
+    def _check(self, one: SeamLayer) -> None:
+        super()._check(_of_order(one, 0))
+        if one.thin and one.thin.order:
+            one.check_next_term(self._bodies)
 
     def with_layer(self, layer: Layers) -> Self:
         """As in other models. Collective."""
@@ -70,9 +70,6 @@ class MixedModel(FullModel):
             _require(self.structure, layer, self.meshed)
         new = super().with_layer(layer)
         new.by_law = self._law_beside(self.by_law.with_layer(_on_all_of_s(self.structure, layer)))
-        with on_all(self.comm):
-            for one in new._of_order_1:
-                one.check_next_term(self._bodies)
         return new
 
     def _law_beside(self, model: InterfaceModel) -> InterfaceModel:
@@ -94,20 +91,25 @@ class MixedModel(FullModel):
         assert self.meshed is not None
         if self.meshed.all():
             return None
-        terms = []
+        terms, moved = [], self._motions()
+        apart = moved("+") - moved("-")
         for name, one in model.layers.items():
             entities = np.ascontiguousarray(self._without_cells(name), np.int32)
             measure = ufl.Measure("dS", domain=model.domain.mesh, subdomain_data=[(1, entities.ravel())])
-            mine = one if one.thin is None or one.thin.order else self._of_order(one)
-            terms += [replace(p, measure=measure(1, metadata=p.measure.metadata())) for p in model.terms_of(mine)]
+            wanted = self.layers[name].thin
+            assert wanted
+            sides = model.sides_of(name)
+            if model.domain.joint.parted is None:  # bodies that have moved apart along S, too, as in networks
+                sides = replace(sides, fibre=apart / ufl.dot(apart, sides.n))
+            of_order = model.terms_of(_of_order(one, wanted.order), sides)
+            terms += [replace(p, measure=measure(1, metadata=p.measure.metadata())) for p in of_order]
         return model, terms
 
-    def _of_order(self, one: SeamLayer) -> SeamLayer:
-        """A layer of the interface model, of the order that was asked for."""
-        layer = self.layers[one.name].thin
-        assert layer
-        assert one.thin
-        return SeamLayer(one.name, replace(one.thin, order=layer.order), self.structure)
+    def _motions(self) -> Expr:
+        """Translations (d,) of the bodies' cells by inflating, on the mesh of the interface model."""
+        inflated, count = self.domain.joint, len(self.joint.cells)
+        moved = (inflated.points - inflated.reference)[inflated.cells[:count]].mean(axis=1)
+        return cellwise(self.by_law.domain, ("DG", 0, (self.joint.dim,)), moved[:, None])
 
     def _without_cells(self, name: str) -> npt.NDArray[np.int32]:
         """Rows (upper cell, local facet, lower cell, local facet) of this rank's facets of a seam without cells."""
@@ -182,6 +184,13 @@ def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
         return layer
     given = layers_of(structure.joint, layer).items()
     return dict.fromkeys(structure.joint.seams) | {name: replace(one, order=0, edges=None) for name, one in given}
+
+
+def _of_order(one: SeamLayer, order: int) -> SeamLayer:
+    """A layer with the interface law of some order."""
+    if one.thin is None or one.thin.order == order:
+        return one
+    return SeamLayer(one.name, replace(one.thin, order=order, edges=None), one.structure)
 
 
 def _knows_ends_of_cells(model: InterfaceModel, one: SeamLayer, meshed: BoolArray) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -171,8 +170,8 @@ class Adjoint:
         equations.put_state(self.state, self._x)
         if isinstance(other.model, InterfaceModel):
             theirs = layer_parts(other.model, equations.history.held, equations.bodies)
-            rest = replace(equations.rest(other.t), memory=PartSum(theirs).memory_at_rest)  # their keys are others
-            self._evaluate(theirs, other, u, self._between(other, old or rest))
+            begun = self._rest_of(theirs, other.t) if old is None else old
+            self._evaluate(theirs, other, u, self._between(other, begun))
             before = self._work(theirs, z)
             for part in theirs:
                 part.destroy()
@@ -188,6 +187,12 @@ class Adjoint:
         with_own = [part for part in equations.layers if part.field is not None]
         own = {part.key: -part.own_start(z) * part.own_residual() for part in with_own}
         return {DISPLACEMENTS: before - after, **own}
+
+    def _rest_of(self, parts: Sequence[Part], t: float) -> Configuration:
+        """The configuration at rest, with the memory of these parts: their keys are not those of other laws."""
+        layers = PartSum(parts)
+        rest = layers.memory_at_rest
+        return Configuration(self.equations.rest(t).u, t, rest, stresses=layers.stresses_at_rest, at_rest=True)
 
     def _evaluate(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
