@@ -23,6 +23,7 @@ OF_ONE_STRESS = (
     "elastic_moduli",
     "end_strips",
     "stations_at_ends",
+    "inside",
     "plane_stress",
     "otherwise",
     "energetic",

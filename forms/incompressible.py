@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from forms.elastic import LinearElastic, LinearLaw, lame
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
+from forms.inside import Inside, Pressed
 from forms.kinematics import Expr
 from forms.law import Step, positive
 from forms.stations import Station, of_pressure
@@ -50,6 +52,9 @@ class Incompressible(LinearLaw):
     def stations(self) -> list[Station[Any]]:
         """The pressure is a field on S, which flows along S."""
         return of_pressure(self)
+
+    def inside(self) -> Inside:
+        return super().inside() if self.fields else Pressed(math.inf, float(self.mu))
 
     def end_strips(self) -> Strips | None:
         return None if self.fields else Strips.with_pressure(free_end(0.5))

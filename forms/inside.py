@@ -1,4 +1,6 @@
-"""Stresses inside a layer, at any height, from the displacements of its two faces: isotropic linear elastic sublayers.
+"""Stresses inside a layer, at any height, from the displacements of its two faces.
+
+Of isotropic linear elastic sublayers (`Sublayers`), and of a law with a pressure (`Pressed`).
 
 Between the faces strains along S are e(y) = e_S + Phi_T(y) E_1, e_S and E_1 those of <u> and of [u]; Phi_T and Phi_N grow
 from -1/2 to 1/2 through the layer, in proportion to 1/mu and 1/M, M = lmbda + 2 mu. The tractions on planes parallel to S
@@ -18,8 +20,10 @@ With uniform gradients this is exact. Otherwise its error is of the second order
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -36,16 +40,99 @@ class FaceValues:
         jump: [u], (n, 3).
         mean: strain along S of <u>, as of `forms.stations.Faces`, (n, 3, 3).
         difference: strain along S of [u], likewise.
+        pressure, slope: of a law with a pressure: p (n,) and grad_S p (n, 3); else zero.
     """
 
     n: Array
     jump: Array
     mean: Array
     difference: Array
+    pressure: Array
+    slope: Array
+
+    @cached_property
+    def projection(self) -> Array:
+        """P, (n, 3, 3)."""
+        return np.asarray(np.eye(3) - self.n[:, :, None] * self.n[:, None])
+
+    @cached_property
+    def in_s(self) -> tuple[Array, Array]:
+        """e_S and E_1: the parts of both strains in S, (n, 3, 3)."""
+        first, second = (self.projection @ one @ self.projection for one in (self.mean, self.difference))
+        return first, second
+
+    @cached_property
+    def turns(self) -> tuple[Array, Array]:
+        """grad_S <u_N> and grad_S w_N, (n, 3)."""
+        first, second = (
+            2 * np.einsum("nij,njk,nk->ni", self.projection, one, self.n) for one in (self.mean, self.difference)
+        )
+        return first, second
+
+    @cached_property
+    def opening(self) -> Array:
+        """w_N, (n,)."""
+        return np.asarray(np.einsum("ni,ni->n", self.n, self.jump))
+
+    @cached_property
+    def slip(self) -> Array:
+        """w_T, (n, 3)."""
+        return np.asarray(self.jump - self.opening[:, None] * self.n)
+
+    def composed(self, in_s: Array, t_N: Array, t_T: Array) -> Array:
+        """Stresses (n, 3, 3) from their part in S and the tractions across it (n,) and along it (n, 3)."""
+        shear = t_T[:, :, None] * self.n[:, None]
+        both = self.n[:, :, None] * self.n[:, None]
+        return np.asarray(in_s + t_N[:, None, None] * both + shear + np.swapaxes(shear, 1, 2))
+
+
+class Inside(Protocol):
+    """What gives the stresses inside a layer."""
+
+    @property
+    def moduli(self) -> tuple[float, float] | None:
+        """Real lmbda and mu of a layer of one law; None: it has several."""
+
+    def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
+        """Stresses (n, 3, 3) at heights y (n,), from -1/2 to 1/2.
+
+        Args:
+            faces: displacements of the faces at n places.
+            eps: (n,) thickness.
+            y: heights.
+        """
 
 
 @dataclass(frozen=True)
-class Inside:
+class Pressed:
+    """A layer of one law with a pressure.
+
+    Attributes:
+        lmbda, mu: real moduli; lmbda may be math.inf.
+    """
+
+    lmbda: float
+    mu: float
+
+    @property
+    def moduli(self) -> tuple[float, float]:
+        """As of `Inside`."""
+        return self.lmbda, self.mu
+
+    def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
+        """As of `Inside`."""
+        mu, (e_S, E_1) = self.mu, faces.in_s
+        change = np.trace(E_1, axis1=1, axis2=2)
+        t_T = mu * (faces.slip / eps[:, None] + faces.turns[0]) - (y * eps)[:, None] * faces.slope
+        t_N = faces.pressure + 2 * mu * faces.opening / eps - y * mu * change
+        growth = mu / (1 + 2 * mu / self.lmbda)
+        p = faces.pressure + y * growth * change
+        in_s = p[:, None, None] * faces.projection + 2 * mu * (e_S + y[:, None, None] * E_1)
+        return faces.composed(in_s, t_N, t_T)
+
+
+@dataclass(frozen=True)
+class Sublayers:
     """The sublayers of a layer, from the lower to the upper face.
 
     Attributes:
@@ -55,6 +142,16 @@ class Inside:
     fractions: Array
     lmbda: Array
     mu: Array
+
+    @classmethod
+    def of(cls, sublayers: Sequence[tuple[float, float, float]]) -> Self:
+        """The layer of sublayers with these fractions, lmbda and mu."""
+        return cls(*np.array(sublayers, float).T)
+
+    @property
+    def moduli(self) -> tuple[float, float] | None:
+        """As of `Inside`."""
+        return (float(self.lmbda[0]), float(self.mu[0])) if len(self.mu) == 1 else None
 
     @cached_property
     def _ends(self) -> Array:
@@ -86,20 +183,9 @@ class Inside:
         return np.asarray(grown / grown[-1] - 0.5)
 
     def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
-        """Stresses (n, 3, 3) at heights y (n,), from -1/2 to 1/2; between two sublayers those of the lower one.
-
-        Args:
-            faces: displacements of the faces at n places.
-            eps: (n,) thickness.
-            y: heights.
-        """
-        n, M, mu, r = faces.n, self.M, self.mu, self.r
-        P = np.eye(3) - n[:, :, None] * n[:, None]
-        e_S, E_1 = (P @ one @ P for one in (faces.mean, faces.difference))
+        """As of `Inside`; between two sublayers those of the lower one."""
+        M, mu, r, (e_S, E_1), (slope, steepness) = self.M, self.mu, self.r, faces.in_s, faces.turns
         trace, change = (np.trace(one, axis1=1, axis2=2) for one in (e_S, E_1))
-        slope, steepness = (2 * np.einsum("nij,njk,nk->ni", P, one, n) for one in (faces.mean, faces.difference))
-        w_N = np.einsum("ni,ni->n", n, faces.jump)
-        w_T = faces.jump - w_N[:, None] * n
         phi_N, phi_T, R = self._through(1 / M), self._through(1 / mu), self._grown(r)
 
         def middle(ends: Array) -> Array:
@@ -107,9 +193,9 @@ class Inside:
 
         whole, sheared = 1 / self._mean(1 / M), 1 / self._mean(1 / mu)
         turned = self._mean(middle(phi_N)) + whole * self._mean(middle(R) / mu)
-        T_0 = sheared * (w_T / eps[:, None] + slope + turned * steepness)
+        T_0 = sheared * (faces.slip / eps[:, None] + slope + turned * steepness)
         thinned = self._mean(r * middle(phi_T)) + sheared * self._mean(middle(self._ends + 0.5) / M)
-        N_0 = whole * (w_N / eps + self._mean(r) * trace + thinned * change)
+        N_0 = whole * (faces.opening / eps + self._mean(r) * trace + thinned * change)
 
         one = np.clip(np.searchsorted(self._ends, y) - 1, 0, len(M) - 1)
         at_R, at_phi = (np.interp(y, self._ends, ends) for ends in (R, phi_T))
@@ -117,6 +203,5 @@ class Inside:
         t_N = N_0 - (y + 0.5) * sheared * change
         e = e_S + at_phi[:, None, None] * E_1
         along = r[one] * t_N + (2 * r * mu)[one] * (trace + at_phi * change)
-        across = t_T[:, :, None] * n[:, None]
-        found = along[:, None, None] * P + 2 * mu[one][:, None, None] * e + across + np.swapaxes(across, 1, 2)
-        return np.asarray(found + t_N[:, None, None] * n[:, :, None] * n[:, None])
+        in_s = along[:, None, None] * faces.projection + 2 * mu[one][:, None, None] * e
+        return faces.composed(in_s, t_N, t_T)

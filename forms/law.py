@@ -22,6 +22,7 @@ from forms.base import is_number
 from forms.declarations import SIZES, require_dataclass, require_declarations, reset_inherited
 from forms.declarations import LawError as LawError
 from forms.fields import OfPlaces, field_of, is_field, number_of
+from forms.inside import Inside
 from forms.kinematics import Expr
 from forms.stations import Station, at_gauss_points
 from forms.traits import Traits
@@ -323,10 +324,6 @@ class BulkLaw(Law):
             )
         return at_gauss_points(self)
 
-    def for_next_order(self) -> BulkLaw:
-        """The law of the same material whose interface law of order 1 is the nearest one: itself, by default."""
-        return self
-
     def elastic_moduli(self) -> tuple[Any, Any]:
         """Lame's moduli lmbda and mu of an isotropic linear elastic law.
 
@@ -337,6 +334,18 @@ class BulkLaw(Law):
             f"order=1 of a Stack with the sublayer {type(self).__name__}: it is known for isotropic elastic sublayers "
             "(LinearElastic), which share the jump in fixed proportions along S and across it; use order=0, or mesh the "
             "layer (structure.full)"
+        )
+
+    def inside(self) -> Inside:
+        """What gives the stresses inside a layer of this law, from the displacements of its faces; parameters are numbers.
+
+        Raises:
+            LawError: they are not known.
+        """
+        why = "with parameters that are functions" if self.fields else "this is none"
+        raise LawError(
+            f"stresses inside a layer of {type(self).__name__} are not known without its mesh (structure.full): they are "
+            f"for isotropic linear elasticity, LinearElastic, a Stack of them, Rubber and Incompressible, and {why}"
         )
 
     def own_step(self, step: Step) -> Step:

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from forms.elastic import LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
+from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, LinearLaw, isotropic_stiffness, lame, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
+from forms.inside import Inside, Pressed, Sublayers
 from forms.kinematics import Expr
 from forms.law import Step, positive, require
 from forms.stations import Station, of_pressure
@@ -67,6 +68,15 @@ class Rubber(LinearLaw):
 
     def end_strips(self) -> Strips | None:
         return None if self.fields else Strips.with_pressure(free_end(poisson_ratio(self)))
+
+    def inside(self) -> Inside:
+        """Where the pressure does not flow far it is that of `LinearElastic`, but for the second order in eps."""
+        if self.fields:
+            return super().inside()
+        lmbda, mu = float(self.lmbda), float(self.mu)
+        if poisson_ratio(self) > LARGEST_NU + ROUNDING:
+            return Pressed(lmbda, mu)
+        return Sublayers.of([(1.0, lmbda, mu)])
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         return of_pressure_at_ends(self, weights)

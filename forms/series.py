@@ -13,6 +13,7 @@ import numpy.typing as npt
 from forms.base import is_number
 from forms.declarations import require_declarations
 from forms.fields import Array, Field
+from forms.inside import Inside, Sublayers
 from forms.law import BulkLaw, LawError, require
 from forms.sharing import in_series
 from forms.stations import Station
@@ -125,6 +126,13 @@ class Stack(BulkLaw):
                 "along S; use order=0, or mesh the layer (structure.full)"
             )
         return in_series(self.sublayers)
+
+    def inside(self) -> Inside:
+        if self.fields:
+            return super().inside()
+        for law in self.laws:
+            law.inside()  # raises errors of laws without one
+        return Sublayers.of([(a, *law.elastic_moduli()) for a, law in self.sublayers])
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """The same fractions with other laws, unchecked."""

@@ -66,7 +66,7 @@ class TractionLaw(Law):
 
     ignored: ClassVar = (
         *("stress", "advance", "dissipated", "holds", "otherwise", "eased", "stiffness", "plane_stress"),
-        *("stations", "elastic_moduli"),
+        *("stations", "elastic_moduli", "inside"),
     )
 
     def __post_init__(self) -> None:

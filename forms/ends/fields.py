@@ -42,6 +42,9 @@ class EndFields:
     degree: int = DEGREE
     levels: int = LEVELS
 
+    def __post_init__(self) -> None:
+        lame_over_mu(self.nu)  # raises errors of ratios out of range
+
     @cached_property
     def _solutions(self) -> list[Solution]:
         lmbda = lame_over_mu(self.nu)

@@ -19,8 +19,6 @@ def values_at(solution: Solution, x: Array) -> tuple[Array, Array]:
         low, high = cell.corners.min(axis=0), cell.corners.max(axis=0)
         margin = INSIDE * (high - low)
         near = np.flatnonzero(((x >= low - margin) & (x <= high + margin)).all(axis=1))
-        if not len(near):
-            continue
         at = _pulled_back(cell, x[near])
         inside = (np.abs(at) <= 1 + 10 * INSIDE).all(axis=1)
         u[near[inside]], stress[near[inside]] = _values(cell, unknowns, at[inside])
@@ -36,7 +34,7 @@ def _jacobians(cell: Quadrilateral, at: Array) -> tuple[Array, Array]:
 
 def _products(A: Array, B: Array) -> Array:
     """Products (n, k m) of functions of one coordinate, (n, k) and (n, m), at each place."""
-    return np.asarray((A[:, :, None] * B[:, None]).reshape(len(A), -1))
+    return np.asarray((A[:, :, None] * B[:, None]).reshape(len(A), A.shape[1] * B.shape[1]))
 
 
 def _pulled_back(cell: Quadrilateral, x: Array) -> Array:

@@ -66,7 +66,7 @@ class Square:
     def pressures_at(self, at: Array) -> Array:
         """As `pressures`, at places (n, 2)."""
         A, B = (legendre.legvander(x, self.degree - 2) for x in at.T)
-        return np.asarray((A[:, :, None] * B[:, None]).reshape(len(at), -1), np.float64)
+        return np.asarray((A[:, :, None] * B[:, None]).reshape(len(at), (self.degree - 1) ** 2), np.float64)
 
     def side(self, number: int) -> Numbers:
         """Nodes of a side, numbered a first, from the first to the second of its `SIDES`; (p + 1,)."""

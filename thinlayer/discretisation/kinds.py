@@ -270,7 +270,7 @@ class InterfaceModel(LayeredModel):
             if one.flows:
                 require_unloaded_sides(one, structure.tractions)
             elif one.thin and one.thin.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name), points, to_base)
+                add_side_loads(forces, self, one, self.sides_of(one.name), points, self.ends[one.name], to_base)
         return forces
 
     def _check_layers(self) -> None:

@@ -229,7 +229,8 @@ def estimate(
         history = march(model, times[times > times[0]].tolist(), start=float(times[0]), options=options)
         better, before = history.last, (_one_before(history), theirs)
     else:
-        better, before = solve(model, given.t, options=options), (None, None)
+        like = given if isinstance(given.model, InterfaceModel) and not model.linear else None
+        better, before = solve(model, given.t, options=options, like=like), (None, None)
     unknown = why_not(better)
     total, layers = _Norms(np.zeros(4)), {}
     for name, law in laws.items():

@@ -178,7 +178,8 @@ class MeanTraction(Goal):
         if not all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies):
             raise ModelError(f"{self.name}: there is no map of it, as a law of the bodies is not linear")
         du, v = ufl.TestFunction(model.V), self._test(model)
-        return adjoint.of_form(forms.work(model.bodies, v, du)), adjoint.nothing()
+        bodies = [replace(term, given=None) for term in model.bodies]
+        return adjoint.of_form(forms.work(bodies, v, du)), adjoint.nothing()
 
     def _test(self, model: InterfaceModel) -> fem.Function:
         """Displacements in which the reactions of the bodies on the seam do the mean traction's work."""

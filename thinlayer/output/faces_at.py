@@ -57,7 +57,7 @@ class FacesAt:
         return cls(located.x, _normals(sides["upper"], seam), u, gradient)
 
 
-def _mean(located: Located, values: Array) -> Array:
+def mean_at(located: Located, values: Array) -> Array:
     """Means (n, ...) over the cells at each place."""
     out = np.zeros((len(located.x), *values.shape[1:]))
     np.add.at(out, located.point, values)
@@ -65,7 +65,7 @@ def _mean(located: Located, values: Array) -> Array:
     return np.asarray(out / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
-def _slopes(located: Located) -> Array:
+def slopes(located: Located) -> Array:
     """(m, d, d) gradient of the places, [:, i, k] of x_i along the k-th coordinate of the reference cell."""
     joint = located.joint
     table = lagrange(joint.cell_type, joint.degree).tabulate(1, located.X)[1:, :, :, 0]
@@ -82,10 +82,10 @@ def _values(state: State, located: Located) -> tuple[Array, Array]:
     found = np.zeros((len(located.cell), joint.dim, 1 + joint.dim))
     table = state.u.function_space.ufl_element().basix_element.tabulate(1, located.X[mine])[..., 0]
     nodal = cell_values(state.u, order[at[mine]]).reshape(len(mine), table.shape[2], joint.dim)
-    to_x = np.linalg.inv(_slopes(located)[mine])
+    to_x = np.linalg.inv(slopes(located)[mine])
     found[mine, :, 0] = np.einsum("mn,mni->mi", table[0], nodal)
     found[mine, :, 1:] = np.einsum("kmn,mni,mkj->mij", table[1:], nodal, to_x)
-    means = _mean(located, np.asarray(comm.allreduce(found)))
+    means = mean_at(located, np.asarray(comm.allreduce(found)))
     return means[..., 0], means[..., 1:]
 
 
@@ -98,7 +98,7 @@ def _normals(upper: Located, seam: str) -> Array:
     at, row = at[above], row[above]
     cells = joint.table.cells[row] == upper.cell[at][:, None]
     local = joint.table.local[row][np.arange(len(row)), cells.argmax(axis=1)]
-    normals = -np.einsum("mk,mki->mi", outward[local], np.linalg.inv(_slopes(upper)[at]))
+    normals = -np.einsum("mk,mki->mi", outward[local], np.linalg.inv(slopes(upper)[at]))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     total = np.zeros_like(upper.x)
     np.add.at(total, upper.point[at], normals)

@@ -16,7 +16,7 @@ from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
-from thinlayer.discretisation.free_ends import LARGEST_STIFFNESS, softest_body
+from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import real_law
@@ -25,6 +25,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.faces_at import FacesAt
+from thinlayer.output.pressure_at import pressure_at
 
 Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end
@@ -36,11 +37,13 @@ class Zoomable:
     """A layer whose stresses inside are known.
 
     Attributes:
-        model: an interface model.
+        state: of an interface model.
+        model: the model.
         one: the layer.
-        inside: its sublayers.
+        inside: what gives its stresses.
     """
 
+    state: State
     model: Model
     one: SeamLayer
     inside: Inside
@@ -69,7 +72,10 @@ class Zoomable:
             raise ModelError(f"{start}its eigenstrain is not in the fields of the zoom")
         if model.domain.joint.parted is not None:
             raise ModelError(f"{start}it needs bodies='kept', which meet on S")
-        return cls(model, one, _inside(real_law(one.layer, model.kinematics), start))
+        try:
+            return cls(state, model, one, real_law(one.layer, model.kinematics).inside())
+        except LawError as error:
+            raise ModelError(f"{start}{error}") from error
 
     @property
     def law(self) -> BulkLaw:
@@ -94,15 +100,21 @@ class Zoomable:
         assert self.one.thin
         n, d = faces.x.shape
         lifted = _lifted(faces.n), _lifted(faces.u[1] - faces.u[0])
-        if self.one.thin.order == 0:
-            return FaceValues(*lifted, np.zeros((n, 3, 3)), np.zeros((n, 3, 3)))
         along_s = np.eye(d) - faces.n[:, :, None] * faces.n[:, None]
+        pressure: Array = np.zeros(n)
+        slope: Array = np.zeros((n, d))
+        if self.one.law.traits.constrained:
+            pressure, gradient = pressure_at(self.state, self.one, faces.x)
+            slope = np.asarray(np.einsum("nij,nj->ni", along_s, gradient))
+        if self.one.thin.order == 0:
+            nothing = np.zeros((n, 3, 3))
+            return FaceValues(*lifted, nothing, nothing, pressure, np.zeros((n, 3)))
         gradient, hoops = faces.gradient @ along_s, faces.u[..., 0] / self.model.kinematics.radius(faces.x)
         strains = np.zeros((2, n, 3, 3))
         strains[..., :d, :d] = (gradient + np.swapaxes(gradient, 2, 3)) / 2
         strains[..., 2, 2] += hoops
         lower, upper = strains
-        return FaceValues(*lifted, (lower + upper) / 2, upper - lower)
+        return FaceValues(*lifted, (lower + upper) / 2, upper - lower, pressure, _lifted(slope))
 
     # ---------------------------------------------------------------- ends
     @cached_property
@@ -113,9 +125,9 @@ class Zoomable:
     @cached_property
     def why_no_ends(self) -> str | None:
         """Why stresses at free ends are not known; None: they are."""
-        one, sublayers = self.one, self.inside
+        one, moduli = self.one, self.inside.moduli
         assert one.thin
-        if len(sublayers.mu) > 1:
+        if moduli is None:
             return "the fields of free ends are those of a layer of one law"
         if self.nu < 0 or self.nu > LARGEST_NU + ROUNDING:
             return f"Poisson's ratio is {self.nu:.4g}; the fields of free ends need 0 to {LARGEST_NU}"
@@ -129,11 +141,11 @@ class Zoomable:
             return str(error)
         if not one.sheet.planar:
             return "S is curved"
-        M, E = float(sublayers.M[0]), softest_body(one)
-        if M > LARGEST_STIFFNESS * E:
+        contrast = softest_body(one) / moduli[1]
+        if contrast < LEAST_CONTRAST:
             return (
-                f"the fields of free ends are those between rigid faces: lmbda + 2 mu of the layer is {M:.4g}, Young's "
-                f"modulus of a body on S {E:.4g}; allowed: at most {LARGEST_STIFFNESS:g} of it"
+                "the fields of free ends are those between rigid faces: Young's modulus of a body on S is "
+                f"{contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g} times"
             )
         return None
 
@@ -143,9 +155,10 @@ class Zoomable:
 
     @property
     def nu(self) -> float:
-        """Poisson's ratio of the lowest sublayer, in plane strain."""
-        lmbda, mu = self.inside.lmbda[0], self.inside.mu[0]
-        return round(float(lmbda / (lmbda + mu) / 2), DIGITS)
+        """Poisson's ratio of a layer of one law, in plane strain."""
+        assert self.inside.moduli
+        lmbda, mu = self.inside.moduli
+        return round(1 / (1 + mu / lmbda) / 2, DIGITS) if lmbda else 0.0
 
     @property
     def fields(self) -> EndFields:
@@ -205,21 +218,3 @@ class Zoomable:
 
 def _lifted(v: Array) -> Array:
     return np.pad(v, ((0, 0), (0, 3 - v.shape[1])))
-
-
-def _inside(law: BulkLaw, start: str) -> Inside:
-    """The sublayers of a law with real parameters; raises ModelError."""
-    fractions, moduli = [], []
-    for fraction, one in law.sublayers:
-        if one.fields:
-            raise ModelError(f"{start}parameters of {type(one).__name__} are functions; allowed: numbers")
-        try:
-            moduli.append(one.elastic_moduli())
-        except LawError as error:
-            raise ModelError(
-                f"{start}stresses inside are known for isotropic linear elastic laws (LinearElastic, or a Stack of them), "
-                f"not for {type(one).__name__}; mesh the layer (structure.full)"
-            ) from error
-        fractions.append(fraction)
-    lmbda, mu = np.array(moduli, float).T
-    return Inside(np.array(fractions), lmbda, mu)

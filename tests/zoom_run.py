@@ -1,0 +1,54 @@
+"""Zooms whose stresses do not depend on frames, units and kinematics; as a script, numbers of some ranks."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from forms import LinearElastic
+from geometry import Joint, sandwich
+from thinlayer import State, Structure, ThinLayer, Zoom, solve
+
+EPS = 0.05
+BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
+FREE = ThinLayer(GLUE, EPS, order=1, edges="free")
+D, Y = (one.ravel() for one in np.meshgrid([0.0, 0.1, 0.6, 2.0, 7.0], [-0.45, -0.1, 0.3]))
+PLACES = np.concatenate([np.stack([D * EPS, 0 * D], axis=1), np.stack([1.3 - D * EPS, 0 * D], axis=1)])
+HEIGHTS = np.concatenate([Y, Y])
+
+
+def joint(**cells: Any) -> Joint:
+    """Two blocks on one another."""
+    return sandwich(1.3, 0.3, 0.4, 0.1, cell="quadrilateral", structured=True, **cells)
+
+
+def state(layer: ThinLayer = FREE, of: Joint | None = None, turn: Any = None, **given: Any) -> State:
+    """The blocks sheared and pulled more on one side."""
+    turn = np.eye(2) if turn is None else turn
+    pull = {"TOP": tuple(turn @ [0.3, -1.0]), "RIGHT/UPPER": tuple(turn @ [0.1, 0.2])}
+    data: dict[str, Any] = {"body": BODY, "supports": {"BOTTOM": 0}, "tractions": pull} | given
+    return solve(Structure(joint() if of is None else of, **data).interface(layer))
+
+
+def numbers() -> dict[str, Any]:
+    """Stresses and strengths in two dimensions, on triangles, and in three."""
+    found: dict[str, Any] = {}
+    for dim, size in ((2, {}), (3, {"depth": 0.4})):
+        blocks = sandwich(1.3, 0.3, 0.4, 0.2 * (dim - 1), **size)
+        load = (0.3, -1.0, 0.2)[:dim]
+        structure = Structure(blocks, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": load})
+        zoom = Zoom(solve(structure.interface(FREE)))
+        places = np.pad(PLACES, ((0, 0), (0, dim - 2)), constant_values=0.19)
+        found[f"stress {dim}"] = zoom.stress(places, HEIGHTS).ravel().tolist()
+        ends = sorted(zoom.ends, key=lambda end: tuple(end.m.round(6)))
+        found[f"H {dim}"] = np.concatenate([np.concatenate([end.lower, end.upper]) for end in ends]).tolist()
+    return found
+
+
+if __name__ == "__main__":
+    results = numbers()
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(results))
