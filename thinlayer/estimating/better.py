@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from forms.base import InputError
 from forms.next_order import for_next_order
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
@@ -68,11 +69,15 @@ def better_model(model: InterfaceModel) -> tuple[InterfaceModel, dict[str, Bette
     """The model with better laws of its layers, and name of a seam -> what its law is. Collective.
 
     Raises:
-        ModelError, LawError: there are none.
+        ModelError: there are none.
     """
     with on_all(model.comm):
         layers = better_layers(model.layers)
-    better, found = model.with_layer({**dict.fromkeys(model.joint.seams), **layers}), {}
+    try:
+        better = model.with_layer({**dict.fromkeys(model.joint.seams), **layers})
+    except InputError as error:
+        raise ModelError(f"estimate: the better law, of order 1, is not known here: {error}") from error
+    found = {}
     for name, one in better.layers.items():
         ends, why = len(free_rim(better, one.sheet).vertices) > 0, better.free_ends(name)
         with_ends = ", with its free ends" if ends and why is None else ""

@@ -44,8 +44,8 @@ class GoalError:
         value: Q(u_0), of the given state.
         better: Q(u_1), of the better law.
         scale: what both are compared with to see whether they are only rounding.
-        least: product of the errors of traction and jump. Leading terms cancel in an error below it, and the estimate is
-            none.
+        least: product of the errors of traction and jump, each at most 1. Leading terms cancel in an error below it, and the
+            estimate is none.
     """
 
     value: float
@@ -250,7 +250,7 @@ def estimate(
         near = NEAR_ENDS * float(law.layer.eps) if law.ends else 0.0
         total, layers[name] = total + norms, LayerError(law, near, *norms.errors)
     traction, jump = total.errors
-    least = traction * jump if math.isfinite(jump) else traction**2
+    least = min(traction, 1.0) * min(jump if math.isfinite(jump) else traction, 1.0)
     found = {}
     for name, goal in checked.items():
         scale = max(goal.scale(given, model), goal.scale(better, model))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
+from ufl.algorithms import expand_derivatives
 
 from forms import work as forms
 from forms.kinematics import Expr
@@ -154,8 +155,8 @@ class Reaction(Goal):
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model
-        places = [str(place) for place, _ in model.supports.entries]
-        entries = [k for k, one in enumerate(places) if one == self.place or one.split("/")[0] == self.place]
+        places = [place for place, _ in model.supports.entries]
+        entries = [k for k, one in enumerate(places) if one == self.place or str(one).split("/")[0] == self.place]
         if not entries:
             raise ModelError(f"{self.name}: no support holds it, but a plate, springs or a base; there is no map of it")
         return adjoint.nothing(), adjoint.of_reaction(entries, unit(self.direction, model.joint.dim, self.name))
@@ -181,8 +182,8 @@ class MeanTraction(Goal):
 
     def check(self, model: InterfaceModel) -> None:
         unit(self.direction, model.joint.dim, self.name)
-        if self.seam not in (S, *model.joint.seams):
-            raise ModelError(f"{self.name}: {unknown('seam', self.seam, model.joint.seams)}")
+        if self.seam not in (S, *model.layers):
+            raise ModelError(f"{self.name}: {unknown('layer', self.seam, model.layers)}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
@@ -210,7 +211,7 @@ class MeanTraction(Goal):
     def _test(self, model: InterfaceModel) -> fem.Function:
         """Displacements in which the reactions of the bodies on the seam do the mean traction's work."""
         e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
-        names = [self.seam] if self.seam != S else [*model.joint.seams]
+        names = [self.seam] if self.seam in model.layers else [*model.layers]
         area = sum(Areas(model.layers[name].sheet, model.kinematics).total for name in names)
         v, count = fem.Function(model.V), fem.Function(model.V)
         for name in names:
@@ -289,8 +290,16 @@ class Functional(Goal):
     name: str
     of: Callable[[Any, InterfaceModel], Expr]
 
+    def check(self, model: InterfaceModel) -> None:
+        self._form(fem.Function(model.V), model)
+
     def _form(self, u: fem.Function, model: InterfaceModel) -> Expr:
-        form = self.of(u, model)
+        if not callable(self.of):
+            raise ModelError(f"the goal {self.name!r} is {self.of!r:.80}; it must be a function (u, model) -> UFL form")
+        try:
+            form = self.of(u, model)
+        except Exception as error:
+            raise ModelError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
         if not isinstance(form, ufl.Form) or form.arguments():
             raise ModelError(f"the goal {self.name!r} is {form!r:.80}; it must be a UFL form without test functions")
         return form
@@ -307,7 +316,10 @@ class Functional(Goal):
         return float(model.comm.allreduce(float(np.abs(weights.array[:owned] * u.x.array[:owned]).sum())))
 
     def _derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
-        return ufl.derivative(self._form(u, model), u, ufl.TestFunction(model.V))
+        v = ufl.TestFunction(model.V)
+        found = expand_derivatives(ufl.derivative(self._form(u, model), u, v))
+        none = ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
+        return none if found.empty() else found
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.of_form(self._derivative(adjoint.state.u, adjoint.model)), adjoint.nothing()

@@ -25,8 +25,9 @@ from thinlayer.time.marching import march
 
 FIELDS = ("traction", "jump")
 ACCURACY = 0.01  # of the thickness, relative
-STALLED = 0.98  # error over that of twice the thickness from which on it hardly falls
-FEW = 5  # halvings after which S should be longer than what its ends reach
+SURE = 3  # thicknesses in turn, each half of the one before, at which the error is allowed
+FEW = 4  # halvings over which an error should fall
+STALLED = 0.92  # error over that before so many halvings from which on it hardly falls
 HALVINGS = 20  # of the thickness, at most, in search of one that is thin enough
 THICKEST = 0.5  # thickness over the height of the thinner body up to which the search goes
 
@@ -71,7 +72,7 @@ def thin_enough(
     """The thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 
     The layer's material stays the same: its real moduli are those of the thickness that is given. Each thickness is two
-    solves on one mesh; it takes six to twelve thicknesses.
+    solves on one mesh; it takes eight to twelve thicknesses.
 
     Args:
         structure: bodies, supports and loads.
@@ -88,7 +89,7 @@ def thin_enough(
         ModelError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
         SolveError: as in `solve`.
     """
-    _check(structure, layer, tolerance, goal, bonded)
+    _check(structure, layer, tolerance, goal, bonded, bodies)
 
     def solved(model: Model) -> State | History:
         return solve(model, t, options=options) if times is None else march(model, times, options=options)
@@ -114,8 +115,14 @@ def thin_enough(
     return ThinEnough(eps, tolerance, quantity, table, found)
 
 
-def _check(structure: Structure, layer: ThinLayer, tolerance: float, goal: str | Goal, bonded: bool) -> None:
+def _check(
+    structure: Structure, layer: ThinLayer, tolerance: float, goal: str | Goal, bonded: bool, bodies: str
+) -> None:
+    if not isinstance(structure, Structure):
+        raise ModelError(f"thin_enough takes a Structure, of which it makes models, not {structure!r:.80}")
     with on_all(structure.comm):
+        if bonded and bodies != "kept":
+            raise ModelError("thin_enough: bonded bodies meet on S; bodies='extended' is for the interface law alone")
         if not isinstance(layer, ThinLayer):
             raise ModelError(f"thin_enough: the layer is {layer!r:.80}; give a ThinLayer, one for all seams")
         if not (is_number(tolerance) and 0 < tolerance < 1):
@@ -143,13 +150,17 @@ def _error(found: Estimate, quantity: str) -> float:
     goal = found.goals[quantity]
     if goal.zero:
         raise ModelError(f"thin_enough: {quantity} is zero, and so has no relative error")
-    return goal.relative
+    return goal.relative if goal.told else goal.least
 
 
 def _search(
     error: Callable[[float], float], start: float, thickest: float, tolerance: float, rows: dict[float, float]
 ) -> tuple[float, bool]:
-    """The thickness with the error `tolerance`, and whether there is one; fills rows: thickness -> error."""
+    """The thickness below which errors are at most `tolerance`, and whether there is one above; fills rows.
+
+    Errors may change their sign, and so be small at a thickness and large at smaller ones: the search goes down until they
+    are allowed at a thickness, half of it, and a quarter, and then up to the first one that is not.
+    """
 
     def excess(eps: float) -> float:
         """Logarithm of the error over the tolerance."""
@@ -157,26 +168,41 @@ def _search(
             rows[eps] = error(eps)
         return math.log(max(rows[eps], 1e-300) / tolerance)
 
-    low = high = min(start, thickest)
-    while excess(low) > 0:
-        low, high = low / 2, low
-        if math.isinf(rows[high]) and high < start / 2**FEW:
-            raise ModelError(
-                f"thin_enough: even at {high:.3g} the layer bears nothing farther than {NEAR_ENDS:g} thicknesses from its "
-                "free ends; are there loads at this time?"
-            )
-        if low < start / 2**HALVINGS or (excess(low) > 0 and rows[low] > STALLED * rows[high]):
-            raise ModelError(
-                f"thin_enough: no thickness is thin enough: the error is {rows[high]:.3g} at {high:.3g}, and hardly falls "
-                "with the thickness; is the layer much softer than the bodies?"
-            )
-    while excess(high) <= 0:
-        if high >= thickest:
-            return high, False
-        low, high = high, min(2 * high, thickest)
+    low = top = min(start, thickest)
+    passed = 0
+    while passed < SURE:
+        passed = passed + 1 if excess(low) <= 0 else 0
+        _require_falling(rows, top, low, passed)
+        low /= 2
+    low *= 2**passed
+    high = 2 * low
+    while high <= thickest * (1 + ACCURACY) and excess(high) <= 0:
+        low, high = high, 2 * high
+    if high > thickest * (1 + ACCURACY):
+        if low >= thickest or excess(thickest) <= 0:
+            return max(low, thickest), False
+        high = thickest
     while high > (1 + ACCURACY) * low:
         above, below = excess(high), excess(low)
         share = -below / (above - below) if math.isfinite(above) else 0.5
         middle = low * (high / low) ** min(max(share, 0.1), 0.9)
         low, high = (low, middle) if excess(middle) > 0 else (middle, high)
     return low, True
+
+
+def _require_falling(rows: Mapping[float, float], top: float, low: float, passed: int) -> None:
+    """Raise ModelError if errors do not fall with the thickness any more, and are not allowed."""
+    before = low * 2**FEW
+    if passed or before > top:
+        return
+    if math.isinf(rows[low]):
+        raise ModelError(
+            f"thin_enough: even at {low:.3g} the layer bears nothing farther than {NEAR_ENDS:g} thicknesses from its free "
+            "ends; are there loads at this time?"
+        )
+    largest = max(error for eps, error in rows.items() if low < eps <= before)
+    if rows[low] > STALLED * largest or low < top / 2**HALVINGS:
+        raise ModelError(
+            f"thin_enough: no thickness is thin enough: the error is {rows[low]:.3g} at {low:.3g}, and hardly falls with the "
+            "thickness; is the layer much softer than the bodies?"
+        )
