@@ -242,8 +242,6 @@ def tolerance(section: Section, quantities: list[str]) -> dict[str, float]:
     value = section.values.get("tolerance")
     if value is None:
         return {}
-    if section.values.get("times"):
-        section.refuse("a thickness is sought by solves without time; leave out times, or the tolerance", "tolerance")
     what = "the largest relative change that is allowed, between 0 and 1"
     one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, "tolerance")
     one.allow(quantities, "quantity")
