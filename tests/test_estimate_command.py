@@ -240,3 +240,6 @@ def test_two_ranks(lap, wanted, tmp_path):
     assert wrong.returncode == 2
     assert wrong.stderr.count("unknown set of facets 'TOP'") == 1
     assert not (tmp_path / "no").exists()
+    wrong = mpirun(2, "-m", "thinlayer", "estimate", str(lap), "--layer", "nuu=1", "--out", str(tmp_path / "no"))
+    assert wrong.returncode == 2
+    assert wrong.stderr.count("unknown key of LinearElastic 'nuu'") == 1
