@@ -400,6 +400,20 @@ def test_words_refused(tmp_path, given, message):
     assert str(error.value).startswith(message)
 
 
+def test_words_beside_what_is_no_table(tmp_path):
+    """What the file says is not dropped in silence."""
+    (tmp_path / "a.toml").write_text(f"{LEAST}\nbody_force = [0, -1]\nsupports = 3")
+    path = str(tmp_path / "a.toml")
+    with pytest.raises(
+        DescriptionError, match=r"a\.toml: body_force: \[0, -1\] is no table of names, to which --body-force"
+    ):
+        words(path, "--body-force", "A=0,-2")
+    with pytest.raises(
+        DescriptionError, match=r"a\.toml: supports: 3 is no table of names, to which --support 'LEFT=0'"
+    ):
+        words(path, "--support", "LEFT=0")
+
+
 def test_bad_descriptions_are_refused_without_dolfinx(tmp_path):
     (tmp_path / "a.toml").write_text(LEAST.replace("nu = 0.35", "nuu = 0.35"))
     probe = (

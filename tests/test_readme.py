@@ -138,7 +138,7 @@ def test_estimate_command(tmp_path, capsys):
     full, limit = (solve(make(given.layer)) for make in (given.structure.full, given.structure.interface))
     row = compare(full, limit, where=lambda x: abs(x[0] - 12.5) < 12.5 - 0.9)
     work = [state.energies()["loads"] for state in (full, limit)]
-    said = re.search(r"errors are\s(\S+) % in traction, (\S+) % in jump and (\S+) % in compliance", PAGES["README.md"])
+    said = re.search(r"errors are\s(\S+) % in traction, (\S+) % in jump and\s(\S+) % in compliance", PAGES["README.md"])
     true = (row["error_traction"], row["error_jump"], 1 - work[1] / work[0])
     assert tuple(f"{100 * one:.2g}" for one in true) == said.groups()
 

@@ -22,7 +22,7 @@ def require_fit(given: Description, joint: Joint) -> None:
     _loads(fit, given)
     _goals(fit, given)
     if given.tolerance and None not in given.layer:
-        fit.section.refuse("a thickness is sought of one layer for all seams; give [layer] no names", "tolerance")
+        fit.section.refuse("a thickness is sought of one layer for all seams; give [layer] without names", "tolerance")
     if joint.dim == 3 and given.plane not in (None, "strain"):
         fit.section.refuse(f"{given.plane} is for meshes in two dimensions", "plane")
     allowed = ("Q2", "S2") if is_tensor(joint.cell_type) else ("P2",)

@@ -123,11 +123,13 @@ class Source:
     def _put(self, path: Path, value: Any, origin: str) -> None:
         table = self.values
         for key in path[:-1]:
-            inner = table.get(key)
-            named = isinstance(inner, Mapping) and (
-                path[0] not in ("body", "layer") or all(isinstance(one, Mapping) for one in inner.values())
-            )
-            table[key] = dict(inner) if isinstance(inner, Mapping) and named else {}
+            inner = table.get(key, {})
+            if not isinstance(inner, Mapping):
+                raise DescriptionError(
+                    f"{self._told((key,))}: {inner!r} is no table of names, to which {origin} could add"
+                )
+            alone = key in ("body", "layer") and not all(isinstance(one, Mapping) for one in inner.values())
+            table[key] = {} if alone else dict(inner)  # a law for all is replaced by laws with names
             table = table[key]
         table[path[-1]] = value
         self.origins = {one: words for one, words in self.origins.items() if one[: len(path)] != path}

@@ -88,6 +88,11 @@ def _scale(axes: Axes, largest: float) -> None:
     axes.minorticks_off()
 
 
+def _least(largest: float) -> float:
+    """The size below which values are drawn in proportion: a power of ten, so that no label is close to that of zero."""
+    return float(10.0 ** math.ceil(math.log10(SHOWN * largest))) if largest else 1.0
+
+
 def _coloured(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, unit: str, quantity: str) -> None:
     joint = given.model.joint
     corners = joint.table.vertices[joint.rows_of(name)]
@@ -104,7 +109,7 @@ def _coloured(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, uni
         cmap=COLOUR_MAP,
         edgecolor="face",
     )
-    facets.set_norm(SymLogNorm(SHOWN * largest, vmin=-largest, vmax=largest))
+    facets.set_norm(SymLogNorm(_least(largest), vmin=-largest, vmax=largest))
     axes.add_collection(facets)
     axes.set_aspect("equal")
     axes.autoscale_view()
