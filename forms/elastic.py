@@ -158,14 +158,6 @@ class LinearElastic(LinearLaw):
 
         return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._change)]
 
-    def for_next_order(self) -> LinearLaw:
-        """`Rubber` where the pressure evens out over more than the thickness, for nu > 0.45."""
-        if self.fields or self.lmbda / (self.lmbda + self.mu) / 2 <= LARGEST_NU + ROUNDING:
-            return self
-        from forms.rubber import Rubber  # an elastic law itself
-
-        return Rubber(self.lmbda, self.mu)
-
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})
 
