@@ -27,6 +27,8 @@ CELLS = (
 CELLS_3D = 8
 KNOWN, IGNORED = "known", "ignored"  # ends, by their first moments; laws that take the layer for an infinite one
 LENGTHS = ("1", "2")  # known ends with strips of these lengths over the thickness
+# strips of one thickness have no right moments: small terms of several orders, and the mesh's own error, mix at 1/128
+LOWEST = {"1": 1.6}
 WHAT = ("traction", "jump", "work")
 DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 
@@ -131,7 +133,7 @@ def _rates(
             for what in WHAT:
                 order = observed_orders(table["eps"], table[_column(what, kind)])[-1] or math.nan
                 row[f"order of {what}"] = order
-                bounds = {"high": 1.3} if kind == IGNORED else {"low": 1.9}
+                bounds = {"high": 1.3} if kind == IGNORED else {"low": LOWEST.get(kind, case.lowest)}
                 record.check(f"{case.name}, ends {kind}: last order of the {what}", order, **bounds)
             rows.append(row)
     record.say(rows)

@@ -29,6 +29,7 @@ from forms.ends.constants import FreeEnd, free_end
 from forms.ends.weights import Strips
 from forms.interface import Interface
 from forms.kinematics import Expr
+from forms.planes import Kinematics
 from geometry.ends import StraightEnd, share_within, straight_ends
 from geometry.joint import Joint
 from geometry.seam import LAYER
@@ -155,14 +156,16 @@ def _at_ends(
         shares = np.zeros((len(model.joint.cells), 1, 5))
         upper = model.joint.surface_cells[one.sheet.facets, 1]
         constants = free_end(poisson_ratio(real_law(one.layer, one.structure.kinematics)))
-        shares[upper, 0] = _shares(end, one.sheet, float(one.thin.eps), constants)
+        shares[upper, 0] = _shares(end, load.rim, one.sheet, model.kinematics, float(one.thin.eps), constants)
         known = sides.upper(cellwise(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = replace(at, x=at.x + (offset - ufl.dot(m, at.x)) * m)
         yield load.traction(place, m), _handed(known, m, sides, based)
 
 
-def _shares(end: StraightEnd, sheet: Sheet, eps: float, constants: FreeEnd) -> FloatArray:
+def _shares(
+    end: StraightEnd, rim: Rim, sheet: Sheet, kinematics: Kinematics, eps: float, constants: FreeEnd
+) -> FloatArray:
     """(n, 5) densities on facets: of eps times the load along m, n and the end; of what works in the opening and in shear.
 
     The first three make the whole force of the side, on any mesh.
@@ -170,6 +173,9 @@ def _shares(end: StraightEnd, sheet: Sheet, eps: float, constants: FreeEnd) -> F
     x, strips = sheet.joint.points[sheet.vertices], Strips.of(constants)
     facet, count = np.searchsorted(sheet.facets, sheet.parts[0]), len(sheet.facets)
     area = np.bincount(facet, sheet.areas, count)
+    factor = np.bincount(facet, sheet.areas * kinematics.factor_at(x.mean(axis=1)), count)
+    ends = sheet.joint.points[rim.vertices].mean(axis=1)
+    at_end = kinematics.factor_at(ends[end.has(ends)]).mean()
     here, distance = end.faces(x.mean(axis=1)) * sheet.areas, end.distance(x)
 
     def within(reach: float) -> FloatArray:
@@ -177,7 +183,7 @@ def _shares(end: StraightEnd, sheet: Sheet, eps: float, constants: FreeEnd) -> F
 
     l_N, l_T = strips.opening.length, strips.shear.length
     handed = [within(reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE)]
-    forces = [eps * end.length * share / (share @ area) for share in handed]
+    forces = [eps * end.length * at_end * share / (share @ factor) for share in handed]
     drawn = constants.drawn_in / l_N * within(l_N), constants.c_T / l_T * within(l_T)
     return np.stack([*forces, *drawn], axis=1)
 
