@@ -23,7 +23,7 @@ from forms.stations import Faces, Station, at_gauss_points
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 LARGEST_NU = 0.45  # of layers whose free ends are known without a pressure on S
-ROUNDING = 1e-9  # of Poisson's ratio, from moduli
+ROUNDING = 1e-9  # of ratios of moduli
 OUT_OF_PLANE = [2, 3, 4]
 IN_PLANE = [0, 1, 5]
 
@@ -157,14 +157,6 @@ class LinearElastic(LinearLaw):
             return lambda law, faces: weights.strains(faces, law._share)[k]
 
         return [Station(self, 1, strain(0)), Station(self, 1, strain(1)), Station(self, 1 / 12, self._change)]
-
-    def for_next_order(self) -> LinearLaw:
-        """`Rubber` where the pressure evens out over more than the thickness, for nu > 0.45."""
-        if self.fields or self.lmbda / (self.lmbda + self.mu) / 2 <= LARGEST_NU + ROUNDING:
-            return self
-        from forms.rubber import Rubber  # an elastic law itself
-
-        return Rubber(self.lmbda, self.mu)
 
     def plane_stress(self) -> LinearElastic:
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})

@@ -324,10 +324,6 @@ class BulkLaw(Law):
             )
         return at_gauss_points(self)
 
-    def for_next_order(self) -> BulkLaw:
-        """The law of the same material whose interface law of order 1 is the nearest one: itself, by default."""
-        return self
-
     def elastic_moduli(self) -> tuple[Any, Any]:
         """Lame's moduli lmbda and mu of an isotropic linear elastic law.
 

@@ -1,37 +1,122 @@
-"""May you drop the layer? What leaving its mesh out changes, estimated and in truth, in thirty structures."""
+"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 33 structures."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from studies.dropping.costs import PLACES, cost
+from studies.dropping.drawing import draw_along, draw_effectivities
 from studies.dropping.further import further_cases
 from studies.dropping.known import COARSE, FINE, known_cases
-from studies.dropping.measuring import Dropped, effectivities, from_known
+from studies.dropping.mapping import along
+from studies.dropping.measuring import Dropped, effectivities, from_known, unknowns
+from studies.dropping.refused import refused_cases
+from studies.dropping.thinness import questions
 from thinlayer.files.progress import track
+from thinlayer.files.table import Table
 from thinlayer.running.record import Record
 
 THICKNESSES = (COARSE, FINE)
+FIELDS = ("traction", "jump")
+BAND = 0.1  # of effectivities about 1
+SAME = 0.02  # of effectivities that another program found
+THIN = 0.05  # of the thickness from which on a layer may be dropped
+DRAWN = "two stiffnesses"
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Solve each structure with the law of order 0, with a better law, and with its layers meshed.
+    """Estimate what changes from the law of order 0 to the layer itself, and mesh the layer to see it.
+
+    effectivities.csv has the true changes, relative, and estimated over true ones, of tractions and jumps on S further than
+    three thicknesses from free ends; goals.csv other numbers; refused.csv what is said where there is no number;
+    thin_enough.csv the thickness from which on the layer may be dropped; costs.csv times.
 
     Args:
         record: where to write.
-        quick: without structures in three dimensions.
+        quick: without structures in three dimensions, one question of thickness, fewer times.
     """
-    cases = [case for case in (*known_cases(), *further_cases()) if not (quick and case.solid)]
+    _effectivities(record, quick=quick)
+    _refusals(record)
+    _thin_enough(record, quick=quick)
+    _costs(record, quick=quick)
+
+
+def _effectivities(record: Record, *, quick: bool) -> None:
+    known, further = known_cases(), further_cases()
+    cases = [(case, eps) for case in (*known, *further) for eps in THICKNESSES if not (quick and case.solid)]
     table, goals = record.table("effectivities.csv"), record.table("goals.csv")
-    for case, eps in track(
-        [(case, eps) for case in cases for eps in THICKNESSES], "may_i_drop", "{0[0].name}, {0[1]:g}"
-    ):
-        found = Dropped.of(case, eps, record)
-        row, asked = effectivities(found)
-        here = {"case": case.name, "eps": eps}
-        table.append({**here, "unknowns": found.unknowns, **row, "from_known": from_known(found)})
-        for one in asked:
-            goals.append(here | one)
+    for case, eps in track(cases, "may_i_drop", "{0[0].name}, {0[1]:g}"):
+        one = Dropped.of(case, eps, record)
+        row, asked = effectivities(one)
+        here: dict[str, float | str] = {"case": case.name, "eps": eps}
+        size, complete = (
+            unknowns(one.found.better.model),
+            float(not any(a.law.lacks for a in one.found.layers.values())),
+        )
+        table.append({**here, "unknowns": size, **row, "complete": complete, "from_known": from_known(one)})
+        for goal in asked:
+            goals.append(here | goal)
+        if (case.name, eps) == (DRAWN, COARSE):
+            record.write("along.csv", along(one))
     record.say(table)
     record.say(goals)
+    own = {case.name for case in further}
+    _check(record, table, goals, np.array([row["case"] in own for row in table.rows]))
+
+
+def _check(record: Record, table: Table, goals: Table, own: np.ndarray) -> None:
+    """Own cases, those that know their free ends, and goals whose changes do not cancel."""
+    fine, complete = table["eps"] == FINE, table["complete"] > 0
+    for name in FIELDS:
+        distance = np.abs(table[name] - 1)
+        for which, rows in {"further cases": own, "cases with all terms": complete}.items():
+            record.check(
+                f"largest distance of the {name}'s effectivity from 1, {which}", distance[rows].max(), high=BAND
+            )
+        ratio = float(np.median(distance[own & fine]) / np.median(distance[own & ~fine]))
+        record.check(f"its median at eps = 1/64 over that at 1/16, {name}", ratio, high=0.5)
+    known = table["from_known"]
+    record.check("largest distance from effectivities that another program found", np.nanmax(known), high=0.05)
+    record.check("share of them further away than .02", np.mean(known[~np.isnan(known)] > SAME), high=0.15)
+    told = goals["told"] > 0
+    record.check(
+        "median distance of a told goal's effectivity from 1",
+        np.median(np.abs(goals["effectivity"] - 1)[told]),
+        high=0.02,
+    )
+
+
+def _refusals(record: Record) -> None:
+    table = record.table("refused.csv")
+    missing = 0
+    for case in track(refused_cases(), "may_i_drop", "{0.name}"):
+        words, silent = case.told()
+        missing += (case.says not in words) or (silent != case.silent)
+        table.append({"case": case.name, "number": float(not silent), "says": words})
+        record.say(f"{case.name}: {words}")
+    record.check("cases that do not say what they have to", missing, high=0)
+
+
+def _thin_enough(record: Record, *, quick: bool) -> None:
+    table = record.table("thin_enough.csv")
+    for question in track(questions()[: 1 if quick else None], "may_i_drop", "{0.name}"):
+        told = question.told()
+        meshed = question.by_meshing(told, record)
+        table.append({"case": question.name, "tolerance": question.tolerance, "told": told, "meshed": meshed})
+    record.say(table)
+    record.check(
+        "largest distance of thin_enough from meshing", np.abs(table["told"] / table["meshed"] - 1).max(), high=THIN
+    )
+
+
+def _costs(record: Record, *, quick: bool) -> None:
+    table = record.table("costs.csv")
+    for name in track([*PLACES][: 1 if quick else None], "may_i_drop", "costs, {}"):
+        table.append(cost(name))
+    record.say(table)
 
 
 def draw(record: Record) -> None:
-    """Draw."""
+    """Draw the effectivities of all cases, and changes along S of one of them, from the tables."""
+    draw_effectivities(record.load("effectivities.csv"), record.path("effectivities.png"))
+    draw_along(record.load("along.csv"), f"{DRAWN}, eps = 1/16", record.path("along.png"))

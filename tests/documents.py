@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 CLONE = Path(__file__).parent.parent
-GUIDE = ("time", "contact", "yield", "snaps", "loads", "joints", "results", "scripts", "environments")
+GUIDE = ("time", "contact", "yield", "snaps", "loads", "joints", "results", "estimate", "scripts", "environments")
 PAGES = {name: (CLONE / name).read_text() for name in ("README.md", *(f"thinlayer/guide/{page}.md" for page in GUIDE))}
 DOCUMENT = "\n".join(PAGES.values())
 OWN = "# In your own script"  # a page with scripts of its own, see test_own_scripts

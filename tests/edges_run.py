@@ -7,7 +7,7 @@ import json
 import numpy as np
 from mpi4py import MPI
 
-from forms import LinearElastic
+from forms import LinearElastic, Rubber
 from geometry import sandwich
 from thinlayer import Structure, Surface, ThinLayer, solve
 
@@ -15,11 +15,12 @@ BODY, GLUE = LinearElastic.young(E=70.0, nu=0.2), LinearElastic.shear(3.0, 0.35)
 SIZES = {2: {}, 3: {"depth": 0.7}}
 LOAD = (0.3, -1.0, 0.2)
 LAYER = ThinLayer(GLUE, 0.05, order=1, edges="free")
+RUBBER = ThinLayer(Rubber.shear(30.0, 0.49), 0.05, order=1, edges="free")
 
 
-def structure(dim: int, angle: float = 0.3) -> Structure:
+def structure(dim: int, angle: float = 0.3, h_ends: float = 0.15) -> Structure:
     """Two turned blocks of triangles or tetrahedra, cells at the ends of S larger than the strips of the layer's ends."""
-    joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15, **SIZES[dim])
+    joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=h_ends, **SIZES[dim])
     turn = np.eye(dim)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     load = tuple(turn @ LOAD[:dim])
@@ -28,11 +29,15 @@ def structure(dim: int, angle: float = 0.3) -> Structure:
 
 def numbers(dim: int) -> dict[str, float]:
     """The work of the loads, and norms of jump and traction."""
-    state = solve(structure(dim).interface(LAYER))
-    surface = Surface(state.model)
-    fields = {"jump": surface.jump(state), "traction": surface.traction(state)}
-    squares = {name: surface.integral(sum(one**2 for one in field)) for name, field in fields.items()}
-    return {f"{dim}D {name}": value for name, value in ({"loads": state.energies()["loads"]} | squares).items()}
+    found = {}
+    for name, layer, joint in (("glue", LAYER, structure(dim)), ("rubber", RUBBER, structure(dim, h_ends=0.1))):
+        state = solve(joint.interface(layer))
+        surface = Surface(state.model)
+        fields = {"jump": surface.jump(state), "traction": surface.traction(state)}
+        squares = {what: surface.integral(sum(one**2 for one in field)) for what, field in fields.items()}
+        values = {"loads": state.energies()["loads"]} | squares
+        found |= {f"{dim}D {name} {what}": value for what, value in values.items()}
+    return found
 
 
 if __name__ == "__main__":

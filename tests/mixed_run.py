@@ -6,9 +6,10 @@ import json
 
 import numpy as np
 from mpi4py import MPI
+from scipy.spatial import cKDTree
 
 from forms import LinearElastic
-from geometry import sandwich
+from geometry import sandwich, wall
 from thinlayer import Structure, Surface, ThinLayer, solve
 
 BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(40.0, 0.3)
@@ -29,6 +30,27 @@ def space(cell: str) -> Structure:
     joint = sandwich(1.0, 0.4, 0.3, depth=0.25, h=1 / 4, cell=cell)
     supports = {"BOTTOM": 0.0, "FRONT": {"z": 0.0}, "BACK": {"z": 0.0}}
     return Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.3, -1.0, 0.1)})
+
+
+BRICKS, HEADS = 1 / 16, 0.7  # thickness of beds, over the length of bricks; of heads, over that of beds
+
+
+def bricks(h: float) -> Structure:
+    joint = wall(2, 2, (1.0, 0.5), h=h)
+    return Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -1.0)})
+
+
+def mortar(order: int, eps: float = BRICKS) -> dict[str, ThinLayer]:
+    return {"BED": ThinLayer(LAYER, eps, order=order), "HEAD": ThinLayer(LAYER, HEADS * eps, order=order)}
+
+
+def near_junctions(structure: Structure, distance: float):
+    """Within a distance of junctions and of free ends."""
+    joint = structure.joint
+    on_s = np.unique(joint.surface)
+    outer = np.unique(joint.table.vertices[joint.table.cells[:, 1] < 0])
+    special = joint.points[on_s[(joint.splitting.valence[on_s] > 2) | np.isin(on_s, outer)]]
+    return lambda x: cKDTree(special).query(x.T)[0] < distance
 
 
 def numbers() -> dict[str, float]:

@@ -39,6 +39,6 @@ def numbers(edges: str | None) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    found = numbers("free") | numbers(None)
+    found = numbers("free") | numbers("plain")
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found))

@@ -142,8 +142,8 @@ def test_refused_solves():
         march(model, [1.0], theta=0.5)
     with pytest.raises(ModelError, match="like"):
         solve(model, like=3)
-    with pytest.raises(ModelError, match="contact"):
-        solve(elastic, like=solve(elastic))
+    with pytest.raises(ModelError, match="for another one"):
+        solve(elastic.structure.bonded(), like=solve(elastic))
     other, data = sliding_bar(5)
     with pytest.raises(ModelError, match="same joint"):
         solve(model, like=solve(Structure(other, **data).interface(coulomb("middle"))))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Anisotropic, Incompressible, LawError, LinearElastic, Rubber
+from forms import Anisotropic, LawError, LinearElastic, Rubber
 from forms.ends import free_end
 from forms.ends.weights import EndWeights, Strips
 from forms.law import Step
@@ -293,10 +293,9 @@ def require_plain(structure, layer, message, **options):
         (LinearElastic.young(1.0, -0.1), {}, "from 0 to 0.45"),
         (LinearElastic.shear(1.0, 0.46), {}, "from 0 to 0.45"),
         (LinearElastic.shear(1.0, 0.3), {"eigenstrain": 0.01}, "with eigenstrain="),
-        (LinearElastic.shear(80.0, 0.3), {}, "much stiffer"),
-        (Rubber.shear(80.0, 0.3), {}, "much stiffer"),
+        (LinearElastic.shear(25.1, 0.3), {}, "much stiffer"),
+        (Rubber.shear(25.1, 0.3), {}, "much stiffer"),
         (Rubber.shear(1.0, 0.1), {}, "cells at free ends must not be longer than the fall of the pressure"),
-        (Incompressible(1.0), {}, "S is short"),
     ],
 )
 def test_layers_without_constants(law, given, message):
@@ -311,9 +310,10 @@ def test_structures_without_constants():
     require_plain(Structure(plates, **setup), layer, "not kept", bodies="extended")
     wedge = replace(layer, profile=lambda x: 1 + x[0])
     require_plain(Structure(plates, **setup), wedge, "with profile=", bodies="extended")
-    require_plain(Structure(plates, plane="axisymmetric", **setup), layer, "curved")
+    tubes = plates.moved((0.39, 0.0))  # the bore has a radius of 3.9 thicknesses
+    require_plain(Structure(tubes, plane="axisymmetric", **setup), layer, "radius is 3.9 thicknesses")
     require_plain(Structure(cylinders, **setup), layer, "one is curved at")
-    short = sandwich(0.15, 0.3, 0.3, 0.15)
+    short = sandwich(0.35, 0.3, 0.3, 0.15)
     require_plain(Structure(short, **setup), layer, "S is short")
 
 

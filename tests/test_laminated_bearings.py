@@ -35,7 +35,9 @@ def stiffness(name, plane):
 
 
 def layers(order, law=None):
-    return {name: ThinLayer((law or own).per_thickness(eps), eps, order=order) for name, (eps, own) in LAYERS.items()}
+    """Those of closed forms, which do not know ends."""
+    given = {"order": order, "edges": "plain"}
+    return {name: ThinLayer((law or own).per_thickness(eps), eps, **given) for name, (eps, own) in LAYERS.items()}
 
 
 @cache

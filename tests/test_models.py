@@ -77,7 +77,7 @@ def test_options_of_a_meshed_layer(meshing):
     assert not same(measure(Structure.full), measure(Structure.full, meshing=meshing))
 
 
-def test_a_load_on_the_side_of_the_layer_changes_the_full_model_only():
+def test_a_load_on_the_side_of_the_layer_changes_the_full_model_alone_at_order_0():
     loads = {"TOP": (0.4, -0.9), "LEFT/LAYER": (0.3, 0.0)}
     assert same(measure(Structure.interface), measure(Structure.interface, tractions=loads))
     assert not same(measure(Structure.full), measure(Structure.full, tractions=loads))

@@ -211,7 +211,7 @@ MOVES = {
 def test_same_as_a_model(kind, name, plane):
     """The same mesh, bodies, layer and steps, as a Model and in a script: displacements and energies."""
     law, eps = MOVES[name]
-    layer, degree = ThinLayer(law, eps, order=int("order 1" in name)), 2 if kind != "hexahedron" else 1
+    layer, degree = ThinLayer(law, eps, order=int("order 1" in name), edges="plain"), 2 if kind != "hexahedron" else 1
     blocks = Blocks(kind, degree, plane=plane)
     kinematics, along = blocks.broken.kinematics, 0.0 if plane == "axisymmetric" else 0.004
     moves = [np.array([along * k, -0.001 * k, 0.002 * k][: blocks.d]) for k in (1, 2, 3)]
@@ -473,7 +473,7 @@ def test_refused_tags():
         blocks.broken.layer(LAYER, ThinLayer(Incompressible(mu=1.0), 0.1))
     law = LinearElastic(6.0, 4.0)
     for given, message in [
-        ({"order": 1, "edges": "free"}, "edges=... of a layer on a mesh of one's own"),
+        ({"order": 1, "edges": "free"}, "edges='free' of a layer on a mesh of one's own"),
         ({"eigenstrain": 1e-3}, "eigenstrain=... of a layer on a mesh of one's own"),
         ({"order": 1, "profile": lambda x: 1 + x[0]}, "a thickness that varies needs bodies at their true places"),
     ]:

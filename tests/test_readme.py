@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import re
 import runpy
+import shlex
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,13 @@ from geometry import sandwich
 from studies.tubes import lame
 from tests.documents import CLONE, DOCUMENT, GUIDE, OWN, PAGES, anchors
 from thinlayer import ArcLength, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer.describing.case import Case
+from thinlayer.describing.description import KEYS, Description
+from thinlayer.describing.source import OF_MESH, OPTIONS, PLAIN, Source
+from thinlayer.running.arguments import command_line
+from thinlayer.running.asked import Asked
 from thinlayer.running.catalogue import studies
+from thinlayer.running.cli import main
 
 SCRIPTS = re.findall(r"```python\n(.*?)```", DOCUMENT.partition(OWN)[0], re.DOTALL)
 
@@ -26,7 +34,7 @@ SCRIPTS = re.findall(r"```python\n(.*?)```", DOCUMENT.partition(OWN)[0], re.DOTA
 @pytest.mark.parametrize("number", [0, 1], ids=["lap", "creep"])
 def test_script(tmp_path, number):
     tables = re.findall(r"^ +eps +error_traction.*?\n\n", DOCUMENT, re.DOTALL | re.MULTILINE)
-    assert len(SCRIPTS) == len(tables) + 6 == 8
+    assert len(SCRIPTS) == len(tables) + 7 == 9
     (tmp_path / "script.py").write_text(SCRIPTS[number])
     done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -53,6 +61,11 @@ def printed_by(tmp_path, monkeypatch, capsys):
 
 def test_loads_script(printed_by):
     out = printed_by(5)
+    assert "".join(f"    {line}\n" for line in out.splitlines()) in DOCUMENT
+
+
+def test_estimate_script(printed_by):
+    out = printed_by(8)
     assert "".join(f"    {line}\n" for line in out.splitlines()) in DOCUMENT
 
 
@@ -108,6 +121,56 @@ def test_results_script(printed_by):
     state = pyvista.get_reader("wall.pvd")
     assert state.time_values == pytest.approx([0, 0.25, 0.5, 0.75, 1])
     assert state.read()[0].keys() == ["bodies", "S"]
+
+
+def test_estimate_command(tmp_path, capsys):
+    """The description is the file, the command prints what is printed, and a mesh of the layer gives what is said."""
+    text = (CLONE / "studies/data/lap.toml").read_text()
+    assert f"```toml\n{text}```" in PAGES["README.md"]
+    (command,) = re.findall(
+        r"^    \./fenicsx python3 -m thinlayer (estimate .*--tolerance.*)$", PAGES["README.md"], re.MULTILINE
+    )
+    _, path, *options = command.split()
+    assert main(["estimate", str(CLONE / path), *options, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out.partition("\nwritten to")[0].rstrip()
+    assert "\n".join(f"    {line}".rstrip() for line in printed.splitlines()) in PAGES["README.md"]
+    given = Case.of(Description.of(Source.read(CLONE / path).section()))
+    full, limit = (solve(make(given.layer)) for make in (given.structure.full, given.structure.interface))
+    row = compare(full, limit, where=lambda x: abs(x[0] - 12.5) < 12.5 - 0.9)
+    work = [state.energies()["loads"] for state in (full, limit)]
+    said = re.search(r"errors are\s(\S+) % in traction, (\S+) % in jump and (\S+) % in compliance", PAGES["README.md"])
+    true = (row["error_traction"], row["error_jump"], 1 - work[1] / work[0])
+    assert tuple(f"{100 * one:.2g}" for one in true) == said.groups()
+
+
+def test_commands_of_the_guide(tmp_path):
+    """Each is accepted; those for the shipped lap joint say the same as its description; the one in Python runs."""
+    page = PAGES["thinlayer/guide/estimate.md"]
+    lines = page.replace("\\\n", " ")
+    commands = re.findall(r"^    \./fenicsx python3 -m thinlayer (estimate studies/.*)$", lines, re.MULTILINE)
+    asked = [
+        Asked.of(
+            command_line().parse_args([str(CLONE / word) if word.startswith("studies/") else word for word in words])
+        )
+        for words in map(shlex.split, commands)
+    ]
+    file = Description.of(Source.read(CLONE / "studies/data/lap.toml").section())
+    assert len(asked) == 2
+    assert asked[1].description.layer[None].law == file.layer[None].law
+    assert asked[1].description.supports == file.supports
+    assert asked[1].description.tractions == file.tractions
+    assert asked[1].description.mesh == file.mesh
+    script = page[page.index("    from forms import") :].partition("\n\n`")[0]
+    (tmp_path / "pressed.py").write_text(textwrap.dedent(script).replace("tolerance = 0.05", ""))
+    assert main(["estimate", str(tmp_path / "pressed.py"), "--out", str(tmp_path / "out")]) == 0
+    assert set(re.findall(r"--([A-Za-z][\w-]*)", page)) - {"out"} == {*OPTIONS, *PLAIN, *OF_MESH, "bonded"}
+    table = page.partition("| Key |")[2].partition("\n\n")[0]
+    first = [line.split("|")[1] for line in table.splitlines()[2:]]
+    assert [key for cell in first for key in re.findall(r"`(\w+)`", cell)] == [
+        *("mesh", "units", "body", "layer", "supports", "tractions", "loads", "body_force", "plane", "element"),
+        *("bodies", "times", "goals", "tolerance", "bonded"),
+    ]
+    assert len(KEYS) == sum(cell.count("`") // 2 for cell in first)
 
 
 def test_scripts_are_short():

@@ -32,11 +32,12 @@ from typing import Any
 
 import ufl
 
-from forms.ends.constants import FreeEnd, lame_over_mu
+from forms.ends.constants import FreeEnd
 from forms.kinematics import Expr, lift
 from forms.stations import Faces, Station, of_pressure
 
 LONGEST = 3.0  # length over the thickness of the strip where openings are weaker
+WIDE = 10.0  # length over the thickness from which on a pressure grows as a straight line near an end
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,6 @@ class Strips:
         opening, shear: where the layer is weaker against openings, and against shear.
         resistance: where a pressure meets more resistance to its flow along S.
         r_N, r_T: over which the stress along S is handed to the faces if the layer opens, and if it is sheared; 0: at once.
-        modulus: over mu, of the layer's tractions at the end against the bodies.
     """
 
     opening: Strip
@@ -68,7 +68,6 @@ class Strips:
     resistance: Strip
     r_N: float
     r_T: float
-    modulus: float
 
     @property
     def longest(self) -> float:
@@ -79,14 +78,21 @@ class Strips:
     def of(cls, end: FreeEnd) -> Strips:
         """The strips with the first moments of an end."""
         l_N = min(2 * end.m_N / end.c_N, LONGEST) if end.c_N else LONGEST
-        return cls(Strip(end.c_N, l_N), _of_shear(end), Strip(), 2 * end.rho_N, 2 * end.c_T, lame_over_mu(end.nu) + 2)
+        return cls(Strip(end.c_N, l_N), _of_shear(end), Strip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
     def with_pressure(cls, end: FreeEnd) -> Strips:
         """Those of a law whose pressure falls to zero at the end: it is weaker against openings by itself."""
-        return cls(
-            Strip(), _of_shear(end), Strip(1 / end.kappa - 1), 0.0, 2 * end.c_T, min(lame_over_mu(end.nu) + 2, 12.0)
-        )
+        return cls(Strip(), _of_shear(end), Strip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
+
+    def of_spread(self, length: float) -> Strips:
+        """Those of a pressure that spreads over a length (over the thickness) at most, whatever the layer's ratio.
+
+        For nu > 0.49 an end has less resistance than the flow of an infinite layer (kappa > 1), if the pressure grows as a
+        straight line over many thicknesses. Where narrow S or soft bodies prevent that it has not: within 5 thicknesses
+        the flow is nearer to that of an infinite layer.
+        """
+        return self if self.resistance.c >= 0 or length >= WIDE else replace(self, resistance=Strip())
 
 
 def _of_shear(end: FreeEnd) -> Strip:

@@ -73,8 +73,8 @@ def inflate(
             inside out, layers
             that overlap the bodies; junctions of sublayers, of a varying thickness, of curved cells, of an odd number of
             cells; hexahedra where junctions meet at a vertex and one of the bodies has other than three layers there;
-            bodies that touch at a vertex, or along an edge, only; gaps alone; facets without cells where S branches, or
-            all of them.
+            bodies that touch at a vertex, or along an edge, only; gaps alone; facets without cells where S branches or
+            seams meet, or all of them.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):

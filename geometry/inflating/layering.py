@@ -12,7 +12,7 @@ from forms.base import is_finite
 from geometry.errors import GeometryError, place, unknown
 from geometry.inflating.bands import Posts, level_heights
 from geometry.joint import Joint, Profile
-from geometry.topology import BoolArray, FloatArray, IntArray
+from geometry.topology import BoolArray, FloatArray, IntArray, ridges
 
 WAYS = ("kept", "extended")
 Given = TypeVar("Given")
@@ -34,8 +34,8 @@ def facets_with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | Non
     """(n_S,) which facets of S get cells: those of `meshed`, None being all, that are in no gap.
 
     Raises:
-        GeometryError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, where some
-            facets get none.
+        GeometryError: `meshed` is none of n_S truth values; no facet gets cells; S branches, or seams meet, at a facet
+            that gets none.
     """
     in_gaps = np.isin(joint.seam_numbers, [list(joint.seams).index(name) for name in gaps])
     if meshed is None:
@@ -43,11 +43,25 @@ def facets_with_cells(joint: Joint, gaps: Sequence[str], meshed: BoolArray | Non
     chosen, n = np.asarray(meshed), len(joint.surface_rows)
     if chosen.dtype != bool or chosen.shape != (n,):
         raise GeometryError(f"meshed has shape {chosen.shape} and type {chosen.dtype}; it needs {n} truth values")
-    if joint.seams_meet and not chosen.all():
-        raise GeometryError("S branches, or seams meet: all facets of S get cells, as those at junctions need them")
+    vertices = joint.table.vertices[joint.surface_rows]
+    without = vertices[~chosen & ~in_gaps]
+    lacking = np.intersect1d(without, _meetings(joint))
+    if len(lacking):
+        raise GeometryError(
+            f"S branches, or seams meet, at {place(joint.points[lacking[0]])}: the facets of S there need cells"
+        )
     if not (found := chosen & ~in_gaps).any():
         raise GeometryError("no facet of S gets cells: there is no layer to mesh; use the interface model")
     return np.asarray(found)
+
+
+def _meetings(joint: Joint) -> IntArray:
+    """The vertices where S branches, or where seams meet."""
+    found, counts = ridges(joint.surface, joint.cell_type)
+    vertices = joint.table.vertices[joint.surface_rows]
+    pairs = np.unique(np.column_stack([vertices.ravel(), joint.seam_numbers.repeat(vertices.shape[1])]), axis=0)
+    several, times = np.unique(pairs[:, 0], return_counts=True)
+    return np.union1d(found[counts > 2].ravel(), several[times > 1])
 
 
 def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:

@@ -12,6 +12,7 @@ import ufl
 from forms.kinematics import Expr
 from studies.dropping.case import Case
 from thinlayer import Estimate, History, Model, RangeWarning, State, Surface, estimate, march, solve
+from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.estimating.places import away_from_ends
 from thinlayer.running.record import Record
 
@@ -44,20 +45,16 @@ class Dropped:
         # a nearly incompressible layer is meshed with a pressure, as its better law has one
         layers = {name: replace(one.law.layer, order=0, edges=None) for name, one in found.layers.items()}
         full = last(solved(case, structure.full(layers, bodies=case.bodies)))
-        for state in (found.state, found.better, full) if record else ():
-            record.solved(state)
+        if record:
+            for state in (found.state, found.better, full):
+                record.solved(state)
         return cls(case, eps, found, full)
-
-    @property
-    def unknowns(self) -> int:
-        """Displacements of the model on S."""
-        dofmap = self.found.state.u.function_space.dofmap
-        return int(dofmap.index_map.size_global * dofmap.index_map_bs)
 
     @property
     def truth(self) -> dict[str, float]:
         """Changes of traction and jump to meshed layers, relative, where the estimate tells them; of goals, absolute."""
         model = self.found.better.model
+        assert isinstance(model, InterfaceModel)
         parts = {
             name: away_from_ends(model, model.layers[name], one.near) if one.near else 1
             for name, one in self.found.layers.items()
@@ -93,6 +90,11 @@ def solved(case: Case, model: Model) -> State | History:
     """The state of a model, or the history of the case's step."""
     with _unwarned():
         return march(model, [case.step]) if case.step else solve(model)
+
+
+def unknowns(model: Model) -> int:
+    """The number of displacements."""
+    return int(model.V.dofmap.index_map.size_global * model.V.dofmap.index_map_bs)
 
 
 def last(found: State | History) -> State:

@@ -11,8 +11,9 @@ from geometry.joint import Joint
 from thinlayer.describing.checks import require_fit
 from thinlayer.describing.description import Description
 from thinlayer.describing.entries import GoalGiven, Material
+from thinlayer.describing.section import History
 from thinlayer.discretisation.layer import Layers, ThinLayer
-from thinlayer.discretisation.loads import Pressure
+from thinlayer.discretisation.loads import Pressure, piecewise
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
 from thinlayer.estimating import goals as kinds
@@ -74,15 +75,19 @@ class Case:
 
 def _structure(given: Description, joint: Joint) -> Structure:
     tractions = {
-        name: Pressure(load["pressure"]) if isinstance(load, Mapping) else load
+        name: Pressure(_timed(load["pressure"])) if isinstance(load, Mapping) else _timed(load)
         for name, load in given.tractions.items()
+    }
+    supports: Any = {
+        place: {axis: _timed(value) for axis, value in one.items()} if isinstance(one, Mapping) else one
+        for place, one in given.supports.items()
     }
     eigenstrain: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
     loads: list[Any] = [_load(one.arguments) for one in given.loads]
     return Structure(
         joint,
         body=_by_name(given.body, lambda one: one.law),
-        supports=given.supports,
+        supports=supports,
         tractions=tractions,
         body_force=given.body_force,
         loads=loads,
@@ -93,7 +98,13 @@ def _structure(given: Description, joint: Joint) -> Structure:
 
 
 def _load(arguments: Mapping[str, Any]) -> PointLoad | LineLoad:
-    return LineLoad(**arguments) if "first" in arguments else PointLoad(**arguments)
+    timed = {**arguments, "force": _timed(arguments["force"])}
+    return LineLoad(**timed) if "first" in timed else PointLoad(**timed)
+
+
+def _timed(value: Any) -> Any:
+    """A value, or the function of time that a history is."""
+    return piecewise(value.values) if isinstance(value, History) else value
 
 
 def _by_name(given: Mapping[str | None, Material], make: Any) -> Any:
@@ -126,6 +137,10 @@ class Called(Goal):
     def value(self, state: Any, model: Any) -> float:
         """As in `Goal`."""
         return self.goal.value(state, model)
+
+    def scale(self, state: Any, model: Any) -> float:
+        """As in `Goal`."""
+        return self.goal.scale(state, model)
 
     def dual(self, adjoint: Any) -> Any:
         """As in `Goal`."""

@@ -10,7 +10,7 @@ from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.topology import is_tensor
 from thinlayer.describing.description import Description
-from thinlayer.describing.section import Section
+from thinlayer.describing.section import History, Section
 
 
 def require_fit(given: Description, joint: Joint) -> None:
@@ -21,6 +21,8 @@ def require_fit(given: Description, joint: Joint) -> None:
     _supports(fit, given)
     _loads(fit, given)
     _goals(fit, given)
+    if given.tolerance and None not in given.layer:
+        fit.section.refuse("a thickness is sought of one layer for all seams; give [layer] no names", "tolerance")
     if joint.dim == 3 and given.plane not in (None, "strain"):
         fit.section.refuse(f"{given.plane} is for meshes in two dimensions", "plane")
     allowed = ("Q2", "S2") if is_tensor(joint.cell_type) else ("P2",)
@@ -51,8 +53,12 @@ class _Fit:
         if slash:
             self.name(part, [*self.joint.bodies, LAYER], f"part of {whole!r}", *keys)
 
-    def vector(self, one: Sequence[float], *keys: str) -> None:
-        """Refuse a vector of another dimension."""
+    def vector(self, one: Sequence[float] | History, *keys: str) -> None:
+        """Refuse a vector of another dimension, or a history of such vectors."""
+        if isinstance(one, History):
+            for value in one.values.values():
+                self.vector(value, *keys)
+            return
         if len(one) != self.joint.dim:
             what = f"{[*one]} has {len(one)} components; the mesh has {self.joint.dim} dimensions"
             self.section.refuse(what, *keys)
@@ -60,7 +66,7 @@ class _Fit:
     def laws(self, key: str, kind: str, given: Mapping[str | None, object], known: Sequence[str]) -> None:
         """Refuse laws of unknown regions or seams, and those without a law."""
         for one in given:
-            self.name(one, known, kind, key)
+            self.name(one, known, kind, key, str(one))
         missing = [one for one in known if one not in given]
         if missing and None not in given:
             self.section.refuse(f"{missing[0]!r} has no law; there are: {', '.join(known)}", key)
@@ -85,7 +91,7 @@ def _loads(fit: _Fit, given: Description) -> None:
             fit.vector(traction, "tractions", one)
     if isinstance(given.body_force, Mapping):
         for one, force in given.body_force.items():
-            fit.name(one, [*fit.joint.bodies, S, *fit.joint.seams], "region or seam", "body_force")
+            fit.name(one, {*fit.joint.bodies, S, *fit.joint.seams}, "region or seam", "body_force", one)
             fit.vector(force, "body_force", one)
     elif given.body_force is not None:
         fit.vector(given.body_force, "body_force")
@@ -101,7 +107,7 @@ def _loads(fit: _Fit, given: Description) -> None:
 
 
 def _goals(fit: _Fit, given: Description) -> None:
-    seams = [S, *fit.joint.seams]
+    seams = {S, *fit.joint.seams}
     bases = [*fit.joint.base_seams, *([S] if fit.joint.base_seams else [])]
     held = [one for one in given.supports if isinstance(one, str)]
     held = [*dict.fromkeys([*held, *(one.partition("/")[0] for one in held), *bases])]

@@ -12,7 +12,7 @@ from typing import Any
 
 from thinlayer.describing import entries
 from thinlayer.describing.entries import Force, GoalGiven, Material, MeshFile, Place, Vector
-from thinlayer.describing.section import Section
+from thinlayer.describing.section import History, Path, Section
 
 KEYS = (
     "mesh", "units", "body", "layer", "supports", "tractions", "body_force", "loads", "plane", "element", "bodies",
@@ -75,16 +75,45 @@ class Description:
             entries.body_force(section),
             tuple(entries.load(one) for one in section.tables("loads", "place and force, or first, second and force")),
             section.text("plane", entries.PLANES),
-            section.text("element", entries.ELEMENTS),
-            section.text("bodies", ("kept", "extended")) or "kept",
+            entries.element(section),
+            entries.bodies(section),
             entries.times(section),
             goals,
-            entries.tolerance(section, [*entries.ALWAYS, *goals]),
+            entries.tolerance(section, [*entries.ALWAYS, *(goals or ["compliance"])]),
             section.flag("bonded"),
         )
         if not (found.tractions or found.body_force or found.loads or found._moves()):
             section.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
+        slow = [one for one in (*found.layer.values(), *found.body.values()) if one.law.traits.rate]
+        if slow and not found.times:
+            section.refuse(
+                f"times is missing: {type(slow[0].law).__name__} depends on the rate of strains; give ends of time steps"
+            )
+        found._require_times()
         return found
+
+    @property
+    def histories(self) -> dict[Path, History]:
+        """Keys of each value that is given by times -> its history."""
+        found: dict[Path, Any] = {}
+        for place, given in self.supports.items():
+            found |= (
+                {("supports", str(place), axis): v for axis, v in given.items()} if isinstance(given, Mapping) else {}
+            )
+        for name, load in self.tractions.items():
+            found["tractions", name] = load["pressure"] if isinstance(load, Mapping) else load
+        found |= {("loads", str(k), "force"): load.arguments["force"] for k, load in enumerate(self.loads, 1)}
+        return {path: one for path, one in found.items() if isinstance(one, History)}
+
+    def _require_times(self) -> None:
+        """Raise DescriptionError unless histories reach from 0 to the last of the times."""
+        for path, one in self.histories.items():
+            first, last = min(one.values), max(one.values)
+            if not self.times:
+                self.section.refuse("a history needs times, the ends of time steps", *path)
+            if first > 0 or last < self.times[-1]:
+                reach = f"it is given from {first:g} to {last:g}, and times go from 0 to {self.times[-1]:g}"
+                self.section.refuse(reach, *path)
 
     def _moves(self) -> bool:
         """Whether a support moves, or something has an eigenstrain."""

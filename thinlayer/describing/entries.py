@@ -11,13 +11,13 @@ from typing import Any
 from forms.base import is_finite
 from forms.law import BulkLaw
 from thinlayer.describing.laws import law_of
-from thinlayer.describing.section import Section
+from thinlayer.describing.section import Section, is_growing
 
 Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
 
 PLANES = ("strain", "stress", "axisymmetric")
-ELEMENTS = ("P2", "Q2", "S2")  # an interface law of order 1 needs degree 2
+ELEMENTS = ("P2", "Q2", "S2")  # of degree 2, as interface laws of order 1 need it
 LAW = "the parameters of a law, such as E and nu"
 GOALS = {
     "compliance": {},
@@ -138,7 +138,7 @@ def supports(section: Section) -> dict[Place, Any]:
         if isinstance(value, Mapping):
             one = section.table(key, "components")
             one.allow(["x", "y", "z", *(["n"] if isinstance(place, str) else [])], "component")
-            found[place] = {axis: one.number(axis) for axis in value}
+            found[place] = {axis: one.history(axis, Section.number) for axis in value}
             if not found[place]:
                 section.refuse("no component is given, such as {x = 0}", key)
         else:
@@ -149,17 +149,21 @@ def supports(section: Section) -> dict[Place, Any]:
 def tractions(section: Section) -> dict[str, Any]:
     """Name of a facet set -> components, or {"pressure": number}."""
     found: dict[str, Any] = {}
-    for key, value in section.values.items():
-        if isinstance(value, Mapping):
-            one = section.table(key, "pressure")
-            one.allow(["pressure"])
-            one.require("pressure", "a stress, > 0 where it presses")
-            found[key] = {"pressure": one.number("pressure")}
-        elif is_finite(value):
-            section.refuse(f"{value:g} is no vector; give its components, or {{pressure = {value:g}}}", key)
-        else:
-            found[key] = section.vector(key)
+    for key in section.values:
+        found[key] = section.history(key, _traction)
     return found
+
+
+def _traction(section: Section, key: str) -> Any:
+    value = section.values[key]
+    if isinstance(value, Mapping):
+        one = section.table(key, "pressure")
+        one.allow(["pressure"])
+        one.require("pressure", "a stress, > 0 where it presses")
+        return {"pressure": one.history("pressure", Section.number)}
+    if is_finite(value):
+        section.refuse(f"{value:g} is no vector; give its components, or {{pressure = {value:g}}}", key)
+    return section.vector(key)
 
 
 def body_force(section: Section) -> Vector | dict[str, Vector] | None:
@@ -180,17 +184,31 @@ def load(section: Section) -> Force:
     for key in (*where, "force"):
         section.require(key, "the vector of the force" if key == "force" else "where the load acts")
     found: dict[str, Any] = {key: section.text(key) if line else section.vector(key) for key in where}
-    found["force"] = section.vector("force")
+    found["force"] = section.history("force", Section.vector)
     if "body" in section.values:
         found["body"] = section.text("body")
     return Force(found, section.where())
 
 
+def element(section: Section) -> str | None:
+    """The finite element, of degree 2; None: not given."""
+    name = section.text("element")
+    if name not in (None, *ELEMENTS):
+        section.refuse(
+            f"{name} is not of degree 2, which the better law needs; allowed: {', '.join(ELEMENTS)}", "element"
+        )
+    return name
+
+
+def bodies(section: Section) -> str:
+    """How bodies make room for the layer."""
+    return section.text("bodies", ("kept", "extended")) or "kept"
+
+
 def times(section: Section) -> tuple[float, ...]:
     """Times of steps; () if there are none."""
     times = section.values.get("times", ())
-    good = isinstance(times, list | tuple) and all(map(is_finite, times))
-    if not good or any(b <= a for a, b in zip([0.0, *times], times, strict=False)):
+    if not is_growing(times) or (times and times[0] <= 0):
         section.refuse(f"{times!r} are no times; give numbers > 0 that grow, such as [0.5, 1]", "times")
     return tuple(float(t) for t in times)
 
@@ -224,9 +242,10 @@ def tolerance(section: Section, quantities: list[str]) -> dict[str, float]:
     value = section.values.get("tolerance")
     if value is None:
         return {}
-    what = "the largest relative change that is allowed, such as 0.05"
-    if not isinstance(value, Mapping):
-        return {"traction": section.positive("tolerance", what)}
-    one = section.table("tolerance", f"quantities, each with {what}")
+    what = "the largest relative change that is allowed, between 0 and 1"
+    one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, "tolerance")
     one.allow(quantities, "quantity")
-    return {name: one.positive(name, what) for name in value}
+    for name in one.values:
+        if one.positive(name, what) >= 1:
+            one.refuse(f"{one.values[name]!r} is not < 1; it is {what}", name)
+    return {name: float(one.values[name]) for name in one.values}

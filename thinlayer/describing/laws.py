@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 import forms.laws
 from forms.base import unknown
+from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, LawError, scalars
 from forms.series import Stack
@@ -129,5 +130,5 @@ def _moduli(section: Section, name: str) -> dict[str, float]:
         return {"lmbda": K - 2 * G / 3, "mu": G}
     nu = float(section.number("nu") or 0.0)
     (modulus,) = _positive(section, "E" if "E" in given else shear)
-    G = modulus / (2 * (1 + nu)) if "E" in given else modulus
-    return {"lmbda": 2 * G * nu / (1 - 2 * nu), "mu": G}
+    law = LinearElastic.young(modulus, nu) if "E" in given else LinearElastic.shear(modulus, nu)
+    return {"lmbda": law.lmbda, "mu": law.mu}

@@ -8,10 +8,10 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from forms.base import ThinlayerError, is_finite, unknown
+from forms.base import ThinlayerError
+from thinlayer.describing import entries
 from thinlayer.describing.case import Case
-from thinlayer.describing.entries import ALWAYS
-from thinlayer.describing.section import DescriptionError
+from thinlayer.describing.section import DescriptionError, Section
 from thinlayer.discretisation.structure import Structure
 from thinlayer.estimating.goals import Compliance, Goal
 from thinlayer.parallel.agreement import on_all
@@ -55,24 +55,17 @@ def _case(path: Path, names: dict[str, Any]) -> Case:
     goals = names.get("goals", [Compliance()])
     if not (isinstance(goals, list | tuple) and all(isinstance(one, Goal) for one in goals)):
         raise DescriptionError(f"{path}: goals is {goals!r}; it must be a list of goals, such as goals.Compliance()")
-    tolerance = names.get("tolerance", {})
-    tolerance = dict(tolerance) if isinstance(tolerance, dict) else {"traction": tolerance}
-    for name, value in tolerance.items():
-        if name not in (known := [*ALWAYS, *(one.name for one in goals)]):
-            raise DescriptionError(f"{path}: tolerance: {unknown('quantity', name, known)}")
-        if not (is_finite(value) and value > 0):
-            raise DescriptionError(f"{path}: tolerance of {name} is {value!r}; allowed: > 0")
-    units = names.get("units")
-    if units is not None and not (isinstance(units, str) and units.count(",") == 1):
-        raise DescriptionError(f"{path}: units is {units!r}; give those of lengths and of stresses, such as 'mm, MPa'")
-    lengths, _, stresses = (units or "").partition(",")
+    others = ("bodies", "times", "tolerance", "bonded", "units")
+    section = Section(
+        {key: names[key] for key in others if key in names}, (), lambda keys: ": ".join([str(path), ".".join(keys)])
+    )
     return Case(
         names["structure"],
         names["layer"],
         tuple(goals),
-        names.get("bodies", "kept"),
-        tuple(names.get("times", ())),
-        tolerance,
-        bool(names.get("bonded", False)),
-        (lengths.strip(), stresses.strip()) if units else None,
+        entries.bodies(section),
+        entries.times(section),
+        entries.tolerance(section, [*entries.ALWAYS, *(one.name for one in goals)]),
+        section.flag("bonded"),
+        entries.units(section),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -15,6 +16,13 @@ Path = tuple[str, ...]
 
 class DescriptionError(InputError):
     """A description that cannot be used. Says where, what is wrong, and what is allowed."""
+
+
+@dataclass(frozen=True)
+class History:
+    """Values at times, two or more; linear between them."""
+
+    values: Mapping[float, Any]
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,19 @@ class Section:
             self.refuse(f"{_shown(value)} is no vector; give 2 components, in 3D 3, such as [0, -50]", *keys)
         return tuple(float(one) for one in value)
 
+    def history(self, key: str, read: Callable[[Section, str], Any]) -> Any:
+        """A value that `read` takes from a table at a key, or a `History` of such values, {times = ..., values = ...}."""
+        given = self.values[key]
+        if not isinstance(given, Mapping) or not {"times", "values"} & given.keys():
+            return read(self, key)
+        one = self.table(key, "times and values")
+        one.allow(["times", "values"])
+        times, values = (one.require(name, "a history has times and values") for name in ("times", "values"))
+        if not (isinstance(values, list) and is_growing(times) and len(times) == len(values) >= 2):
+            self.refuse("a history is {times = [0, 1], values = [0, 5]}: two or more, times that grow", key)
+        each = Section({str(k): value for k, value in enumerate(values, 1)}, (*one.path, "values"), self.told)
+        return History({float(t): read(each, str(k)) for k, t in enumerate(times, 1)})
+
     def text(self, key: str, allowed: Iterable[str] | None = None) -> str | None:
         """A text, or None if it is not given."""
         if key not in self.values:
@@ -129,6 +150,12 @@ class Section:
         if not all(inside):
             whole.refuse(f"it has tables with names beside keys without one; give each name a table with {what}")
         return {name: whole.table(name, what) for name in whole.values}
+
+
+def is_growing(times: Any) -> bool:
+    """Whether something is a list of finite numbers, each larger than the one before."""
+    good = isinstance(times, list | tuple) and all(map(is_finite, times))
+    return good and all(a < b for a, b in itertools.pairwise(times))
 
 
 def as_array(value: Any) -> Any:

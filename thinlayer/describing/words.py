@@ -106,6 +106,9 @@ def tolerance(text: str) -> Entry:
 
 def _at_place(text: str, keys: Any, form: str) -> tuple[str, Any]:
     """A place, and its value or {key: value}."""
+    point = re.match(r"\s*\(([^()]*)\)", text)
+    if point and isinstance(numbers := value_of(point[1]), list):  # as keys are written in messages
+        text = f"({', '.join(f'{c:g}' for c in numbers)}){text[point.end() :]}"
     names = "|".join(keys)
     several = re.fullmatch(rf"\s*(\S.*?)\s*:?((?:\s+(?:{names})=\S+)+)\s*", text, re.DOTALL)
     if several:

@@ -12,11 +12,12 @@ from scipy.spatial import cKDTree
 from geometry.domain import Domain
 from geometry.errors import place
 from geometry.seam import CUT, LOWER_FACE, UPPER_FACE
+from thinlayer.discretisation.joint_fields import shift
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
 
 Array = npt.NDArray[np.float64]
-SAME_PLACE = 1e-9  # distance along S, relative to the size of the joint, of nodes above one another
+SAME_PLACE = 1e-9  # distance before inflating, relative to the size of the joint, of nodes above one another
 
 
 @dataclass(frozen=True)
@@ -34,50 +35,50 @@ class Followers:
     shares: Array
 
     @classmethod
-    def at_cuts(cls, domain: Domain, V: fem.FunctionSpace, n: Array) -> Followers | None:
-        """The nodes between both faces of a planar layer where its cells end and it goes on; None: it does nowhere.
+    def at_cuts(cls, domain: Domain, V: fem.FunctionSpace) -> Followers | None:
+        """The nodes between both faces of a layer where its cells end and it goes on; None: it does nowhere.
 
         They move as the interface law of order 1 has it, linearly from face to face.
 
         Args:
             domain: the mesh.
             V: displacements, of nodes.
-            n: (d,) unit normal of S.
 
         Raises:
-            ModelError: nodes that are not above one another. Collective.
+            ModelError: a node of a cut that is above none of the faces. Collective.
         """
         if CUT not in domain.joint.facets:
             return None
-        d, imap = domain.joint.dim, V.dofmap.index_map
-        x = V.tabulate_dof_coordinates()[:, :d]
-        found = {name: _owned(V, domain.facets(name)) for name in (CUT, LOWER_FACE, UPPER_FACE)}
-        first = imap.local_range[0]
-        height, along = x @ n, x - np.outer(x @ n, n)
-        size = float(np.ptp(domain.joint.points, axis=0).max())
-        rows = np.setdiff1d(found[CUT], np.union1d(found[LOWER_FACE], found[UPPER_FACE]))
-        ends = []
-        for name in (LOWER_FACE, UPPER_FACE):
-            own = np.intersect1d(found[CUT], found[name])
-            table = np.column_stack([along[own], height[own], own + first])
-            everywhere = np.concatenate(domain.comm.allgather(table))
-            distance, at = cKDTree(everywhere[:, :d]).query(along[rows])
+        d, first = domain.joint.dim, V.dofmap.index_map.local_range[0]
+        x, moved = V.tabulate_dof_coordinates()[:, :d], fem.Function(V)
+        moved.interpolate(shift(domain))
+        before = x - moved.x.array.reshape(x.shape)
+        at_cut = _owned(domain, V, CUT)
+        faces = [
+            _owned(domain, V, *(name for name in domain.joint.facets if name.split("/")[-1] == face))
+            for face in (LOWER_FACE, UPPER_FACE)
+        ]
+        rows = np.setdiff1d(at_cut, np.union1d(*faces))
+        ends, size = [], float(np.ptp(domain.joint.points, axis=0).max())
+        for face in faces:
+            own = np.intersect1d(at_cut, face)
+            everywhere = np.concatenate(domain.comm.allgather(np.column_stack([before[own], x[own], own + first])))
+            distance, at = cKDTree(everywhere[:, :d]).query(before[rows])
             with on_all(domain.comm):
                 if (distance > SAME_PLACE * size).any():
-                    lost = x[rows[distance.argmax()]]
                     raise ModelError(
-                        f"no node of {name} stands straight below or above that of the cut at {place(lost)}"
+                        f"a node at a cut has none of a face above or below it, {place(x[rows][distance.argmax()])}"
                     )
             ends.append(everywhere[at, d:])
-        (low, lower), (high, upper) = (end.T for end in ends)
-        share = (height[rows] - low) / (high - low)
+        lower, upper = (end[:, :d] for end in ends)
+        share = np.linalg.norm(x[rows] - lower, axis=1) / np.linalg.norm(upper - lower, axis=1)
         every = np.arange(d)
-        of = np.stack([(end.astype(np.int64)[:, None] * d + every).ravel() for end in (lower, upper)], axis=1)
-        shares = np.column_stack([1 - share, share]).repeat(d, axis=0)
-        return cls((rows[:, None] * d + every).ravel(), of, shares)
+        of = np.stack([(end[:, d].astype(np.int64)[:, None] * d + every).ravel() for end in ends], axis=1)
+        return cls((rows[:, None] * d + every).ravel(), of, np.column_stack([1 - share, share]).repeat(d, axis=0))
 
 
-def _owned(V: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
-    """Nodes of this rank on facets, by their local numbers. Collective."""
+def _owned(domain: Domain, V: fem.FunctionSpace, *names: str) -> npt.NDArray[np.int64]:
+    """Nodes of this rank on the facets of some names, by their local numbers. Collective."""
+    facets = np.unique(np.concatenate([domain.facets(name) for name in names]))
     found = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, facets)
     return np.unique(found[found < V.dofmap.index_map.size_local]).astype(np.int64)

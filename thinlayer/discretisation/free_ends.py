@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from forms.elastic import LARGEST_NU
+from forms.elastic import LARGEST_NU, ROUNDING
 from forms.ends.weights import EndWeights, Strips
 from forms.interface import Interface
 from forms.tangent import average_lame, is_checked_at_rest, tangent_at_rest
@@ -19,11 +19,11 @@ from thinlayer.discretisation.layer import ThinLayer, real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 
-LARGEST_STIFFNESS = 0.25  # of the layer, lmbda + 2 mu, over Young's modulus of the bodies
-# area of S over the length of its free ends from which on a pressure falls as at an end of its own; at half of it a strip
-# of nu = .499 is 1.2 % too soft with the flow at ends, and 0.3 % too stiff without it, at all of it 0.1 % and 0.5 %
-SHORTEST = 10.0  # over the thickness
-SHORTEST_FALL = 3.0  # over the fall of the pressure
+LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
+LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
+BENDING = (
+    44.0  # (eps k)^3 E/mu where half-spaces give way to the pressure of a wave k as much as the layer: 48 (1 - nu^2)
+)
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,16 @@ class SeamEnds:
         if not len(rim.vertices):
             return cls()
         strips = real_law(one.layer, one.structure.kinematics).end_strips()
-        if reason := _why_without_constants(one, one.thin, strips) or _why_not_here(one, bodies):
+        if reason := _why_without_constants(one, one.thin, strips) or _why_not_here(one, rim, bodies):
             return cls(reason)
         assert strips is not None
         eps = float(one.thin.eps)
-        if reason := _why_too_stiff(one, strips) or _why_too_coarse(one, rim) or _why_too_short(one, rim, strips, eps):
+        contrast = softest_body(one) / float(real_law(one.layer, one.structure.kinematics).parameters()["mu"])
+        width = float(one.sheet.areas.sum() / rim.length.sum()) / eps
+        reason = _why_too_stiff(contrast) or _why_too_coarse(one, rim) or _why_too_short(width, strips)
+        if reason:
             return cls(reason)
+        strips = strips.of_spread(min(width, (contrast / BENDING) ** (1 / 3)))
         try:
             ends = straight_ends(rim, one.sheet)
         except GeometryError as error:
@@ -102,26 +106,30 @@ def _why_without_constants(one: SeamLayer, thin: ThinLayer, strips: Strips | Non
     return None
 
 
-def _why_not_here(one: SeamLayer, bodies: str) -> str | None:
+def _why_not_here(one: SeamLayer, rim: Rim, bodies: str) -> str | None:
     """Why constants of free ends are not known between these bodies, if they are not."""
     if bodies != "kept":
         return (
             "bodies are not kept, but apart: ends of the layer may be oblique there, and their constants are not known"
         )
+    assert one.thin
     if one.structure.plane == "axisymmetric":
-        return "the free ends of a body of revolution are curved, and their constants are not known"
+        radius = float(one.structure.joint.points[rim.vertices, 0].min()) / float(one.thin.eps)
+        if radius < LEAST_RADIUS * (1 - ROUNDING):
+            return (
+                f"the free ends of a body of revolution are curved, and constants are those of straight ones: the least "
+                f"radius is {radius:.3g} thicknesses; allowed: at least {LEAST_RADIUS:g}"
+            )
     return None
 
 
-def _why_too_stiff(one: SeamLayer, strips: Strips) -> str | None:
+def _why_too_stiff(contrast: float) -> str | None:
     """Why the constants, which are those between rigid faces, do not hold between these bodies, if they do not."""
-    mu = float(real_law(one.layer, one.structure.kinematics).parameters()["mu"])
-    modulus, E = mu * strips.modulus, softest_body(one)
-    if modulus <= LARGEST_STIFFNESS * E:
+    if contrast >= LEAST_CONTRAST * (1 - ROUNDING):
         return None
     return (
-        "bodies must be much stiffer than the layer, as constants of free ends are those between rigid faces: its modulus "
-        f"at an end is {modulus:.4g}, Young's modulus of a body on S {E:.4g}; allowed: at most {LARGEST_STIFFNESS:g} of it"
+        "bodies must be much stiffer than the layer, as constants of free ends are those between rigid faces: Young's "
+        f"modulus of a body on S is {contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g} times"
     )
 
 
@@ -137,14 +145,14 @@ def _why_too_coarse(one: SeamLayer, rim: Rim) -> str | None:
     )
 
 
-def _why_too_short(one: SeamLayer, rim: Rim, strips: Strips, eps: float) -> str | None:
-    """Why ends are too near to one another, if they are."""
-    width, least = float(one.sheet.areas.sum() / rim.length.sum()), strips.longest * eps
-    if one.flows:
-        least = min(SHORTEST * eps, SHORTEST_FALL * float(fall_of_pressure(one, rim).max()))
-    if width >= least:
+def _why_too_short(width: float, strips: Strips) -> str | None:
+    """Why ends are too near to one another, if they are; the width is over the thickness."""
+    if width >= strips.longest:
         return None
-    return f"S is short: its area over the length of its free ends is {width:.3g}; allowed: at least {least:.3g}"
+    return (
+        f"S is short: its area over the length of its free ends is {width:.3g} thicknesses; allowed: at least "
+        f"{strips.longest:.3g}"
+    )
 
 
 def softest_body(one: SeamLayer) -> float:

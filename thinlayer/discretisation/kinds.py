@@ -270,7 +270,7 @@ class InterfaceModel(LayeredModel):
             if one.flows:
                 require_unloaded_sides(one, structure.tractions)
             elif one.thin and one.thin.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name), points, to_base)
+                add_side_loads(forces, self, one, self.sides_of(one.name), points, self.ends[one.name], to_base)
         return forces
 
     def _check_layers(self) -> None:
@@ -361,9 +361,9 @@ class InterfaceModel(LayeredModel):
             raise ModelError(unknown("layer", name, self.ends))
         return self.ends[name].unknown
 
-    def terms_of(self, one: SeamLayer) -> list[forms.Term]:
-        """The terms of a layer without contact on its seam."""
-        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
+    def terms_of(self, one: SeamLayer, sides: Interface | None = None) -> list[forms.Term]:
+        """The terms of a layer without contact on its seam, or on some sides that are given."""
+        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), sides or self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
         if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree

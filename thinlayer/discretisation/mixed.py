@@ -1,4 +1,4 @@
-"""Mixed models: the layer meshed on a part of S, replaced by its interface law on the rest."""
+"""Mixed models: layers meshed on a part of S, replaced by their interface laws on the rest."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ import ufl
 from scipy.spatial import cKDTree
 
 from forms import work as forms
+from forms.kinematics import Expr
 from geometry.errors import place
 from geometry.seam import LAYER, S
 from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.kinds import FullModel, InterfaceModel
-from thinlayer.discretisation.layer import Layers, ThinLayer
+from thinlayer.discretisation.layer import Layers, ThinLayer, layers_of
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.seams import seam_entities
+from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.discretisation.setup import Setup
 from thinlayer.errors import ModelError
 from thinlayer.identity.described import described
@@ -27,18 +29,18 @@ from thinlayer.parallel.agreement import on_all
 
 BoolArray = npt.NDArray[np.bool_]
 Where = BoolArray | Callable[[npt.NDArray[np.float64]], Any]
-REACH = 3.0  # largest width, over the thickness, of the strips on which the law has the constants of a free end
+REACH = 3.0  # largest width, over the thickness, of the strips on which a law has the constants of a free end
 
 
 class MixedModel(FullModel):
-    """The model whose layer is meshed on a part of S, and replaced by its interface law on the rest.
+    """The model whose layers are meshed on a part of S, and replaced by their interface laws on the rest.
 
-    The bodies stand where those of the full model do. Where there are no cells the law acts between the sides of a gap:
-    its nodal forces are those of an interface model with the same bodies. Where cells end their nodes between both faces
-    move as the law has it, linearly from face to face.
+    The bodies stand where those of the full model do. Where there are no cells laws act between the sides of a gap: their
+    nodal forces are those of an interface model with the same bodies. Where cells end their nodes between both faces move
+    as the law of order 1 has it, linearly from face to face.
 
     Attributes:
-        by_law: the interface model of the same layer.
+        by_law: the interface model of the same layers; of order 0 where seams meet.
     """
 
     name = "mixed"
@@ -48,39 +50,76 @@ class MixedModel(FullModel):
             self.meshed = _facets(structure, where)
             _require(structure, layer, self.meshed)
         self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, None
-        self.by_law = InterfaceModel(structure, _between_cells(structure, layer, self.meshed), bodies=bodies)
-        with on_all(structure.comm):
-            _require_reach(self.by_law, self.meshed)
+        self.by_law = self._law_beside(InterfaceModel(structure, _on_all_of_s(structure, layer), bodies=bodies))
         options = {"bodies": bodies, "cells_through": cells_through, "meshed": described(self.meshed)}
         super(FullModel, self).__init__(structure, layer, **options)
-        self.followers = Followers.at_cuts(self.domain, self.V, structure.sheet.mean_normal)
+        self.followers = Followers.at_cuts(self.domain, self.V)
 
     def _data(self) -> dict[str, Any]:
         return super()._data() | {"meshed": described(self.meshed)}
 
+    def _check(self, one: SeamLayer) -> None:
+        super()._check(_of_order(one, 0))
+        if one.thin and one.thin.order:
+            one.check_next_term(self._bodies)
+
     def with_layer(self, layer: Layers) -> Self:
-        """As in other models; its interface model is made anew. Collective."""
+        """As in other models. Collective."""
+        assert self.meshed is not None
         with on_all(self.comm):
-            assert self.meshed is not None
             _require(self.structure, layer, self.meshed)
         new = super().with_layer(layer)
-        new.by_law = self.by_law.with_layer(_between_cells(self.structure, layer, self.meshed))
+        new.by_law = self._law_beside(self.by_law.with_layer(_on_all_of_s(self.structure, layer)))
         return new
 
+    def _law_beside(self, model: InterfaceModel) -> InterfaceModel:
+        """An interface model whose laws know of no free ends where these have cells. Collective."""
+        assert self.meshed is not None
+        with on_all(model.comm):
+            plain = {
+                name: one.layer for name, one in model.layers.items() if _knows_ends_of_cells(model, one, self.meshed)
+            }
+        if not plain:
+            return model
+        others = {name: one.layer for name, one in model.layers.items()}
+        known = {name: replace(layer, edges="plain") for name, layer in plain.items() if isinstance(layer, ThinLayer)}
+        return model.with_layer(dict.fromkeys(model.joint.seams) | others | known)
+
     def law_elsewhere(self) -> tuple[Model, list[forms.Term]] | None:
-        """The terms of the interface law on the facets without cells, and the interface model. Collective."""
+        """The terms of the interface laws on the facets without cells, and the interface model. Collective."""
         model = self.by_law
         assert self.meshed is not None
         if self.meshed.all():
             return None
-        (name,) = model.joint.seams
-        entities, joint = seam_entities(model.domain, name), model.joint
-        lower, upper = joint.surface_cells[~self.meshed].T
+        terms, moved = [], self._motions()
+        apart = moved("+") - moved("-")
+        for name, one in model.layers.items():
+            entities = np.ascontiguousarray(self._without_cells(name), np.int32)
+            measure = ufl.Measure("dS", domain=model.domain.mesh, subdomain_data=[(1, entities.ravel())])
+            wanted = self.layers[name].thin
+            assert wanted
+            sides = model.sides_of(name)
+            if model.domain.joint.parted is None:  # bodies that have moved apart along S, too, as in networks
+                sides = replace(sides, fibre=apart / ufl.dot(apart, sides.n))
+            of_order = model.terms_of(_of_order(one, wanted.order), sides)
+            terms += [replace(p, measure=measure(1, metadata=p.measure.metadata())) for p in of_order]
+        return model, terms
+
+    def _motions(self) -> Expr:
+        """Translations (d,) of the bodies' cells by inflating, on the mesh of the interface model."""
+        inflated, count = self.domain.joint, len(self.joint.cells)
+        moved = (inflated.points - inflated.reference)[inflated.cells[:count]].mean(axis=1)
+        return cellwise(self.by_law.domain, ("DG", 0, (self.joint.dim,)), moved[:, None])
+
+    def _without_cells(self, name: str) -> npt.NDArray[np.int32]:
+        """Rows (upper cell, local facet, lower cell, local facet) of this rank's facets of a seam without cells."""
+        assert self.meshed is not None
+        domain, joint = self.by_law.domain, self.by_law.joint
+        entities = seam_entities(domain, name)
         count = len(joint.cells)
-        own = model.domain.original_cells[entities[:, 0]] * count + model.domain.original_cells[entities[:, 2]]
-        chosen = np.ascontiguousarray(entities[np.isin(own, upper * count + lower)], np.int32)
-        measure = ufl.Measure("dS", domain=model.domain.mesh, subdomain_data=[(1, chosen.ravel())])
-        return model, [replace(p, measure=measure(1, metadata=p.measure.metadata())) for p in model.layer_terms]
+        lower, upper = joint.surface_cells[~self.meshed].T
+        own = domain.original_cells[entities[:, 0]] * count + domain.original_cells[entities[:, 2]]
+        return np.asarray(entities[np.isin(own, upper * count + lower)])
 
 
 def _facets(structure: Setup, where: Where) -> BoolArray:
@@ -109,33 +148,23 @@ def _facets(structure: Setup, where: Where) -> BoolArray:
 def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
     """Raise ModelError for what a mixed model cannot have, with the reason."""
     joint = structure.joint
-    if len(joint.seams) > 1 or joint.seams_meet:
-        raise ModelError("a mixed model needs one seam that does not branch; mesh whole seams of networks instead")
     if joint.base_seams:
         raise ModelError("a mixed model needs bodies on both sides of S, not a rigid base")
     if joint.periods or structure.strain is not None or structure.stress is not None:
         raise ModelError("a mixed model is not for periodic cells")
-    if not structure.sheet.planar:
-        raise ModelError("a mixed model needs a planar S: elsewhere nodes at a cut are not above one another")
     if structure.element[0] == "S":
         raise ModelError("a mixed model needs nodal displacements, not elements S2")
-    if not isinstance(layer, ThinLayer):
-        raise ModelError("a mixed model needs one ThinLayer: its law is meshed on a part of S")
-    traits = layer.law.traits
-    if (
-        not traits.linear
-        or traits.remembers
-        or traits.rate
-        or traits.constrained
-        or traits.compiled
-        or layer.law.fields
-    ):
-        raise ModelError(
-            f"a mixed model is for linear laws without memory, rate, pressure or parameters that are functions, not for "
-            f"{type(layer.law).__name__}: the law's forces are carried from a model of their own as one matrix"
-        )
-    if layer.profile is not None or layer.eigenstrain is not None:
-        raise ModelError("a mixed model needs a layer of uniform thickness without eigenstrain")
+    for one in layers_of(joint, layer).values():
+        if not isinstance(one, ThinLayer):
+            raise ModelError(
+                f"a mixed model needs a ThinLayer on each seam, as it is meshed on a part of it, not {one!r}"
+            )
+        traits, kind = one.law.traits, type(one.law).__name__
+        if traits.constrained or traits.phases or one.law.fields:
+            what = (
+                "a pressure" if traits.constrained else "phases" if traits.phases else "parameters that are functions"
+            )
+            raise ModelError(f"a mixed model is not for {kind}, which has {what}: these do not pass from cells to S")
     rim = structure.sheet.rim
     by_law = rim[~meshed[structure.sheet.parts[0][rim.simplex]]]
     for name in structure.tractions or {}:
@@ -149,29 +178,40 @@ def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
         raise ModelError("a mixed model has no weight of the layer itself; give the bodies theirs")
 
 
-def _between_cells(structure: Setup, layer: Layers, meshed: BoolArray) -> Layers:
-    """The layer of the interface model: if cells are at all ends of S, its law knows of no free ends."""
-    assert isinstance(layer, ThinLayer)
-    sheet = structure.sheet
-    ends = sheet.rim.simplex
-    return replace(layer, edges=None) if meshed[sheet.parts[0][ends]].all() else layer
+def _on_all_of_s(structure: Setup, layer: Layers) -> Layers:
+    """The layers of the interface model: of order 0 where seams meet, as junctions, which have cells, know no order 1."""
+    if not structure.joint.seams_meet:
+        return layer
+    given = layers_of(structure.joint, layer).items()
+    return dict.fromkeys(structure.joint.seams) | {name: replace(one, order=0, edges=None) for name, one in given}
 
 
-def _require_reach(model: InterfaceModel, meshed: BoolArray) -> None:
-    """Raise ModelError where a law with constants of free ends acts within their reach of an end that is meshed."""
-    (one,) = model.layers.values()
-    if not (one.thin and one.thin.edges):
-        return
+def _of_order(one: SeamLayer, order: int) -> SeamLayer:
+    """A layer with the interface law of some order."""
+    if one.thin is None or one.thin.order == order:
+        return one
+    return SeamLayer(one.name, replace(one.thin, order=order, edges=None), one.structure)
+
+
+def _knows_ends_of_cells(model: InterfaceModel, one: SeamLayer, meshed: BoolArray) -> bool:
+    """Whether a law has constants of free ends, all of which have cells.
+
+    Raises:
+        ModelError: only some have, and the law acts within their reach.
+    """
+    if not (one.thin and one.thin.order) or model.free_ends(one.name) is not None:
+        return False
     joint, sheet = model.joint, one.sheet
     rim = free_rim(model, sheet)
-    at_cells = rim[meshed[sheet.parts[0][rim.simplex]]]
-    by_law = np.unique(joint.table.vertices[joint.surface_rows[~meshed]])
-    if not len(at_cells.vertices):
-        return
-    x = joint.points[at_cells.vertices].mean(axis=1)
+    has_cells = meshed[sheet.parts[0][rim.simplex]]
+    by_law = np.unique(joint.table.vertices[joint.surface_rows[sheet.facets][~meshed[sheet.facets]]])
+    if has_cells.all() or not (has_cells.any() and len(by_law)):
+        return bool(has_cells.all())
+    x = joint.points[rim[has_cells].vertices].mean(axis=1)
     near, at = cKDTree(x).query(joint.points[by_law])
     if near.min() < REACH * one.thin.eps:
         raise ModelError(
-            f"the layer is meshed at its free end at {place(x[at[near.argmin()]])} over {near.min():.3g} only; the law "
-            f"beside it, which has the constants of other free ends, needs {REACH:g} thicknesses there"
+            f"{one} is meshed at its free end at {place(x[at[near.argmin()]])} over {near.min():.3g} only; the law there, "
+            f"which has the constants of other free ends, needs {REACH:g} thicknesses, or edges='plain'"
         )
+    return False

@@ -137,11 +137,10 @@ class SeamLayer:
                 )
             joint.relative_thickness(self.thin.profile, self.name)  # a user's function, may fail on one rank alone
         for one in self.samples:
-            if one.thin and one.thin.order == 1:
-                one.at_rest.require_no_locking()
             one.at_rest.require_stable()
 
-    def _check_order_1(self, bodies: str) -> None:
+    def check_next_term(self, bodies: str) -> None:
+        """Raise ModelError or LawError unless the next term of the law holds away from tips and junctions; as `check`."""
         if self.thin and self.thin.law.traits.constrained and self.structure.plane == "stress":
             raise ModelError(
                 f"order=1 of {type(self.thin.law).__name__} in plane stress: no pressure builds up in a sheet; use "
@@ -151,6 +150,11 @@ class SeamLayer:
             element = self.structure.element
             raise ModelError(f"order=1 needs elements of degree 2 (its law has gradients on S), not {element}")
         self._check_flat(bodies)
+        for one in self.samples:
+            one.at_rest.require_no_locking()
+
+    def _check_order_1(self, bodies: str) -> None:
+        self.check_next_term(bodies)
         if self.sheet.tip is not None:
             raise ModelError(
                 f"order=1 needs an S that does not end inside the bodies, and {self} ends at {place(self.sheet.tip)}: its "

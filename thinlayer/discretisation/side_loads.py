@@ -24,7 +24,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.ends.constants import FreeEnd
+from forms.elastic import poisson_ratio
+from forms.ends.constants import FreeEnd, free_end
 from forms.ends.weights import Strips
 from forms.interface import Interface
 from forms.kinematics import Expr
@@ -34,6 +35,7 @@ from geometry.seam import LAYER
 from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
+from thinlayer.discretisation.free_ends import SeamEnds
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import real_law
@@ -42,6 +44,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.point_forms import ConcentratedForms
 from thinlayer.discretisation.point_loads import Nodes
 from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.errors import warn
 
 ANTIPLANE = (
     0.2713834  # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
@@ -111,6 +114,7 @@ def add_side_loads(
     one: SeamLayer,
     sides: Interface,
     points: Callable[[], ConcentratedForms],
+    ends: SeamEnds,
     to_base: Expr | None,
 ) -> None:
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
@@ -118,17 +122,23 @@ def add_side_loads(
     Args:
         forces: the forces.
         model: the model.
-        one: the layer; with `edges` loads at its free ends are told with their constants, others by halves.
+        one: the layer.
         sides: of its seam.
         points: makes forms of what acts at nodes.
+        ends: free ends of its seam; if their constants are known, they say what loads there do.
         to_base: (d,) how far a rigid base is from the facets of the body; None: the body meets it.
     """
-    assert one.thin
     free = ridge_keys(free_rim(model, one.sheet).vertices)
     for load in SideLoad.of(model, one):
-        known = np.isin(ridge_keys(load.rim.vertices), free) & bool(one.thin.edges)
+        known = np.isin(ridge_keys(load.rim.vertices), free) & (ends.weights is not None)
         found = [*_at_ends(load.on(known), forces.at, model, one, sides)]
         if not known.all():
+            why = f", as {ends.unknown}" if ends.unknown else " where a support holds the side"
+            warn(
+                f"{load.what}: each face of {one} gets half of the force, and how it reaches the faces makes a difference "
+                f"as large as the force, which is not known{why}; mesh the layer (structure.full) if that matters",
+                model.comm,
+            )
             found += _halves(load.on(~known), model, one, points(), to_base)
         for force, place in found:
             forces.add_weighted(one.name, load.what, force, place)
@@ -144,7 +154,7 @@ def _at_ends(
     for end in straight_ends(load.rim, one.sheet):
         shares = np.zeros((len(model.joint.cells), 1, 5))
         upper = model.joint.surface_cells[one.sheet.facets, 1]
-        constants = real_law(one.layer, one.structure.kinematics).free_end()
+        constants = free_end(poisson_ratio(real_law(one.layer, one.structure.kinematics)))
         shares[upper, 0] = _shares(end, one.sheet, float(one.thin.eps), constants)
         known = sides.upper(cellwise(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
@@ -165,9 +175,10 @@ def _shares(end: StraightEnd, sheet: Sheet, eps: float, constants: FreeEnd) -> F
     def within(reach: float) -> FloatArray:
         return np.asarray(np.bincount(facet, share_within(distance, reach * eps) * here, count) / area)
 
+    l_N, l_T = strips.opening.length, strips.shear.length
     handed = [within(reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE)]
     forces = [eps * end.length * share / (share @ area) for share in handed]
-    drawn = constants.drawn_in / strips.l_N * within(strips.l_N), constants.c_T / strips.l_T * within(strips.l_T)
+    drawn = constants.drawn_in / l_N * within(l_N), constants.c_T / l_T * within(l_T)
     return np.stack([*forces, *drawn], axis=1)
 
 

@@ -20,8 +20,8 @@ class Structure(Setup):
             overlap their values must agree.
         tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that returns d
             components. On the bodies, and with bodies="extended" on the part of the layer's side that was theirs, so that
-            the loads of all models are the same; name "NAME/LAYER" to load that side by itself. `Pressure(p)` acts along
-            the inner normal.
+            the loads of all models are the same; name "NAME/LAYER" to load that side by itself: a force of order eps, which
+            interface laws of order 1 have and those of order 0 have not. `Pressure(p)` acts along the inner normal.
         body_force: (d,) force per volume in the bodies, likewise, or name -> force, of regions and of seams (a single one
             is called "S"): the weight of a layer, which acts on its cells or, in the interface model, times the thickness
             and in halves on both sides of S; half of it goes to a rigid base directly. It is of order eps.
@@ -88,7 +88,7 @@ class Structure(Setup):
         """The model whose layer is meshed on a part of S and replaced by its interface law on the rest. Collective.
 
         Args:
-            layer: a layer with a linear law; its order is that of the interface law.
+            layer: the layer, without a pressure, phases or parameters that are functions; its order is that of the law.
             where: the part of S where the layer is meshed, a function of places x (d, n) before inflating that returns n
                 truth values, asked at the centres of the facets of S; or these values, (n_S,), as
                 `Surface.most_of` gives them.

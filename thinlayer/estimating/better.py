@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from forms.next_order import for_next_order
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
@@ -56,11 +57,11 @@ def _better(one: SeamLayer) -> ThinLayer:
         raise ModelError(f"estimate: {one} has order=1 already, and an estimate needs a better law; give it order=0")
     if law.traits.phases or law.traits.softens:
         raise ModelError(
-            f"estimate: the stress of {type(law).__name__} falls as strains grow; no estimate of its error is known: mesh "
-            "the layer (structure.full)"
+            f"estimate: {type(law).__name__} has phases, or a stress that falls as strains grow; no estimate of its error "
+            "is known: mesh the layer (structure.full)"
         )
     in_sheet = one.structure.plane == "stress"  # no pressure builds up there
-    return replace(thin, law=thin.law if in_sheet else thin.law.for_next_order(), order=1)
+    return replace(thin, law=thin.law if in_sheet else for_next_order(thin.law), order=1)
 
 
 def better_model(model: InterfaceModel) -> tuple[InterfaceModel, dict[str, BetterLaw]]:

@@ -89,14 +89,12 @@ def nodes_of_sides(model: InterfaceModel, name: str) -> tuple[IntArray, IntArray
         entities = _on_boundary(model, domain.facets(name).astype(np.int64))
     else:
         entities = seam_entities(domain, name).astype(np.int64)
-    sides = []
-    for first in (0, 2):
-        found = [
-            dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_closure_dofs(d - 1, facet)]
-            for cell, facet in entities[:, first : first + 2]
-        ]
-        sides.append(np.unique(np.concatenate([np.empty(0, np.int64), *found])).astype(np.int64))
-    return sides[0], sides[1]
+    sides = np.split(entities, entities.shape[1] // 2, axis=1)
+    found = [
+        np.unique([dofmap.cell_dofs(cell)[dofmap.dof_layout.entity_closure_dofs(d - 1, facet)] for cell, facet in side])
+        for side in sides
+    ]
+    return found[0].astype(np.int64), (found[1] if len(found) > 1 else np.empty(0)).astype(np.int64)
 
 
 def _on_boundary(model: InterfaceModel, facets: IntArray) -> IntArray:

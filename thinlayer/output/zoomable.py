@@ -16,7 +16,7 @@ from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
-from thinlayer.discretisation.free_ends import softest_body
+from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
 from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import real_law
@@ -30,7 +30,6 @@ from thinlayer.output.pressure_at import pressure_at
 Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end
 TAKEN = np.array([2.0, 4.0])  # distances, over the thickness, at which pressures are taken for free ends
-LARGEST_STIFFNESS = 0.25  # of the layer over Young's modulus of the bodies
 NEARLY = 0.4999  # Poisson's ratio that stands for larger ones: its fields within NEAR differ by less than 1e-3
 DIGITS = 12  # of Poisson's ratio
 
@@ -169,12 +168,11 @@ class Zoomable:
             return str(error)
         if not one.sheet.planar:
             return "S is curved"
-        lmbda, mu, E = *moduli, softest_body(one)
-        name, modulus = ("10 mu", 10 * mu) if self.inside.flows else ("lmbda + 2 mu", lmbda + 2 * mu)
-        if modulus > LARGEST_STIFFNESS * E:
+        contrast = softest_body(one) / moduli[1]
+        if contrast < LEAST_CONTRAST:
             return (
-                f"the fields of free ends are those between rigid faces: {name} of the layer is {modulus:.4g}, Young's "
-                f"modulus of a body on S {E:.4g}; allowed: at most {LARGEST_STIFFNESS:g} of it"
+                "the fields of free ends are those between rigid faces: Young's modulus of a body on S is "
+                f"{contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g} times"
             )
         return None
 

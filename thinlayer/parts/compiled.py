@@ -107,6 +107,10 @@ class CompiledPart(Part):
         out.axpy(1.0, forces)
         return float(forces.norm()) if self._in_body else 0.0
 
+    def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
+        strain = self.points.strain(z.x.petsc_vec)
+        self.points.spread(np.einsum("pm,pm->p", self._response.stress, strain), z.function_space, out)
+
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. LawError: a law declares a symmetric tangent and has another; half of it would be lost."""
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:

@@ -25,6 +25,7 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Interval, PartTraits, may_weaken
 from thinlayer.parts.softening import Softening
+from thinlayer.pointwise.spreading import add_spread
 
 
 class LawForms(FormPart):
@@ -91,6 +92,11 @@ class LawForms(FormPart):
     def add_forces(self, out: PETSc.Vec) -> float:
         size = super().add_forces(out)
         return size if self._opposing is None else max(size, self._opposing.force(self.comm))
+
+    def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
+        for p in _given(self._terms, self._over.balanced):
+            density = ufl.inner(stress(p, self._mid), p.strain(z)) * p.weight
+            add_spread(density, self._u.function_space, p.measure, out)
 
     def add_layer_forces(self, keys: Collection[str], out: PETSc.Vec) -> None:
         if (form := self._of_layer(tuple(sorted(keys)))) is not None:

@@ -14,13 +14,15 @@ from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.free_rim import free_of_pressure
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.places import compiled_terms
+from thinlayer.parts.carried import Carried, Carrier
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact import ContactPart
-from thinlayer.parts.law_elsewhere import LawElsewhere
 from thinlayer.parts.law_forms import LawForms
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure import PressurePart, has_flow
+
+ON_S = "law"  # last part of the keys of laws that act where a layer is not meshed
 
 
 def body_parts(model: Model) -> list[Part]:
@@ -55,11 +57,22 @@ def layer_parts(model: Model, held: npt.NDArray[np.int32], bodies: Sequence[Part
         masters = joint.masters if joint.periods else None
         for p in constrained:
             parts.append(PressurePart(model.V, p, largest, model.origin, _free(model, p), masters))
-    if found := model.law_elsewhere():
-        parts.append(LawElsewhere(model, *found))
+    parts += _elsewhere(model)
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts
+
+
+def _elsewhere(model: Model) -> list[Part]:
+    """The parts of interface laws where a layer is not meshed, made by the interface model and carried to the model."""
+    found = model.law_elsewhere()
+    if found is None:
+        return []
+    other, terms = found
+    carrier, in_forms = Carrier(model, other), [p for p in terms if not p.law.traits.compiled]
+    keys = list(dict.fromkeys(p.key for p in in_forms))
+    parts: list[Part] = [LawForms(key, other.V, [p for p in in_forms if p.key == key]) for key in keys]
+    return [Carried(part, carrier, f"{part.key}/{ON_S}") for part in [*parts, *_compiled(other, terms)]]
 
 
 def _compiled(model: Model, terms: Iterable[Term]) -> list[Part]:

@@ -219,6 +219,19 @@ class Part(ABC):
         if self.key in keys:
             self.add_forces(out)
 
+    def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
+        """Add the work of the stresses of the last evaluation in displacements z, spread over the nodes where it is done.
+
+        The sum over nodes is the work of the nodal forces. Node by node forces . z would be another density, which depends
+        on the place from which displacements are counted; it is the default, for forces that act at nodes.
+        """
+        forces = out.duplicate()
+        forces.set(0.0)
+        self.add_forces(forces)
+        forces.pointwiseMult(forces, z.x.petsc_vec)
+        out.axpy(1.0, forces)
+        forces.destroy()
+
     def failure(self) -> str:
         """Text that says what failed in the last evaluation and where; "" if nothing did."""
         return ""

@@ -22,6 +22,7 @@ from thinlayer.discretisation.state import Configuration
 from thinlayer.parts.part import DISPLACEMENTS, Array, Block, FileOrder, Interval, Outcome, Part, PartTraits
 from thinlayer.parts.vertices import at_places, identified
 from thinlayer.pointwise.quadrature import Origin, Quadrature, Region
+from thinlayer.pointwise.spreading import add_spread
 
 
 class PressurePart(Part):
@@ -64,6 +65,7 @@ class PressurePart(Part):
         masters: IntArray | None = None,
     ) -> None:
         self.key, self._origin, self._kinematics = PRESSURE + term.key.removeprefix(LAYER), origin, term.kinematics
+        self._term = term
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else Region(V.mesh, term.measure)
         if has_flow(term) and origin and origin.middle is not None:
@@ -189,6 +191,10 @@ class PressurePart(Part):
         self.G.multTranspose(self._p.x.petsc_vec, self._forces)
         out.axpy(1.0, self._forces)
         return 0.0
+
+    def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
+        density = self.unit * self.region.side(self._p) * ufl.tr(self._term.strain(z)) * self._term.weight
+        add_spread(density, z.function_space, self._term.measure, out, self.region.maps)
 
     def own_residual(self) -> Array:
         room = self._volume.array_r + self._given

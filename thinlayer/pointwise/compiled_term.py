@@ -21,6 +21,7 @@ from thinlayer.pointwise.kernels import Array
 from thinlayer.pointwise.material import Material
 from thinlayer.pointwise.mean_volume import MeanVolume
 from thinlayer.pointwise.quadrature import Origin, Quadrature
+from thinlayer.pointwise.spreading import add_spread
 
 # Size of a tangent below which underflow may have cost digits.
 UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
@@ -210,6 +211,13 @@ class CompiledTerm(Quadrature):
         self.B.multTranspose(weighted, self._forces)
         weighted.destroy()
         return self._forces
+
+    def spread(self, density: Array, V: fem.FunctionSpace, out: PETSc.Vec) -> None:
+        """Add the integral of a density at the points (points,) to displacements, see `add_spread`. Collective."""
+        f = fem.Function(self._space(()))
+        f.x.array[: self.count] = density
+        f.x.scatter_forward()
+        add_spread(self.region.side(f) * self.term.weight, V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+import re
+from functools import partial
+from typing import Any
+
 from geometry.parallel import on_root, world
 from thinlayer.describing.case import Case
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
 from thinlayer.estimating.estimate import Estimate, estimate
+from thinlayer.estimating.thickness import thin_enough
 from thinlayer.files.table import Table, hash_of
 from thinlayer.output import plotting
 from thinlayer.running.asked import Asked
@@ -15,47 +22,49 @@ from thinlayer.solving.solvers import solve
 from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
+LAW, BOND = "law", "bond"  # what is in place of the meshed layer
 QUESTIONS = {
-    "law": "May you drop the layer's mesh, for an interface law?",
-    "bond": "May you ignore the layer altogether, for a perfect bond?",
+    LAW: "May you drop the layer's mesh, with its interface law instead?",
+    BOND: "May you ignore the layer altogether, with its bodies bonded?",
 }
 
 
 def run(record: Record, asked: Asked) -> None:
-    """Answer what was asked: estimate.csv, pictures of where on S the change comes from, sentences. Collective.
+    """Answer what was asked: sentences, estimate.csv, pictures of where on S the changes come from. Collective.
 
     Raises:
         InputError, SolveError: as the description, the models and the solves raise them.
     """
     record.parameters = {
-        "files": {str(path): on_root(world(), lambda path=path: hash_of(path)) for path in asked.files},  # type: ignore[misc]
+        "files": {str(path): on_root(world(), partial(hash_of, path)) for path in asked.files},
         "description": asked.description.section.values if asked.description else None,
     }
     case = asked.case()
-    found = {"law": _of_law(record, case)}
+    found = {LAW: _estimate(record, case, case.structure.interface(case.layer, bodies=case.bodies))}
     if case.bonded:
-        found["bond"] = _of_bond(record, case)
-    rows = [{"instead": name, **row} for name, one in found.items() for row in one.table.rows]
-    record.write("estimate.csv", table := Table(rows))
-    for name, one in found.items():
-        _draw(record, case, name, one)
-        record.say("\n".join([QUESTIONS[name], *(f"  {sentence}" for sentence in one.sentences)]))
-    record.say(f"\n{table}\n")
+        found[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)
+    table = Table([{"instead": name, **row} for name, one in found.items() for row in _rows(one)])
+    record.write("estimate.csv", table)
     record.results = {
         name: {"sentences": one.sentences, "laws": one.laws, "cost": one.cost} for name, one in found.items()
     }
-    if case.tolerance:
-        _tell_thickness(record, case)
+    if case.units:
+        record.say("lengths in {}, stresses in {}".format(*case.units))
+    thicknesses = []
+    for name, one in found.items():
+        record.say("\n".join([QUESTIONS[name], *(f"  {sentence}" for sentence in one.sentences)]))
+        thicknesses += _thicknesses(record, case, name)
+    record.say(f"\n{table}\n")
+    if thicknesses:
+        record.write("thin_enough.csv", Table(thicknesses))
+    for name, one in found.items():
+        _draw(record, case, name, one)
 
 
-def _of_law(record: Record, case: Case) -> Estimate:
-    state = _solved(record, case, case.structure.interface(case.layer, bodies=case.bodies))
-    return _noted(record, estimate(state, goals=case.goals))
-
-
-def _of_bond(record: Record, case: Case) -> Estimate:
-    state = _solved(record, case, case.structure.bonded())
-    return _noted(record, estimate(state, layer=case.layer, goals=case.goals))
+def _estimate(record: Record, case: Case, model: Model, **left_out: Any) -> Estimate:
+    found = estimate(_solved(record, case, model), goals=case.goals, **left_out)
+    record.solved(found.better)
+    return found
 
 
 def _solved(record: Record, case: Case, model: Model) -> State | History:
@@ -67,29 +76,41 @@ def _solved(record: Record, case: Case, model: Model) -> State | History:
     return history
 
 
-def _noted(record: Record, found: Estimate) -> Estimate:
-    record.solved(found.better)
-    return found
+def _rows(found: Estimate) -> list[dict[str, Any]]:
+    """Rows of the table, empty where there is no number."""
+    return [
+        {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
+        for row in found.table.rows
+    ]
+
+
+def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
+    """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
+    goals, rows = {goal.name: goal for goal in case.goals}, []
+    layer: Any = case.layer
+    for quantity, tolerance in case.tolerance.items():
+        if name == BOND and quantity == "jump":
+            continue  # bonded bodies have none
+        goal = goals.get(quantity, quantity)
+        try:
+            how: dict[str, Any] = {"times": case.times or None, "bonded": name == BOND, "bodies": case.bodies}
+            thin = thin_enough(case.structure, layer, tolerance, goal, **how)
+            eps, told = thin.eps, str(thin)
+        except ModelError as error:  # an answer too: no thickness is thin enough
+            eps, told = None, str(error).removeprefix("thin_enough: ")
+        rows.append({"instead": name, "quantity": quantity, "tolerance": tolerance, "eps": eps})
+        record.say(f"  {told}")
+    return rows
 
 
 def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
-    """A map for each goal."""
-    if not hasattr(plotting, "estimate"):
-        return
-    for goal in found.goals:
-        file = f"map_{name}_{'_'.join(goal.split())}.png".replace("/", "_")
-        plotting.estimate(found, save=record.path(file), goal=goal)
-
-
-def _tell_thickness(record: Record, case: Case) -> None:
-    """The thickness below which each quantity changes by less than its tolerance."""
-    goals = {goal.name: goal for goal in case.goals}
-    unit = f" {case.units[0]}" if case.units else ""
-    rows = []
-    for name, tolerance in case.tolerance.items():
-        from thinlayer import thin_enough
-
-        thin = thin_enough(case.structure, case.layer, tolerance, goals.get(name, name))
-        rows.append({"quantity": name, "tolerance": tolerance, "eps": thin.eps})
-        record.say(f"thinner than {thin.eps:.3g}{unit} the layer changes {name} by less than {tolerance:.3g}")
-    record.write("thin_enough.csv", Table(rows))
+    """A picture for each goal whose density on S is known."""
+    for goal in found.goals if not found.unknown else ():
+        try:
+            density = found.density(goal)
+        except ModelError as error:
+            record.say(f"no picture of {goal}: {error}")
+            continue
+        file = "_".join(["map", name, *re.findall(r"\w+", goal)]) + ".png"
+        length = case.units[0] if case.units else ""
+        plotting.density(density, save=record.path(file), length=length, quantity=f"change of {goal}, per area of S")

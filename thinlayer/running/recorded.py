@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,6 +66,7 @@ def recorded(
     PETSc.Options().setValue("options_left", False)  # options that are not read are errors of ours, not PETSc's report
     for option, value in petsc.items():
         PETSc.Options().setValue(option, value)
+    _tell_ranges()
     record = Record(name, out, {**options, **petsc}, resume=bool(resume))
     kept = f"results so far are kept in {out}{'' if resume is None else '; --resume continues'}"
     try:
@@ -102,6 +104,20 @@ def recorded(
     if record.failed:
         return stop(root, CHECK_FAILED, "checks failed: " + "; ".join(str(check) for check in record.failed))
     return OK
+
+
+def _tell_ranges() -> None:
+    """Show warnings of results out of range without the line that they come from, which is this program's."""
+    from thinlayer.errors import RangeWarning
+
+    usual = warnings.formatwarning
+
+    def shown(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> str:
+        if not issubclass(category, RangeWarning):
+            return usual(message, category, *where, **more)
+        return f"thinlayer: {category.__name__}: {message}\n"
+
+    warnings.formatwarning = shown
 
 
 def _reason(error: BaseException) -> str:

@@ -157,6 +157,8 @@ class Adjoint:
     def summands(self, z: Configuration, other: State, old: Configuration | None = None) -> dict[str, Array]:
         """The summands of -z . (F_1(u_0) - F_0(u_0)): (m,) at the displacements of this rank ("u"), and at own unknowns.
 
+        Each is the work of stresses in the strains of z around a node (`Part.add_work_in`), not the forces at the node
+        times z: that is another density with the same sum, which depends on the place from which displacements are counted.
         The layers' own fields, such as pressures, are those of u_1.
 
         Args:
@@ -168,33 +170,52 @@ class Adjoint:
         equations.put_state(self.state, self._x)
         if isinstance(other.model, InterfaceModel):
             theirs = layer_parts(other.model, equations.history.held, equations.bodies)
-            before = self._forces(theirs, other, u, self._between(other, old))
+            begun = self._rest_of(theirs, other.t) if old is None else old
+            self._evaluate(theirs, other, u, self._between(other, begun))
+            before = self._work(theirs, z)
             for part in theirs:
                 part.destroy()
-        else:
+        else:  # forces of the bond, opposite ones at the nodes of both sides
             equations.put_state(Configuration(u, other.t, fields=self.state.fields), self._x)
             total = equations.nodal_residual(self._x)
             equations.put_state(self.state, self._x)
-            before = self._forces(equations.layers, self.state, u, self._interval) - total
-            before[equations.history.held] = 0.0
-        after = self._forces(equations.layers, self.state, u, self._interval)
+            forces = self._evaluate(equations.layers, self.state, u, self._interval) - total
+            forces[equations.history.held] = 0.0
+            before = z.u.x.array[: len(forces)] * forces
+        self._evaluate(equations.layers, self.state, u, self._interval)
+        after = self._work(equations.layers, z)
         with_own = [part for part in equations.layers if part.field is not None]
         own = {part.key: -part.own_start(z) * part.own_residual() for part in with_own}
-        return {DISPLACEMENTS: -z.u.x.array[: len(after)] * (after - before), **own}
+        return {DISPLACEMENTS: before - after, **own}
 
-    def _forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
+    def _rest_of(self, parts: Sequence[Part], t: float) -> Configuration:
+        """The configuration at rest, with the memory of these parts: their keys are not those of other laws."""
+        layers = PartSum(parts)
+        rest = layers.memory_at_rest
+        return Configuration(self.equations.rest(t).u, t, rest, stresses=layers.stresses_at_rest, at_rest=True)
+
+    def _evaluate(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
         out = self.equations.u.x.petsc_vec.duplicate()
         out.set(0.0)
-        if not parts:
-            return np.asarray(out.array_r.copy())
-        layers = PartSum(parts)
-        layers.begin_parts(interval)
+        if parts:
+            layers = PartSum(parts)
+            layers.begin_parts(interval)
+            for part in parts:
+                if part.field is not None:
+                    part.field.x.array[: part.own_size] = part.own_start(state)
+                    part.field.x.scatter_forward()
+            layers.forces(u, u, out)
+        found = out.array_r.copy()
+        out.destroy()
+        return np.asarray(found)
+
+    def _work(self, parts: Sequence[Part], z: Configuration) -> Array:
+        """Work (m,) of the layers' stresses of the last evaluation in displacements z, spread over nodes."""
+        out = self.equations.u.x.petsc_vec.duplicate()
+        out.set(0.0)
         for part in parts:
-            if part.field is not None:
-                part.field.x.array[: part.own_size] = part.own_start(state)
-                part.field.x.scatter_forward()
-        layers.forces(u, u, out)
+            part.add_work_in(z.u, out)
         found = out.array_r.copy()
         out.destroy()
         return np.asarray(found)

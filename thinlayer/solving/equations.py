@@ -36,7 +36,7 @@ from thinlayer.solving.uniqueness import RigidMotions
 class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
 
-    If supports are inclined, plates are rigid, or some displacements follow others, there are other unknowns in place of the
+    If supports are inclined, plates rigid, or some displacements follow others, other unknowns are in the place of the
     displacements, see `Substitution`.
 
     The constructor and all methods are collective.

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from forms.base import is_number
 from geometry.parallel import world
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.state import Report, State
+from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, ModelError, SolveError, warn
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.parallel.log import logger
@@ -60,8 +60,9 @@ def solve(
             networks to the displacements there; default on one rank while S is narrow), "multigrid" (default otherwise, not
             for networks), "newton" (default if a body is not linear, for a law of one's own, and for networks on several
             ranks) or "relaxation" (the paper's, for comparison, not for networks).
-        like: under a contact law, a state of the same joint with a similar contact status, such as that of another load or
-            thickness; it saves "condensed" and "multigrid" Newton steps, the other methods do not use it.
+        like: a state of an interface model of the same joint, such as that of another load, thickness or law. Newton's
+            method begins at its displacements; under a contact law "condensed" and "multigrid" begin with its contact
+            status. Where that fails they begin at rest.
 
     Warns:
         RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not small.
@@ -128,8 +129,8 @@ def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
         given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
         raise ModelError(f"like is {given}; it must be a state of a model of the same joint")
-    if model.contact is None or not like.model.broken or like.model.element != model.element:
-        raise ModelError("like is for contact laws: a state of an interface model with the same element")
+    if not (model.broken and like.model.broken) or like.model.element != model.element:
+        raise ModelError("like is a state of an interface model for another one, with the same element")
 
 
 class Solver:
@@ -154,7 +155,7 @@ class Solver:
             named = options is None or (isinstance(options, Mapping) and all(isinstance(name, str) for name in options))
             if not named:
                 raise OptionError(f"options is {options!r}; it must be {{name without prefix: value}}")
-        self._given = dict(options or {})
+        self._given, self._like = dict(options or {}), like
         marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)
         self._log = logger("solve", model.comm)
@@ -224,7 +225,7 @@ class Solver:
         attempts = self._attempts()
         if not thorough:
             attempts = [one for one in attempts if one.options == attempts[0].options and not one.eased]
-        found, eased = self._work_through(attempts)
+        found, eased = self._from_like(attempts[0], old) or self._work_through(attempts)
         iterations = found.iterations
         while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
@@ -251,6 +252,24 @@ class Solver:
             restraint.close()
         seconds = time.perf_counter() - start
         return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
+
+    def _from_like(self, attempt: Attempt, old: State) -> tuple[Found, int] | None:
+        """Result of Newton's method from the displacements of the state that is like this one; None: there is none."""
+        if self._like is None or self.method != "newton" or self.model.contact:
+            return None
+        equations, start = self.equations, self.equations.vector()
+        u = displacements_of(self._like, self.model)
+        equations.put_state(replace(old, u=u), start)
+        start.array[equations.held] = equations.prescribed
+        try:
+            return self._try(attempt, start), 0
+        except SolveError as error:
+            self._log.info(
+                "t = %g: Newton's method from a state like it failed: %s", equations.interval.t, error.reason
+            )
+            return None
+        finally:
+            start.destroy()
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
         state = self.equations.accept(x, report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import SymLogNorm
 
-from geometry.topology import is_tensor
 from thinlayer.errors import ModelError
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, finish, require_name
@@ -70,11 +70,22 @@ def _by_arc_length(figure: Picture, axes: Axes, given: SurfaceDensity, name: str
         axes.fill_between(start + line.s, values, color=COLOURS[0], alpha=0.25, linewidth=0)
         axes.plot(start + line.s, values, ".-", color=COLOURS[0], markersize=3)
         start += line.length
-    axes.set_yscale("symlog", linthresh=SHOWN * float(np.abs(given.values).max()) or 1.0)
+    _scale(axes, float(np.abs(given.values).max()))
     axes.axhline(0.0, color="0.4", linewidth=0.8)
     axes.grid(color="0.9")
     axes.set_xlabel(f"arc length{unit}")
     axes.set_ylabel(quantity)
+
+
+def _scale(axes: Axes, largest: float) -> None:
+    """A logarithmic axis on both sides of zero, with ticks at powers of ten that do not lie on one another."""
+    if not largest:
+        return
+    top = math.floor(math.log10(largest))
+    powers = [10.0**k for k in range(top + int(math.log10(SHOWN)) + 1, top + 1)]
+    axes.set_yscale("symlog", linthresh=powers[0], linscale=0.5)
+    axes.set_yticks([*(-one for one in reversed(powers)), 0.0, *powers])
+    axes.minorticks_off()
 
 
 def _coloured(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, unit: str, quantity: str) -> None:
@@ -85,8 +96,14 @@ def _coloured(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, uni
     at = np.zeros(len(joint.points))
     at[given.vertices] = given.values
     largest = float(np.abs(given.values).max()) or 1.0
-    ring = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
-    facets: Any = PolyCollection([*x[:, ring]], array=at[corners].mean(axis=1), cmap=COLOUR_MAP, edgecolor="face")
+    from_centre = x - x.mean(axis=1, keepdims=True)  # corners have the order of their numbers, not one around the facet
+    ring = np.arctan2(from_centre[..., 1], from_centre[..., 0]).argsort(axis=1)
+    facets: Any = PolyCollection(
+        [*np.take_along_axis(x, ring[..., None], axis=1)],
+        array=at[corners].mean(axis=1),
+        cmap=COLOUR_MAP,
+        edgecolor="face",
+    )
     facets.set_norm(SymLogNorm(SHOWN * largest, vmin=-largest, vmax=largest))
     axes.add_collection(facets)
     axes.set_aspect("equal")

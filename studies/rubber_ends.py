@@ -1,0 +1,114 @@
+"""Free ends of rubbery layers: errors of the law of order 1 with and without them; how stiff bodies must be."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from unittest.mock import patch
+
+import numpy as np
+
+from forms import BulkLaw, Incompressible, LinearElastic, Rubber
+from geometry import sandwich
+from thinlayer import Structure, ThinLayer, compare, observed_orders, plotting, solve
+from thinlayer.discretisation import free_ends
+from thinlayer.discretisation.free_ends import LEAST_CONTRAST
+from thinlayer.errors import RangeWarning
+from thinlayer.files.progress import track
+from thinlayer.running.record import Record
+
+BODY_E = 100.0
+BODY = LinearElastic.young(BODY_E, nu=0.3)
+LAYERS = {"rubber": Rubber.shear(40.0, 0.45), "incompressible": Incompressible(40.0)}  # per thickness
+EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
+TITLES = {"rubber": "rubber, nu = 0.45", "incompressible": "nu = 0.5"}
+NAMES = {"known": "free", "ignored": "plain"}  # whether a law knows its free ends -> `ThinLayer.edges`
+CONTRASTS = (10.0, 20.0, LEAST_CONTRAST, 80.0, 400.0)  # Young's modulus of the bodies over mu of the layer
+SOFT_RATIOS, SOFT_EPS = (0.0, 0.3, 0.45), (1 / 16, 1 / 64)  # Poisson's ratios of elastic layers, thicknesses
+QUANTITIES = ("traction", "jump", "work")
+
+
+def run(record: Record, *, quick: bool = False) -> None:
+    """Solve blocks with a layer whose sides are free, meshed and by laws.
+
+    Args:
+        record: where to write.
+        quick: fewer thicknesses and Poisson's ratios.
+    """
+    for law in LAYERS:
+        for edges in NAMES:
+            _rates(record, law, edges, EPS[:2] if quick else EPS)
+    _contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
+
+
+def _errors(record: Record, law: BulkLaw, eps: float, laws: Sequence[str]) -> list[dict[str, float]]:
+    """Relative errors of laws of order 1 between two blocks: on the inner half of S, and of the work of the loads.
+
+    Args:
+        record: where solves are noted.
+        law: of the layer, per thickness.
+        eps: the thickness.
+        laws: what each knows of its ends, `ThinLayer.edges`.
+    """
+    joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 32, h_ends=eps / 12, cell="quadrilateral")
+    blocks = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
+    full = record.solved(solve(blocks.full(ThinLayer(law, eps), cells_through=12)))
+    found = []
+    for edges in laws:
+        with warnings.catch_warnings():  # of ends that a law does not know
+            warnings.simplefilter("ignore", RangeWarning)
+            limit = record.solved(solve(blocks.interface(ThinLayer(law, eps, order=1, edges=edges))))
+        work = limit.energies()["loads"] / full.energies()["loads"]
+        row = dict(compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25))
+        found.append(row | {"error_work": abs(work - 1)})
+    return found
+
+
+def _rates(record: Record, name: str, edges: str, thicknesses: Sequence[float]) -> None:
+    """Write the errors of a law over the thickness."""
+
+    def run(eps: float) -> dict[str, float]:
+        return _errors(record, LAYERS[name], eps, [NAMES[edges]])[0]
+
+    table = record.sweep(run, thicknesses, f"errors_{name}_{edges}.csv")
+    record.say(f"{TITLES[name]}, ends {edges}\n{table}")
+    # errors of a pressure that ignores its ends change their signs: their orders are those of jumps alone
+    for quantity in QUANTITIES if edges == "known" else ("jump",):
+        order = observed_orders(table["eps"], table[f"error_{quantity}"])[-1] or math.nan
+        bounds = {"low": 1.6} if edges == "known" else {"high": 1.1}
+        record.check(f"{TITLES[name]}: last order of the {quantity}, ends {edges}", order, **bounds)
+
+
+def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[float]) -> None:
+    """Write how many times as large errors are if the law knows its ends, for bodies that are not much stiffer.
+
+    Such bodies are refused below `LEAST_CONTRAST`; here the limit itself is measured.
+    """
+    table = record.table("contrasts.csv")
+    cases = [(nu, eps, contrast) for nu in ratios for eps in thicknesses for contrast in CONTRASTS]
+    with patch.object(free_ends, "LEAST_CONTRAST", 0.0):
+        for nu, eps, contrast in track(cases, "free_ends", "nu, eps, E/mu = {}"):
+            law = LinearElastic.shear(BODY_E / contrast, nu).per_thickness(eps)
+            known, ignored = _errors(record, law, eps, ["free", "plain"])
+            row = {"nu": nu, "eps": eps, "E_over_mu": contrast}
+            for quantity in QUANTITIES:
+                row[quantity] = known[f"error_{quantity}"]
+                row[f"{quantity}_factor"] = known[f"error_{quantity}"] / ignored[f"error_{quantity}"]
+            table.append(row)
+    record.say(table)
+    factors = np.max([table[f"{quantity}_factor"] for quantity in QUANTITIES], axis=0)
+    allowed = table["E_over_mu"] >= LEAST_CONTRAST
+    record.check("largest factor of an error by known ends, where allowed", factors[allowed].max(), high=1.0)
+    record.check("largest factor of an error by known ends, elsewhere", factors[~allowed].max(), low=2.0)
+
+
+def draw(record: Record) -> None:
+    """Draw the errors against the thickness."""
+    for law in LAYERS:
+        plotting.rates(
+            {f"ends {edges}": record.load(f"errors_{law}_{edges}.csv") for edges in NAMES},
+            reference=2.0,
+            title=f"{TITLES[law]}, order 1, inner half of S between blocks with free sides",
+            save=record.path(f"rates_{law}.png"),
+        )

@@ -1,0 +1,61 @@
+"""A lap joint as a mesh file and its description, and the same structure made in a script."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from forms import LinearElastic
+from geometry import Joint, sandwich
+from tests.meshes import write
+from thinlayer import Structure, ThinLayer
+
+EPS = 0.4
+TEXT = """
+mesh = {path = "lap.msh", S = "GLUE", upper = "UPPER"}
+units = "mm, MPa"
+body = {LOWER = {E = 200e3, nu = 0.3}, UPPER = {E = 70e3, nu = 0.2}}
+layer = {E = 3e3, nu = 0.35, eps = 0.4}
+[supports]
+"RIGHT/LOWER" = 0
+"LEFT/UPPER" = {y = 0.001}
+[tractions]
+"LEFT/UPPER" = [-60, 5]
+[goals]
+compliance = true
+pull = {kind = "reaction", place = "LEFT", direction = [0, 1]}
+"""
+
+
+def joint() -> Joint:
+    """Two plates."""
+    return sandwich(20.0, 3.0, 4.0, 1.5, h_S=0.75, cell="quadrilateral")
+
+
+def save(folder: Path, text: str = TEXT) -> Path:
+    """The mesh file lap.msh, and lap.toml; the path of the latter."""
+    plates = joint()
+    lines = {name if name != "S" else "GLUE": plates.facets[name] for name in ("S", "LEFT", "RIGHT")}
+    order = [0, 1, 3, 2]  # of the corners of a quadrilateral in gmsh
+    blocks = [("line", rows) for rows in lines.values()] + [("quad", plates.corners[:, order])]
+    tags = [np.full(len(rows), k) for k, rows in enumerate(lines.values(), 1)] + [plates.region + 1]
+    names = {name: (k, 1) for k, name in enumerate(lines, 1)} | {
+        name: (k, 2) for k, name in enumerate(plates.regions, 1)
+    }
+    write(folder / "lap.msh", plates.points, blocks, tags, names)
+    (folder / "lap.toml").write_text(text)
+    return folder / "lap.toml"
+
+
+def structure() -> Structure:
+    """The structure."""
+    steel, other = LinearElastic.young(200e3, 0.3), LinearElastic.young(70e3, 0.2)
+    supports = {"RIGHT/LOWER": 0.0, "LEFT/UPPER": {"y": 0.001}}
+    body = {"LOWER": steel, "UPPER": other}
+    return Structure(joint(), body=body, supports=supports, tractions={"LEFT/UPPER": (-60.0, 5.0)})
+
+
+def layer(eps: float = EPS) -> ThinLayer:
+    """The glue."""
+    return ThinLayer(LinearElastic.young(3e3, 0.35).per_thickness(eps), eps)

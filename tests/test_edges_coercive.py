@@ -1,0 +1,82 @@
+"""The energy of a layer with free ends on meshes: never negative, whatever the cells; one that does not fade is."""
+
+from __future__ import annotations
+
+import dolfinx.fem.petsc
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+
+from forms import LinearElastic, Rubber, work
+from forms.ends import free_end
+from forms.ends.weights import Strip, Strips
+from geometry import sandwich
+from geometry.ends import straight_ends
+from thinlayer import Structure, ThinLayer
+from thinlayer.discretisation.end_weights import FacetWeights
+from thinlayer.discretisation.free_rim import free_rim
+
+EPS = 0.05
+BODY = LinearElastic.young(1e3, 0.3)
+CELLS = (0.25, 1.0, 4.0, 16.0)  # along S, over the thickness
+RIGID = 3  # motions in the plane
+
+
+def model(law, h, edges):
+    """Blocks of one row of cells; S is 4 cells wide, and 8 thicknesses at least."""
+    joint = sandwich(EPS * max(4 * h, 8.0), EPS, EPS, h * EPS, cell="quadrilateral", structured=True)
+    layer = ThinLayer(law, EPS, order=1, edges=edges)
+    return Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions={}).interface(layer)
+
+
+def eigenvalues(model, more=None):
+    """Of the layer's matrix over the displacements that it resists, each over its own diagonal, ascending."""
+    u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
+    form = work.work(model.layer_terms, u, v)
+    matrix = dolfinx.fem.petsc.assemble_matrix(fem.form(form if more is None else form + more(u, v)))
+    matrix.assemble()
+    A = matrix[:, :]
+    matrix.destroy()
+    used = np.abs(A).max(axis=1) > 1e-12 * np.abs(A).max()
+    A = A[np.ix_(used, used)]
+    scale = np.sqrt(np.abs(np.diag(A)).mean())
+    return np.linalg.eigvalsh(A / scale**2)
+
+
+@pytest.mark.parametrize("h", CELLS)
+@pytest.mark.parametrize("nu", [0.0, 0.2, 0.3, 0.4, 0.45])
+def test_no_displacement_has_a_negative_energy(nu, h):
+    law = LinearElastic.shear(1.0, nu)
+    found, plain = (eigenvalues(model(law, h, edges)) for edges in ("free", "plain"))
+    assert found[0] > -1e-12 * found[-1]
+    # beside rigid motions nothing is much softer than in an infinite layer
+    assert plain[RIGID - 1] < 1e-12 * plain[-1]
+    assert found[RIGID] > 0.3 * plain[RIGID]
+
+
+@pytest.mark.parametrize("h", CELLS[:3])  # the pressure falls over 6.4 thicknesses
+def test_nor_beside_a_pressure(h):
+    found = eigenvalues(model(Rubber.shear(1.0, 0.499), h, "free"))
+    assert found[0] > -1e-12 * found[-1]
+
+
+def test_openings_that_are_weaker_alone_are_not_convex():
+    """c_N M taken off the stiffness of openings over one thickness, with all of the stress along S: nu = .45."""
+    law = LinearElastic.shear(1.0, 0.45)
+    wrong = []
+    for h in (0.25, 1.0):
+        one = model(law, h, "plain")
+        end, layer = free_end(0.45), one.layers["S"]
+        strips = Strips(Strip(end.c_N, 1.0), Strip(), Strip(), 0.0, 0.0)
+        ends = straight_ends(free_rim(one, layer.sheet), layer.sheet)
+        sides = one.sides_of("S")
+        weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one, layer, sides, strips)
+        M = law.lmbda + 2 * law.mu
+
+        def taken(u, v, sides=sides, weights=weights, M=M):
+            return -weights.a_N * M * ufl.dot(sides.jump(u), sides.n) * ufl.dot(sides.jump(v), sides.n) * sides.measure
+
+        wrong.append(eigenvalues(one, taken))
+    for found in wrong:
+        assert found[0] < -1e-3 * found[-1]

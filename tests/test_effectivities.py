@@ -1,0 +1,137 @@
+"""Estimates of what dropping a layer's mesh changes, against meshed layers, beside wrong estimates."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import LinearProblem
+
+from forms import work as forms
+from studies.dropping.further import further_cases
+from studies.dropping.known import known_cases
+from studies.dropping.mapping import along
+from studies.dropping.measuring import Dropped, effectivities, solved
+from studies.dropping.refused import refused_cases
+from thinlayer import RangeWarning, goals
+
+COARSE = 1 / 16
+KNOWN = {case.name.split(" ")[0]: case for case in known_cases()}
+REFUSED = {case.name: case for case in refused_cases()}
+
+
+@pytest.fixture(scope="module")
+def dropped():
+    """Short name of a case -> it, solved once."""
+    found = {}
+
+    def of(name):
+        if name not in found:
+            found[name] = Dropped.of(KNOWN[name], COARSE)
+        return found[name]
+
+    return of
+
+
+def _ratios(one: Dropped, state) -> tuple[float, float]:
+    """Changes of traction and jump to a state over the true ones, on the inner half of S."""
+    changes, truth = one.inner(state), one.inner(one.full)
+    return changes["traction"] / truth["traction"], changes["jump"] / truth["jump"]
+
+
+def _with_layer(one: Dropped, **choices):
+    """The state with another law of order 1 in place of the better one."""
+    layer = one.found.state.model.layers["S"].thin
+    with warnings.catch_warnings(action="ignore", category=RangeWarning):
+        return solved(one.case, one.found.state.model.with_layer(replace(layer, order=1, **choices)))
+
+
+def test_between_rollers_changes_are_those_to_the_meshed_layer(dropped):
+    """Numbers are those of exact layers and laws, by transfer matrices; leading terms of the compliance cancel."""
+    row, (compliance, _) = effectivities(dropped("1"))
+    assert row["traction"] == pytest.approx(0.993799, abs=2e-4)
+    assert row["jump"] == pytest.approx(1.007739, abs=2e-4)
+    assert compliance["effectivity"] == pytest.approx(1.2573, abs=2e-3)
+
+
+def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low(dropped):
+    one = dropped("6")
+    traction, jump = _ratios(one, one.found.better)
+    assert (traction, jump) == (pytest.approx(0.965, abs=0.02), pytest.approx(0.987, abs=0.02))  # of another program
+    traction, jump = _ratios(one, _with_layer(one, edges="plain"))
+    assert (traction, jump) == (pytest.approx(0.83, abs=0.02), pytest.approx(0.95, abs=0.02))
+
+
+def test_goals_change_as_to_the_meshed_layer(dropped):
+    _, rows = effectivities(dropped("6"))
+    assert {row["goal"] for row in rows} == {goal.name for goal in KNOWN["6"].asked}
+    for row in rows:
+        assert row["effectivity"] == pytest.approx(0.975, abs=0.02), row["goal"]
+        assert row["told"]
+
+
+def test_a_rubbery_layer_needs_its_pressure(dropped):
+    """Without it the law of order 1 does not know the flow along S: its jump is 14 % off."""
+    one = dropped("4")
+    row, _ = effectivities(one)
+    assert (row["traction"], row["jump"]) == (pytest.approx(1.02, abs=0.005), pytest.approx(1.005, abs=0.005))
+    traction, jump = _ratios(one, _with_layer(one))
+    assert max(abs(traction - 1), abs(jump - 1)) > 0.1
+
+
+def test_changes_by_the_matrix_of_order_0_are_too_low(dropped):
+    """u_0 - K_0^-1 (K_1 u_0 - f) in place of u_1: the first term of a series that the estimate has whole."""
+    one = dropped("8")
+    traction, _ = _ratios(one, one.found.better)
+    assert traction == pytest.approx(0.92, abs=0.03)
+    traction, _ = _ratios(one, _substituted(one))
+    assert traction < 0.75
+
+
+def _substituted(one: Dropped):
+    """The state of order 0, corrected once by its own matrix."""
+    before, better = one.found.state, one.found.better
+    model = before.model
+    du, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
+    lacks = forms.work(before.layers, before.u, v) - forms.work(better.layers, before.u, v)
+    matrix = forms.work([*before.bodies, *before.layers], du, v)
+    held = fem.locate_dofs_geometrical(model.V, lambda x: np.isclose(x[1], -0.5))
+    supports = [fem.dirichletbc(np.zeros(2), held, model.V)]
+    direct = {"ksp_type": "preonly", "pc_type": "lu"}
+    change = LinearProblem(matrix, lacks, bcs=supports, petsc_options=direct).solve()
+    u = fem.Function(model.V)
+    u.x.array[:] = before.u.x.array + change.x.array
+    return replace(before, u=u)
+
+
+def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
+    """Full models have their bodies apart: a place of the interface model is another one there."""
+    case = replace(KNOWN["6"], asked=(goals.Displacement((0.3, 0.4), (0.0, 1.0)),))
+    one = Dropped.of(case, COARSE)
+    (goal,) = case.asked
+    shifted = goals.Displacement((0.3, 0.4 + COARSE / 2), (0.0, 1.0))
+    there = shifted.value(replace(one.full, model=one.full.model), one.full.model)  # the same point, by its own place
+    assert goal.value(one.full, one.found.better.model) == pytest.approx(there, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["yields at a free end", "contact", "changes cancel", "free ends, anisotropic"])
+def test_where_there_is_no_number_a_sentence_says_why(name):
+    case = REFUSED[name]
+    words, silent = case.told()
+    assert case.says in words
+    assert silent == case.silent
+
+
+def test_the_density_of_the_change_is_that_of_the_meshed_layer():
+    """Away from ends, where the law of order 1 has the strains of the meshed layer."""
+    (case,) = (one for one in further_cases() if one.name == "two stiffnesses")
+    one = Dropped.of(case, COARSE)
+    table = along(one)
+    inner = np.abs(table["x"] - 0.5) < 0.3
+    assert table["density"][inner] == pytest.approx(table["true_density"][inner], rel=0.06)
+    assert np.trapezoid(table["density"], table["x"]) == pytest.approx(one.estimated["compliance"], rel=1e-8)
+    assert np.trapezoid(table["true_density"], table["x"]) == pytest.approx(one.truth["compliance"], rel=1e-6)

@@ -1,0 +1,250 @@
+"""Errors of dropping a layer: exact identity, effectivity, sentences, what is refused, ranks and units."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic, MohrCoulomb, Norton, VonMises
+from forms.contact import HolonomicCoulomb
+from geometry import sandwich
+from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, numbers, structure
+from tests.non_monotone_run import LAWS
+from tests.ranks import mpirun
+from thinlayer import (
+    ModelError,
+    Structure,
+    Surface,
+    ThinLayer,
+    estimate,
+    goals,
+    march,
+    plotting,
+    solve,
+    thin_enough,
+)
+from thinlayer.estimating.better import better_layers
+from thinlayer.estimating.places import away_from_ends
+
+pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
+
+
+@pytest.fixture(scope="module")
+def every():
+    """An estimate of each kind of structure."""
+    return {kind: estimated(kind) for kind in KINDS}
+
+
+# ---------------------------------------------------------------- the identity
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_densities_of_goals_add_up_to_their_changes(kind, every):
+    """Exact for linear laws, whatever the goal; the integral of the expression on S is the same sum."""
+    found = every[kind]
+    for name, goal in found.goals.items():
+        density, size = found.density(name), max(abs(goal.value), abs(goal.better))
+        assert density.total == pytest.approx(goal.change, abs=1e-11 * size), name
+        integral = found.better.integral(found.map(name) * found.better.model.sides.measure)
+        assert integral == pytest.approx(goal.change, abs=1e-11 * size), name
+
+
+def test_in_three_dimensions_too():
+    found = estimated("between", 3)
+    for name, goal in found.goals.items():
+        assert found.density(name).total == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
+
+
+def test_weights_of_the_law_of_order_0_are_not_exact(every):
+    """What u_0 itself gives instead of u_1, for the compliance: the first term of a series."""
+    found = every["between"]
+    first = estimate_by_first_term(found)
+    assert abs(first / found.goals["compliance"].change - 1) > 0.01
+
+
+def estimate_by_first_term(found):
+    from thinlayer.discretisation.state import Configuration
+    from thinlayer.solving.adjoint import Adjoint
+
+    with Adjoint(found.better) as adjoint:
+        z = Configuration(found.state.u, 0.0)
+        return sum(float(part.sum()) for part in adjoint.summands(z, found.state).values())
+
+
+# ---------------------------------------------------------------- effectivity
+def graded() -> Structure:
+    """Cells at the ends of S as large as a fifth of the thickness."""
+    joint = sandwich(1.3, 0.3, 0.4, 0.15, h_ends=EPS / 10)
+    loads = {"TOP": lambda x, t: (0.3 * t, -t)}
+    return Structure(joint, body=LOWER, supports={"BOTTOM": 0}, tractions=loads)
+
+
+def test_the_estimate_is_the_error():
+    """At free ends, beside a law of order 1 without their constants, which finds a sixth less."""
+    made, layer = graded(), ThinLayer(GLUE, EPS / 2)
+    limit, full = (solve(model, 1.0) for model in (made.interface(layer), made.full(layer)))
+    found = estimate(limit)
+    surface = Surface(limit.model)
+    part = away_from_ends(limit.model, limit.model.layers["S"], 3 * layer.eps)
+    for field, error in ((surface.traction, found.traction), (surface.jump, found.jump)):
+        true = surface.norm(field(full) - field(limit), part) / surface.norm(field(limit), part)
+        assert error == pytest.approx(true, rel=0.08)
+    true = full.energies()["loads"] - limit.energies()["loads"]
+    assert found.goals["compliance"].change == pytest.approx(true, rel=0.08)
+    plain = solve(made.interface(ThinLayer(GLUE, layer.eps, order=1, edges="plain")), 1.0)
+    assert plain.energies()["loads"] - limit.energies()["loads"] < 0.88 * true
+
+
+def test_one_more_solve_is_all(every):
+    assert every["between"].better.report.iterations == every["between"].state.report.iterations
+    assert 0 < every["between"].cost < 20  # a time: of the machine, too
+
+
+def test_a_history_is_marched_again():
+    layer, made = ThinLayer(Norton(lmbda=1.2, mu=2.0, eta=0.7, p=1.5), EPS / 2), graded()
+    limit, full = (march(model, [0.3, 0.8]) for model in (made.interface(layer), made.full(layer)))
+    found = estimate(limit)
+    assert found.better.t == 0.8
+    true = full.last.energies()["loads"] - limit.last.energies()["loads"]
+    assert found.goals["compliance"].change == pytest.approx(true, rel=0.25)
+    assert found.density().total == pytest.approx(found.goals["compliance"].change, rel=0.02)  # not linear: first order
+    assert "without edge terms" in str(found)
+    with pytest.raises(ModelError, match="marched with theta"):
+        estimate(march(structure("between").interface(ThinLayer(LOWER, EPS)), [0.5, 1.0], theta=0.5))
+
+
+def test_newton_begins_at_the_given_state():
+    """From u_0 and from rest it finds the same."""
+    sides = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    pressed = {"TOP": lambda x, t: (0, -t * x[0])}
+    made = Structure(sandwich(1.3, 0.3, 0.4, 0.15), body=LOWER, supports=sides, tractions=pressed)
+    limit = solve(made.interface(ThinLayer(VonMises(4.0, 3.0, strength=0.5, hardening=2.0), EPS)), 1.0)
+    found = estimate(limit)
+    again = solve(found.better.model, 1.0)
+    difference = np.abs(again.u.x.array - found.better.u.x.array).max()
+    assert difference < 1e-9 * np.abs(again.u.x.array).max()
+    assert found.better.report.iterations <= again.report.iterations
+    assert found.unknown == ""  # it yields, but has no free ends
+
+
+# ---------------------------------------------------------------- words
+def test_sentences(every):
+    said = every["between"].sentences
+    assert said[0].startswith("order 0: ")
+    assert "% in traction" in said[0]
+    assert "below" in next(one for one in said[0].split(", ") if "reaction" in one)  # equilibrium gives it
+    assert said[1] == "within 0.15 of free ends: not known"
+    assert every["bonded"].sentences[0].startswith("perfect bond: ")
+    assert math.isnan(every["bonded"].jump)
+    assert every["between"].laws == {"S": "order 1 of LinearElastic, with its free ends"}
+    assert every["rubber"].laws["S"].startswith("order 1 of Rubber")
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (VonMises(4.0, 3.0, strength=0.9, hardening=2.0), "yields at its free ends"),
+        (MohrCoulomb(4.0, 3.0, cohesion=0.1, friction_angle=15.0), "slides or yields with a dilatancy"),
+    ],
+)
+def test_a_layer_that_yields_at_its_ends_has_no_estimate(law, words):
+    found = estimate(solve(graded().interface(ThinLayer(law, EPS)), 1.0))
+    assert math.isnan(found.traction)
+    assert found.sentences == [f"order 0: {found.unknown}"]
+    assert words in found.unknown
+    assert np.isnan(found.table["error"]).all()
+    assert estimate(solve(graded().interface(ThinLayer(law, EPS)), 0.01)).unknown == ""  # it stays elastic
+
+
+# ---------------------------------------------------------------- thin enough
+def test_thin_enough_is_where_the_estimate_is_the_tolerance():
+    joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15)
+    made = Structure(joint, body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)})
+    found = thin_enough(made, ThinLayer(GLUE, EPS), 0.01, goals.Compliance())
+    layer = ThinLayer(GLUE.per_thickness(found.eps / EPS), found.eps)
+    assert layer.law.in_layer(found.eps).mu == pytest.approx(GLUE.in_layer(EPS).mu)
+    error = estimate(solve(made.interface(layer))).goals["compliance"].relative
+    assert 0.98 * 0.01 < error <= 0.01
+    assert f"thinner than {found.eps:.3g}" in str(found)
+    assert len(found.table) <= 10
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "goal", "message"),
+    [(1.5, "traction", "tolerance is 1.5"), (0.1, "stress", "goal is 'stress'"), (0.001, "jump", "hardly falls")],
+)
+def test_thin_enough_refuses(tolerance, goal, message):
+    layer = ThinLayer(LinearElastic.young(30.0, 0.3).per_thickness(EPS), EPS)
+    with pytest.raises(ModelError, match=message):
+        thin_enough(structure("between"), layer, tolerance, goal)
+
+
+# ---------------------------------------------------------------- refused
+def test_what_has_no_estimate():
+    made, layer = structure("between"), ThinLayer(GLUE, EPS)
+    limit = solve(made.interface(layer))
+    for given, message in [
+        (lambda: estimate(3), "takes a state"),
+        (lambda: estimate(limit, layer), "layer= is for"),
+        (lambda: estimate(solve(made.bonded())), "give layer="),
+        (lambda: estimate(solve(made.full(layer))), "nothing dropped"),
+        (lambda: estimate(solve(made.interface(ThinLayer(GLUE, EPS, order=1)))), "order=1 already"),
+        (lambda: estimate(limit, goals=["traction"]), "is no goal"),
+        (lambda: estimate(limit, goals=[goals.Compliance(), goals.Compliance()]), "two goals"),
+        (lambda: estimate(limit, goals=[goals.Reaction("BOTTOM", (0, 0))]), "direction"),
+        (lambda: estimate(limit, goals=[goals.Displacement((9.0, 0.0), (0, 1))]), "in no cell"),
+        (lambda: estimate(limit, goals=[goals.MeanTraction((0, 1), seam="GLUE")]), "GLUE"),
+        (lambda: estimate(limit).density("traction"), "no goal"),
+    ]:
+        with pytest.raises(ModelError, match=message):
+            given()
+
+
+@pytest.mark.parametrize(
+    ("law", "element", "message"),
+    [
+        (ThinLayer(LAWS["relaxed"], EPS), "P2", "phases"),
+        (HolonomicCoulomb(50.0, 20.0, 0.3), "P1", "has a law on S, HolonomicCoulomb, without a thickness"),
+    ],
+)
+def test_laws_without_an_estimate(law, element, message):
+    model = Structure(sandwich(1.3, 0.3, 0.4, 0.3), body=LOWER, supports={"BOTTOM": 0, "TOP": 0}, element=element)
+    with pytest.raises(ModelError, match=message):
+        better_layers(model.interface(law).layers)
+
+
+# ---------------------------------------------------------------- pictures, units, ranks
+def test_the_picture_of_a_density(tmp_path, every):
+    plotting.density(every["between"].density(), save=tmp_path / "a.png", title="compliance", length="mm")
+    plotting.density(estimated("base", 3).density(), save=tmp_path / "b.png")
+    assert (tmp_path / "a.png").stat().st_size > 5000
+    assert (tmp_path / "b.png").stat().st_size > 5000
+
+
+def test_units_do_not_matter():
+    """Lengths in thousandths, stresses in millionths: relative errors are the same."""
+    found = []
+    for length, stress in ((1.0, 1.0), (1e3, 1e-6)):
+        joint = sandwich(*(length * x for x in (1.3, 0.3, 0.4, 0.3)), h_ends=0.15 * length)
+        body, glue = (LinearElastic.shear(law.mu * stress, 0.3) for law in (LOWER, GLUE))
+        glue = glue.per_thickness(length)
+        made = Structure(joint, body=body, supports={"BOTTOM": 0}, tractions={"TOP": (0.3 * stress, -stress)})
+        one = estimate(solve(made.interface(ThinLayer(glue, EPS * length))))
+        found.append([one.traction, one.jump, one.goals["compliance"].relative])
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def test_ranks_do_not_matter():
+    here = {}
+    for kind, dim in (("between", 2), ("rubber", 2), ("base", 2), ("between", 3), ("plate", 2)):
+        here |= numbers(kind, dim)
+    out = mpirun(2, "-m", "tests.estimate_run")
+    assert out.returncode == 0, out.stderr
+    there = json.loads(out.stdout.splitlines()[-1])
+    assert there.keys() == here.keys()
+    sizes = {name.split(" ")[0]: 0.0 for name in here}
+    for name, value in here.items():
+        sizes[name.split(" ")[0]] = max(sizes[name.split(" ")[0]], abs(value))
+    for name, value in here.items():
+        assert there[name] == pytest.approx(value, rel=1e-8, abs=1e-11 * sizes[name.split(" ")[0]]), name

@@ -1,0 +1,188 @@
+"""Parts of an interface model carried to another model of the same joint, whose bodies stand apart where its law acts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import Configuration, transfer
+from thinlayer.parts.part import Array, Block, FileOrder, Interval, Outcome, Part
+
+
+class Carrier:
+    """Displacements and nodal forces of one model as those of another model of the same joint. Collective.
+
+    Body cells of both models have the same degrees of freedom, so that this is a change of numbers.
+
+    Args:
+        model: the model that solvers see.
+        other: the one whose parts act.
+
+    Attributes:
+        V: space of the other model.
+        matrix: displacements of the other model by those of the first one.
+    """
+
+    def __init__(self, model: Model, other: Model) -> None:
+        self.V = other.V
+        (n, first), (rows, _) = (_range(one.V) for one in (model, other))
+        numbers = fem.Function(model.V)
+        numbers.x.array[:n] = first + np.arange(n)
+        numbers.x.scatter_forward()
+        columns = np.rint(transfer(numbers, model, other.V, other).x.array[:rows]).astype(PETSc.IntType)
+        starts = np.arange(rows + 1, dtype=PETSc.IntType)
+        csr = (starts, columns, np.ones(rows))
+        self.matrix = PETSc.Mat().createAIJ(((rows, None), (n, None)), csr=csr, comm=model.comm)
+
+    def displacements(self, u: fem.Function) -> fem.Function:
+        """Displacements in the other model."""
+        out = fem.Function(self.V)
+        self.matrix.mult(u.x.petsc_vec, out.x.petsc_vec)
+        out.x.scatter_forward()
+        return out
+
+    def add_forces(self, forces: PETSc.Vec, out: PETSc.Vec) -> None:
+        """Add nodal forces of the other model to those of the first one."""
+        self.matrix.multTransposeAdd(forces, out, out)
+
+    def stiffness(self, K: PETSc.Mat) -> PETSc.Mat:
+        """A stiffness matrix of the other model as one of the first one."""
+        return K.ptap(self.matrix)
+
+
+def _range(V: fem.FunctionSpace) -> tuple[int, int]:
+    """Number of this rank's degrees of freedom, and the first of them."""
+    dofmap = V.dofmap
+    first, last = dofmap.index_map.local_range
+    return (last - first) * dofmap.index_map_bs, first * dofmap.index_map_bs
+
+
+class Carried(Part):
+    """A part without own unknowns of another model, on the displacements of this one.
+
+    Args:
+        part: the part.
+        carrier: between both models.
+        key: key of the part here.
+    """
+
+    def __init__(self, part: Part, carrier: Carrier, key: str) -> None:
+        assert part.field is None
+        self.key, self._part, self._carrier = key, part, carrier
+        self.traits, self.stress_width = part.traits, part.stress_width
+        self.K = None if part.K is None else carrier.stiffness(part.K)
+        self._values = fem.Function(carrier.V)  # whose memory the vector has
+        self._forces = self._values.x.petsc_vec
+
+    # ---------------------------------------------------------------- a step
+    def _old(self, old: Configuration) -> Configuration:
+        """A configuration of this model as one of the other, of this part alone."""
+
+        def own(values: Mapping[str, Any]) -> dict[str, Any]:
+            return {self._part.key: values[self.key]} if self.key in values else {}
+
+        u, others = self._carrier.displacements(old.u), (old.memory, old.stored, old.stresses)
+        memory, stored, stresses = map(own, others)
+        return Configuration(u, old.t, memory, {}, stored, old.at_rest, stresses=stresses)
+
+    def begin(self, interval: Interval) -> None:
+        super().begin(interval)
+        self._part.begin(replace(interval, old=self._old(interval.old)))
+
+    def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
+        self._part.evaluate(self._carrier.displacements(u), self._carrier.displacements(mid))
+        self.failed = self._part.failed
+
+    def add_forces(self, out: PETSc.Vec) -> float:
+        self._forces.set(0.0)
+        size = self._part.add_forces(self._forces)
+        self._carrier.add_forces(self._forces, out)
+        return size
+
+    def add_fixed(self, out: PETSc.Vec) -> None:
+        self._forces.set(0.0)
+        self._part.add_fixed(self._forces)
+        self._carrier.add_forces(self._forces, out)
+
+    def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
+        self._forces.set(0.0)
+        self._part.add_forces_in(self._old(state), self._forces)
+        self._carrier.add_forces(self._forces, out)
+
+    def tangents(self, relative_residual: float) -> list[Block]:
+        found = []
+        for block in self._part.tangents(relative_residual):
+            if self.K is not None and block.matrix == self._part.K:
+                found.append(replace(block, matrix=self.K))
+                continue
+            found.append(replace(block, matrix=self._carrier.stiffness(block.matrix), kept=False))
+            if not block.kept:
+                block.matrix.destroy()
+        return found
+
+    def commit(self) -> Outcome:
+        return replace(self._part.commit(), kept=True)
+
+    def failure(self) -> str:
+        return self._part.failure()
+
+    # ---------------------------------------------------------------- memory, time, laws
+    def rest(self) -> Array | None:
+        return self._part.rest()
+
+    def at_time(self, t: float) -> None:
+        self._part.at_time(t)
+
+    def parameters(self) -> list[Array]:
+        return self._part.parameters()
+
+    def ease(self, ease: float) -> None:
+        self._part.ease(ease)
+
+    @property
+    def excess(self) -> float:
+        return self._part.excess
+
+    def switch(self) -> bool:
+        return self._part.switch()
+
+    # ---------------------------------------------------------------- questions
+    @property
+    def unchecked(self) -> Sequence[str]:
+        return self._part.unchecked
+
+    def undeclared_softening(self) -> tuple[str, str] | None:
+        return self._part.undeclared_softening()
+
+    def takes_time(self) -> str:
+        return self._part.takes_time()
+
+    def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
+        return self._part.answers_at_once(times)
+
+    def error_measure(self, u: fem.Function) -> npt.NDArray[np.float64]:
+        return self._part.error_measure(self._carrier.displacements(u))
+
+    def unit_jump_measure(self) -> float:
+        return self._part.unit_jump_measure()
+
+    @property
+    def file_order(self) -> FileOrder | None:
+        return self._part.file_order
+
+    @property
+    def comms(self) -> list[MPI.Intracomm]:
+        return self._part.comms
+
+    def destroy(self) -> None:
+        if self.K is not None:
+            self.K.destroy()
+        self._part.destroy()
