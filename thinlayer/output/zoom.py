@@ -34,7 +34,8 @@ class CornerStrengths:
         m: (d,) unit normal of the end, in S, outward.
         exponent: lambda, from 1 at nu = 0 to 0.595 at nu = 0.5.
         shear: of the traction along S; at the upper corner with the other sign.
-        lower, upper: H, (n,), at the corners on the lower and on the upper face, stress times length^(1 - exponent).
+        lower, upper: H, (n,), at the corners on the lower and on the upper face, stress times length^(1 - exponent); nan
+            for nu < 0.01, where nothing grows.
     """
 
     x: Array
