@@ -1,4 +1,4 @@
-"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 33 structures."""
+"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 34 structures."""
 
 from __future__ import annotations
 
@@ -115,7 +115,8 @@ def _costs(record: Record, *, quick: bool) -> None:
     for name in track([*PLACES][: 1 if quick else None], "may_i_drop", "costs, {}"):
         table.append(cost(name))
     record.say(table)
-    record.check("largest number of further solves", table["further_solves"].max(), high=SOLVES)
+    if not quick:
+        record.check("largest number of further solves", table["further_solves"].max(), high=SOLVES)
 
 
 def draw(record: Record) -> None:

@@ -89,7 +89,7 @@ class Compliance(Goal):
     name: str = field(default="compliance", init=False)
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        loads = state.energies()["loads"]
+        loads = state.load_work()
         if not _moves(model):
             return loads
         if not state.model.linear or any(term.given is not None for term in state.model.terms):
