@@ -8,6 +8,7 @@ from studies.dropping.known import of, of_real, soft
 from studies.dropping.structures import (
     channel,
     corner,
+    disc,
     freely,
     heated,
     on_base,
@@ -64,5 +65,6 @@ def further_cases() -> list[Case]:
         Case("Maxwell", _channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle),
         Case("rings", _rings, of(LinearElastic(60.0, 40.0)), bodies="extended"),
         Case("tubes", _tube, soft(30.0, 0.35)),
+        Case("a disc", disc, soft(30.0, 0.3)),
         Case("a corner in 3D", corner, soft(30.0, 0.3), solid=True),
     ]

@@ -138,6 +138,13 @@ def tube() -> Structure:
 
 
 @cache
+def disc(eps: float) -> Structure:
+    """Two round blocks with a free side, a section from the axis to r = 1, pressed most at the axis."""
+    load = {"TOP": lambda x, t: (0.0, x[0] ** 2 - 1)}
+    return Structure(_blocks(eps), body=FOURIER_BODY, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
+
+
+@cache
 def plated(eps: float) -> Structure:
     """Two blocks with free sides on springs, under a rigid plate that may turn."""
     parts = [Springs("BOTTOM", normal=300.0, tangential=200.0), RigidPlate("TOP", force=(0.3, -1.0), moment=0.1)]
@@ -155,7 +162,7 @@ def two_seams(eps: float) -> Structure:
 @cache
 def heated(eps: float) -> Structure:
     """Two blocks with free sides, of which the upper one expands by a hundredth."""
-    body = {"LOWER": FOURIER_BODY, "UPPER": LinearElastic.young(E=60.0, nu=0.2)}
+    body = {"LOWER": FOURIER_BODY, "UPPER": LinearElastic.young(E=80.0, nu=0.2)}
     return Structure(_blocks(eps), body=body, supports={"BOTTOM": 0.0}, eigenstrain={"UPPER": 0.01})
 
 

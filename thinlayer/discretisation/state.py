@@ -169,14 +169,18 @@ class State(Configuration):
         for key in {p.key: None for p in layers}:
             in_forms = [p for p in layers if p.key == key and not p.law.traits.compiled]
             of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
-        given = sum(part.load_work(model, self) for part in model.parts)
         return {
             BODIES: self._stored([p for p in self.bodies if not p.law.traits.compiled]) + sum(of_bodies.values()),
             LAYER: sum(of_layers.values()),
             **{f"{LAYER} {name}": energy for name, energy in model.by_seam(of_layers).items()},
             **added,
-            "loads": self.integral(model.external_work(self.u, self.t)) + given,
+            "loads": self.load_work(),
         }
+
+    def load_work(self) -> float:
+        """The loads' work in the displacements. Collective."""
+        given = sum(part.load_work(self.model, self) for part in self.model.parts)
+        return self.integral(self.model.external_work(self.u, self.t)) + given
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
         """What a place gives to the structure: its supports and springs, or the rigid base below a layer. Collective.
