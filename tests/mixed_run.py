@@ -9,7 +9,7 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from forms import LinearElastic
-from geometry import sandwich, wall
+from geometry import block, sandwich, wall
 from thinlayer import Structure, Surface, ThinLayer, solve
 
 BODY, LAYER = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(40.0, 0.3)
@@ -30,6 +30,11 @@ def space(cell: str) -> Structure:
     joint = sandwich(1.0, 0.4, 0.3, depth=0.25, h=1 / 4, cell=cell)
     supports = {"BOTTOM": 0.0, "FRONT": {"z": 0.0}, "BACK": {"z": 0.0}}
     return Structure(joint, body=BODY, supports=supports, tractions={"TOP": (0.3, -1.0, 0.1)})
+
+
+def on_base() -> Structure:
+    joint = block(1.0, 0.5, h=1 / 4, h_S=1 / 16, cell="triangle")
+    return Structure(joint, body=BODY, supports={}, tractions={"TOP": (0.3, -1.0)})
 
 
 BRICKS, HEADS = 1 / 16, 0.7  # thickness of beds, over the length of bricks; of heads, over that of beds

@@ -8,7 +8,7 @@ import ufl
 
 from forms import KelvinVoigt, LinearElastic, Norton, VonMises
 from geometry import GeometryError, ring, sandwich
-from tests.mixed_run import BODY, BRICKS, EPS, LAYER, bricks, mortar, near_junctions
+from tests.mixed_run import BODY, BRICKS, EPS, LAYER, bricks, mortar, near_ends, near_junctions, on_base
 from thinlayer import Structure, ThinLayer, compare, march, solve
 
 
@@ -97,3 +97,15 @@ def test_eigenstrains_of_layers_act_on_cells_and_by_the_law():
         full, mixed = (march(model, [1.0]).last for model in (structure.full(layer), near))
         assert mixed.energies()["layer"] == pytest.approx(full.energies()["layer"], rel=1e-4)  # 1e-15, 1e-5
         assert abs(mixed.audit.imbalance) < 1e-12
+
+
+@pytest.mark.parametrize("bodies", ["kept", "extended"])
+def test_a_layer_on_a_rigid_base_whose_law_and_cells_hold_the_body_together(bodies):
+    structure, layer = on_base(), ThinLayer(LAYER, EPS, order=1, edges="plain")
+    near = structure.mixed(layer, where=near_ends, bodies=bodies)
+    full, law = structure.full(layer, bodies=bodies), structure.interface(layer, bodies=bodies)
+    full, mixed, law = (solve(model) for model in (full, near, law))
+    assert mixed.reaction("S").force == pytest.approx([-0.3, 1.0], rel=1e-10)
+    ours, theirs = (compare(full, state) for state in (mixed, law))
+    assert ours["error_traction"] < theirs["error_traction"] / 5
+    assert ours["error_jump"] < theirs["error_jump"] / 5

@@ -55,6 +55,16 @@ def interior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.ND
     return np.array(entities, dtype=np.int32).reshape(-1, 4)
 
 
+def exterior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """(cell, local facet) of exterior facets, (n, 2)."""
+    kind, topology = fem.IntegralType.exterior_facet, mesh.topology
+    entities = _first(
+        lambda: fem.compute_integration_domains(kind, topology, facets),
+        lambda: cpp.fem.compute_integration_domains(kind, topology._cpp_object, facets, topology.dim - 1),
+    )
+    return np.array(entities, dtype=np.int32).reshape(-1, 2)
+
+
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Interpolation points of a space's element on the reference cell."""
     points = V.element.interpolation_points

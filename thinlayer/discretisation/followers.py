@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from geometry.domain import Domain
 from geometry.errors import place
-from geometry.seam import CUT, LOWER_FACE, UPPER_FACE
+from geometry.seam import BASE, CUT, LOWER_FACE, UPPER_FACE
 from thinlayer.discretisation.joint_fields import shift
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
@@ -55,8 +55,8 @@ class Followers:
         before = x - moved.x.array.reshape(x.shape)
         at_cut = _owned(domain, V, CUT)
         faces = [
-            _owned(domain, V, *(name for name in domain.joint.facets if name.split("/")[-1] == face))
-            for face in (LOWER_FACE, UPPER_FACE)
+            _owned(domain, V, *(name for name in domain.joint.facets if name.split("/")[-1] in face))
+            for face in ((LOWER_FACE, BASE), (UPPER_FACE,))
         ]
         rows = np.setdiff1d(at_cut, np.union1d(*faces))
         ends, size = [], float(np.ptp(domain.joint.points, axis=0).max())

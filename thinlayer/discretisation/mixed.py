@@ -15,6 +15,7 @@ from forms import work as forms
 from forms.interface import Interface
 from geometry.errors import place
 from geometry.seam import LAYER, S
+from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.joint_fields import cellwise
@@ -94,11 +95,12 @@ class MixedModel(FullModel):
             return None
         terms = []
         for name, one in model.layers.items():
-            entities = np.ascontiguousarray(self._without_cells(name), np.int32)
-            measure = ufl.Measure("dS", domain=model.domain.mesh, subdomain_data=[(1, entities.ravel())])
             wanted = self.layers[name].thin
             assert wanted
-            of_order = model.terms_of(_of_order(one, wanted.order), self._sides(one))
+            measure, of_order = (
+                self._without_cells(name),
+                model.terms_of(_of_order(one, wanted.order), self._sides(one)),
+            )
             terms += [replace(p, measure=measure(1, metadata=p.measure.metadata())) for p in of_order]
         return model, terms
 
@@ -109,7 +111,9 @@ class MixedModel(FullModel):
         """
         model, joint = self.by_law, self.joint
         sides = model.sides_of(one.name)
-        if model.domain.joint.parted is not None:  # whose sides know their fibres
+        if (
+            model.domain.joint.parted is not None or one.name in joint.base_seams
+        ):  # sides that know their fibres; upright
             return sides
         inflated, count = self.domain.joint, len(joint.cells)
         moved = (inflated.points - inflated.reference)[inflated.cells[:count]].mean(axis=1)
@@ -123,15 +127,24 @@ class MixedModel(FullModel):
         way = by_cell("+") - by_cell("-")
         return replace(sides, fibre=way / ufl.dot(way, sides.n))
 
-    def _without_cells(self, name: str) -> npt.NDArray[np.int32]:
-        """Rows (upper cell, local facet, lower cell, local facet) of this rank's facets of a seam without cells."""
+    def _without_cells(self, name: str) -> ufl.Measure:
+        """The measure of the interface model over the facets of a seam without cells; its part 1. Collective."""
+        domain, joint = self.by_law.domain, self.joint
         assert self.meshed is not None
-        domain, joint = self.by_law.domain, self.by_law.joint
-        entities = seam_entities(domain, name)
+        mesh, below = domain.mesh, joint.surface_cells[:, 0]
         count = len(joint.cells)
-        lower, upper = joint.surface_cells[~self.meshed].T
-        own = domain.original_cells[entities[:, 0]] * count + domain.original_cells[entities[:, 2]]
-        return np.asarray(entities[np.isin(own, upper * count + lower)])
+        pairs = joint.surface_cells[~self.meshed] @ [1, count]
+        if name in joint.base_seams:
+            facets = np.sort(domain.facets(name))
+            facets = facets[facets < mesh.topology.index_map(joint.dim - 1).size_local]
+            found = exterior_facet_entities(mesh, facets)
+            chosen = found[
+                np.isin(domain.original_cells[found[:, 0]], joint.surface_cells[~self.meshed & (below < 0), 1])
+            ]
+            return ufl.Measure("ds", domain=mesh, subdomain_data=[(1, np.ascontiguousarray(chosen).ravel())])
+        found = seam_entities(domain, name)
+        chosen = found[np.isin(domain.original_cells[found[:, [2, 0]]] @ [1, count], pairs)]
+        return ufl.Measure("dS", domain=mesh, subdomain_data=[(1, np.ascontiguousarray(chosen, np.int32).ravel())])
 
 
 def _facets(structure: Setup, where: Where) -> BoolArray:
@@ -160,8 +173,8 @@ def _facets(structure: Setup, where: Where) -> BoolArray:
 def _require(structure: Setup, layer: Layers, meshed: BoolArray) -> None:
     """Raise ModelError for what a mixed model cannot have, with the reason."""
     joint = structure.joint
-    if joint.base_seams:
-        raise ModelError("a mixed model needs bodies on both sides of S, not a rigid base")
+    if joint.base_seams and len(joint.seams) > 1:
+        raise ModelError("a mixed model on a rigid base needs one seam")
     if joint.periods or structure.strain is not None or structure.stress is not None:
         raise ModelError("a mixed model is not for periodic cells")
     if structure.element[0] == "S":

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
+from geometry.seam import BASE
 from thinlayer.discretisation.layer import LAYER, PRESSURE
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import rigid_values
+from thinlayer.parts.making import ON_S
 from thinlayer.parts.part import Interval, Part
 from thinlayer.solving.substitution import Substitution
 
@@ -60,20 +62,29 @@ class ReactionSums:
         model, given = self.model, self.substitution
         forces = given.passed_on(r.array_r) if given else r.array_r
         rows = [model.prescribed.resultants(forces, self._motions)]
+        if layers and model.joint.base_seams:  # on which laws may act beside meshed layers, which supports hold
+            for number, (place, _) in enumerate(model.supports.entries):
+                if place == BASE:
+                    keys = {part.key for part in self.parts if part.key.endswith(f"/{ON_S}")}
+                    rows[0][number] -= self._of_parts(keys, r)
         for R in given.ties.values() if given else ():
             tied = np.diff(R.indptr) > 0
             rows.append((forces[tied] @ self._motions[tied])[None])
         first = len(model.supports.entries) + len(rows) - 1
         for name in model.holders[first:]:
-            on_base = r.duplicate()
-            on_base.set(0.0)
-            if layers:
-                keys = self._keys_of(model.layers[str(name)].key)
-                for part in self.parts:
-                    part.add_layer_forces(keys, on_base)
-            rows.append(-(on_base.array_r @ self._motions)[None])
-            on_base.destroy()
+            keys = self._keys_of(model.layers[str(name)].key) if layers else set()
+            rows.append(-self._of_parts(keys, r)[None])
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
+
+    def _of_parts(self, keys: set[str], like: PETSc.Vec) -> Array:
+        """Force and moment (k,) on this rank of the layers' forces in the last evaluation that have one of these keys."""
+        forces = like.duplicate()
+        forces.set(0.0)
+        for part in self.parts:
+            part.add_layer_forces(keys, forces)
+        found = forces.array_r @ self._motions
+        forces.destroy()
+        return np.asarray(found)
 
     def _keys_of(self, key: str) -> set[str]:
         """Keys of the terms and parts of a layer, sublayers and pressure included."""
