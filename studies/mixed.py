@@ -1,25 +1,34 @@
-"""Mixed models: the layer meshed near its free ends, its law elsewhere; errors over thickness and distance of the cut."""
+"""Mixed models: layers meshed near free ends and junctions, their laws elsewhere; errors over thickness and cuts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from forms import BulkLaw, LinearElastic, VonMises
-from geometry import sandwich
+from geometry import sandwich, wall
 from thinlayer import Model, State, Structure, ThinLayer, compare, march, observed_orders, plotting, solve
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 
+Array = npt.NDArray[np.float64]
 BODY, ELASTIC = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(40.0, 0.3)
 YIELDING = VonMises(60.0, 40.0, strength=1.2, hardening=4.0)  # at its free ends alone, which the law on S does not see
 TIMES = (0.5, 1.0)
 LOAD = (0.3, -1.0)
 EPS = (1 / 32, 1 / 64, 1 / 128)
 THICK = 1 / 12  # of the picture
+WALL_EPS, HEADS = (
+    (1 / 16, 1 / 32, 1 / 64),
+    0.7,
+)  # thickness of beds, over the length of bricks; of heads, over that of beds
+AROUND = 2.5  # length over which layers are meshed around junctions, over the thickness of beds
+WALL_LAWS = ("order 0", "mixed, order 0", "mixed, order 1")
 AWAY = 4.0  # of the cut from the free ends, over the thickness
 DISTANCES = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 CELLS_THROUGH = 8
@@ -33,18 +42,19 @@ LAWS = ("order 0", "order 1", "order 1, ends free", "mixed")
 
 
 def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
-    """Compare interface and mixed models of two blocks with free sides with the full model.
+    """Compare interface and mixed models of two blocks with free sides, and of a wall, with full models.
 
     Args:
         record: where to write.
         eps: thicknesses of the layer; the blocks are 1 wide.
-        quick: the two largest thicknesses, and every other distance.
+        quick: the two largest thicknesses, every other distance, and larger cells of the wall.
     """
     some = tuple(eps)[:2] if quick else tuple(eps)
     record.parameters = {"cut": AWAY, "cells_through": CELLS_THROUGH}
     for name, law in {"elastic": ELASTIC, "yielding": YIELDING}.items():
         _thicknesses(record, name, law, some)
     _distances(record, some[-1], DISTANCES[1::2] if quick else DISTANCES)
+    _wall(record, 1 / 16 if quick else 1 / 32, WALL_EPS[:2] if quick else WALL_EPS)
     _picture(record)
 
 
@@ -69,7 +79,7 @@ class _Blocks:
         """The state of the mixed model whose cuts are so far from the free ends."""
         length = thicknesses * self.eps
 
-        def near_ends(x: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        def near_ends(x: Array) -> npt.NDArray[np.bool_]:
             return np.asarray(np.minimum(x[0], 1 - x[0]) < length)
 
         layer = ThinLayer(self.law, self.eps, order=1)
@@ -94,7 +104,7 @@ def _unknowns(model: Model) -> int:
 
 
 def _thicknesses(record: Record, name: str, law: BulkLaw, thicknesses: Sequence[float]) -> None:
-    tables = {one: record.table(f"{name}_{one.replace(', ', '_').replace(' ', '_')}.csv") for one in _laws(law)}
+    tables = {one: record.table(f"{name}_{_file(one)}.csv") for one in _laws(law)}
     for eps in track(list(thicknesses), "mixed", f"{name}, eps = {{:g}}"):
         blocks = _Blocks(record, law, float(eps))
         for one, table in tables.items():
@@ -118,6 +128,11 @@ def _thicknesses(record: Record, name: str, law: BulkLaw, thicknesses: Sequence[
     )
 
 
+def _file(name: str) -> str:
+    """A name as a part of that of a file."""
+    return name.replace(", ", "_").replace(" ", "_")
+
+
 def _laws(law: BulkLaw) -> tuple[str, ...]:
     return LAWS if law is ELASTIC else tuple(one for one in LAWS if "free" not in one)
 
@@ -139,6 +154,44 @@ def _distances(record: Record, eps: float, distances: Sequence[float]) -> None:
     record.check("error of the work, cut far from the ends over cut near them", far / near, high=0.3)
 
 
+def _wall(record: Record, h: float, thicknesses: Sequence[float]) -> None:
+    """Write errors on all of S of two courses of bricks: laws, and mixed models with laws of order 0 and 1."""
+    joint = wall(2, 2, (1.0, 0.5), h=h)
+    structure = Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": LOAD})
+    on_s, outer = np.unique(joint.surface), np.unique(joint.table.vertices[joint.table.cells[:, 1] < 0])
+    special = joint.points[on_s[(joint.splitting.valence[on_s] > 2) | np.isin(on_s, outer)]]  # junctions, free ends
+    tables = {name: record.table(f"wall_{_file(name)}.csv") for name in WALL_LAWS}
+    for eps in track(list(thicknesses), "mixed", "wall, eps = {:g}"):
+        full = record.solved(solve(structure.full(_mortar(eps, 0))))
+        length = max(AROUND * eps, 1.01 * h)
+        for name, table in tables.items():
+            layers = _mortar(eps, int(name[-1]))
+            where = partial(_within, special, length)
+            model = structure.mixed(layers, where=where) if "mixed" in name else structure.interface(layers)
+            state = record.solved(solve(model))
+            found = compare(full, state)
+            errors = {f"error_{of}": found[f"error_{of}"] for of in ("traction", "jump")}
+            work = abs(state.energies()["loads"] / full.energies()["loads"] - 1)
+            table.append(
+                {"eps": eps} | errors | {"error_work": work, "unknowns": _unknowns(model) / _unknowns(full.model)}
+            )
+    for name, table in tables.items():
+        record.say(f"wall, {name}")
+        record.say(table)
+    for of in ("traction", "jump"):
+        ratio = tables["mixed, order 1"][f"error_{of}"][-1] / tables["order 0"][f"error_{of}"][-1]
+        record.check(f"wall: error of the {of}, of the mixed model over the law's", ratio, high=0.1)
+
+
+def _mortar(eps: float, order: int) -> dict[str, ThinLayer]:
+    return {"BED": ThinLayer(ELASTIC, eps, order=order), "HEAD": ThinLayer(ELASTIC, HEADS * eps, order=order)}
+
+
+def _within(special: Array, length: float, x: Array) -> npt.NDArray[np.bool_]:
+    """Whether places (d, n) are within a length of special ones (m, d)."""
+    return np.asarray(cKDTree(special).query(x.T)[0] < length)
+
+
 def _picture(record: Record) -> None:
     """Draw the right end of a thick layer."""
     blocks = _Blocks(record, ELASTIC, THICK)
@@ -152,8 +205,13 @@ def _picture(record: Record) -> None:
 
 def draw(record: Record) -> None:
     """Draw errors against the thickness, and against the distance of the cut from the free ends."""
+    plotting.rates(
+        {name: record.load(f"wall_{_file(name)}.csv") for name in WALL_LAWS},
+        title="two courses of bricks, all of S",
+        save=record.path("wall.png"),
+    )
     for name, law in {"elastic": ELASTIC, "yielding": YIELDING}.items():
-        tables = {one: record.load(f"{name}_{one.replace(', ', '_').replace(' ', '_')}.csv") for one in _laws(law)}
+        tables = {one: record.load(f"{name}_{_file(one)}.csv") for one in _laws(law)}
         parts: Mapping[str, Mapping[str, tuple[object, object]]] = {
             what: {one: (np.log2(table["eps"]), table[f"error_{of}"]) for one, table in tables.items()}
             for what, of in MEASURED.items()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import Incompressible, KelvinVoigt, LinearElastic, Norton, VonMises
-from geometry import GeometryError, ring, sandwich
+from forms import Incompressible, LinearElastic
+from geometry import GeometryError, sandwich
 from geometry.inflating.inflation import inflate
-from tests.mixed_run import BODY, BRICKS, EPS, LAYER, bricks, mortar, near_ends, near_junctions, numbers, plane, space
+from tests.mixed_run import BODY, EPS, LAYER, near_ends, numbers, plane, space
 from tests.ranks import mpirun
-from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, estimate, march, observed_orders, solve
+from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.output.concentration import most_of
 
 M, MU = 140.0, 40.0  # of the layer, per thickness
@@ -36,45 +36,6 @@ def test_a_uniform_jump_of_stiff_bodies_passes_the_cuts(cell, order):
     if order and cell == "triangle":
         model.followers = None  # a free end at each cut gives way
         assert solve(model).energies()["layer"] < 0.03 * (1 - 0.01)
-
-
-@pytest.mark.parametrize("order", [0, 1])
-@pytest.mark.parametrize(
-    ("law", "theta"),
-    [
-        (VonMises(60.0, 40.0, strength=0.3, hardening=5.0), 1.0),
-        (Norton(60.0, 40.0, 5.0, 1.5), 0.5),
-        (KelvinVoigt(60.0, 40.0, 6.0, 4.0), 0.5),
-    ],
-    ids=["yields", "creeps", "in forms"],
-)
-def test_laws_that_are_not_linear_and_remember_pass_the_cuts(law, order, theta):
-    joint = sandwich(1.0, 0.5, 0.4, h=1 / 4, h_S=1 / 8, cell="quadrilateral")
-    top = {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.005 * t}
-    moved = Structure(joint, body=LinearElastic.young(E=1e8, nu=0.3), supports={"BOTTOM": 0.0, "TOP": top})
-    layer = ThinLayer(law, EPS, order=order, edges="plain")
-    mixed, law = (
-        march(model, [0.4, 1.0], theta=theta).last
-        for model in (moved.mixed(layer, where=lambda x: abs(x[0] - 0.5) < 0.2), moved.interface(layer))
-    )
-    for name in ("stored", "dissipated", "supplied"):  # bodies have 1e-6 of them
-        ours, theirs = (getattr(state.audit, name) for state in (mixed, law))
-        assert ours == pytest.approx(theirs, rel=1e-5, abs=1e-9), name
-    assert mixed.reaction("TOP").force == pytest.approx(law.reaction("TOP").force, rel=1e-5)
-    assert mixed.energies()["layer"] == pytest.approx(law.energies()["layer"], rel=1e-5)
-
-
-def test_a_layer_that_yields_at_its_free_ends_alone_is_followed_there():
-    eps, law = 1 / 16, VonMises(60.0, 40.0, strength=1.2, hardening=4.0)
-    joint = sandwich(1.0, 0.5, 0.5, h=1 / 8, h_S=1 / 16, h_ends=eps / 4, cell="quadrilateral")
-    load = {"TOP": lambda x, t: (0.3 * t, -t)}
-    pressed = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, tractions=load)
-    layer = ThinLayer(law, eps, order=1, edges="plain")
-    near = pressed.mixed(layer, where=lambda x: abs(x[0] - 0.5) > 0.5 - 3 * eps)
-    full, mixed, law = (march(model, [1.0]).last for model in (pressed.full(layer), near, pressed.interface(layer)))
-    yields = {name: memory[:, -1].max() > 0 for name, memory in mixed.memory.items()}
-    assert yields == {"layer": True, "layer 1/law": False, "layer 2/law": False}
-    assert compare(full, mixed)["error_jump"] < compare(full, law)["error_jump"] / 10
 
 
 @cache
@@ -144,54 +105,6 @@ def test_in_space_with_rollers_on_the_cuts_forces_and_energies_balance(cell):
     ours, theirs = (compare(full, one) for one in (state, law))
     assert ours["error_jump"] < theirs["error_jump"] / 2
     assert ours["error_traction"] < theirs["error_traction"] / 1.5
-
-
-def test_a_wall_with_meshed_junctions_and_laws_of_order_1_between_them():
-    structure = bricks(1 / 16)
-    full = solve(structure.full(mortar(0), cells_through=4))
-    where = near_junctions(structure, 2.5 * BRICKS)
-    models = [structure.interface(mortar(0)), *(structure.mixed(mortar(k), where=where) for k in (0, 1))]
-    assert models[2].meshed.mean() < 0.8
-    law, mixed_0, mixed_1 = (solve(model) for model in models)
-    rows = [compare(full, state) for state in (law, mixed_0, mixed_1)]
-    traction, jump = ([row[f"error_{name}"] for row in rows] for name in ("traction", "jump"))
-    assert traction[2] < 6e-3 < 2e-2 < traction[1] < traction[0]
-    assert jump[2] < 2e-3 < 2e-2 < jump[1] < jump[0]  # 1.4e-2 at order 1 if posts of the layer were upright
-    for name in ("layer BED", "layer HEAD"):
-        true, found = full.energies()[name], mixed_1.energies()[name]
-        assert found == pytest.approx(true, rel=5e-3), name
-    joint = structure.joint
-    with pytest.raises(GeometryError, match="the facets of S there need cells"):
-        structure.mixed(mortar(1), where=lambda x: x[0] > joint.points[:, 0].mean() + 0.1)
-
-
-@pytest.mark.parametrize("profile", [None, lambda x: 1 + 0.3 * x[0]], ids=["uniform", "varying"])
-def test_curved_layers_of_a_thickness_that_varies_between_bodies_at_their_true_places(profile):
-    joint = ring(0.6, 1.0, 1.5, h=0.15, angle=np.pi / 2, cell="quadrilateral", degree=2)
-    pulled = {"OUTSIDE": lambda x, t: (0.5 * x[0] * x[1], 1 + x[1])}
-    structure, eps = Structure(joint, body=BODY, supports={"INSIDE": 0.0}, tractions=pulled), 1 / 16
-    layer = ThinLayer(LAYER, eps, order=1, profile=profile)
-    near = structure.mixed(layer, where=lambda x: np.minimum(x[0], x[1]) < 3 * eps, bodies="extended")
-    full, law = structure.full(layer, bodies="extended"), structure.interface(layer, bodies="extended")
-    full, mixed, law = (solve(model) for model in (full, near, law))
-
-    def away(x):
-        return ufl.And(x[0] > 0.35, x[1] > 0.35)
-
-    ours, theirs = (compare(full, state, where=away) for state in (mixed, law))
-    assert ours["error_traction"] < theirs["error_traction"] / 3
-    assert ours["error_jump"] < theirs["error_jump"] / 4
-
-
-def test_eigenstrains_of_layers_act_on_cells_and_by_the_law():
-    joint = sandwich(1.0, 0.5, 0.4, h=1 / 8, h_S=1 / 16, cell="triangle")
-    layer = ThinLayer(LAYER, 1 / 16, order=1, eigenstrain=lambda x, t: 0.01 * (1 + t))
-    for supports in ({"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, {"BOTTOM": 0.0}):
-        structure = Structure(joint, body=BODY, supports=supports)
-        near = structure.mixed(layer, where=lambda x: abs(x[0] - 0.5) > 0.3)
-        full, mixed = (march(model, [1.0]).last for model in (structure.full(layer), near))
-        assert mixed.energies()["layer"] == pytest.approx(full.energies()["layer"], rel=1e-4)  # 1e-15, 1e-5
-        assert abs(mixed.audit.imbalance) < 1e-12
 
 
 def test_other_layers_and_loads_share_the_mesh():

@@ -12,7 +12,7 @@ import ufl
 from scipy.spatial import cKDTree
 
 from forms import work as forms
-from forms.kinematics import Expr
+from forms.interface import Interface
 from geometry.errors import place
 from geometry.seam import LAYER, S
 from thinlayer.discretisation.followers import Followers
@@ -29,6 +29,7 @@ from thinlayer.parallel.agreement import on_all
 
 BoolArray = npt.NDArray[np.bool_]
 Where = BoolArray | Callable[[npt.NDArray[np.float64]], Any]
+UPRIGHT = 1e-4  # shift of bodies along S, over that across it, that counts as none: S is planar to 1e-5
 REACH = 3.0  # largest width, over the thickness, of the strips on which a law has the constants of a free end
 
 
@@ -91,25 +92,36 @@ class MixedModel(FullModel):
         assert self.meshed is not None
         if self.meshed.all():
             return None
-        terms, moved = [], self._motions()
-        apart = moved("+") - moved("-")
+        terms = []
         for name, one in model.layers.items():
             entities = np.ascontiguousarray(self._without_cells(name), np.int32)
             measure = ufl.Measure("dS", domain=model.domain.mesh, subdomain_data=[(1, entities.ravel())])
             wanted = self.layers[name].thin
             assert wanted
-            sides = model.sides_of(name)
-            if model.domain.joint.parted is None:  # bodies that have moved apart along S, too, as in networks
-                sides = replace(sides, fibre=apart / ufl.dot(apart, sides.n))
-            of_order = model.terms_of(_of_order(one, wanted.order), sides)
+            of_order = model.terms_of(_of_order(one, wanted.order), self._sides(one))
             terms += [replace(p, measure=measure(1, metadata=p.measure.metadata())) for p in of_order]
         return model, terms
 
-    def _motions(self) -> Expr:
-        """Translations (d,) of the bodies' cells by inflating, on the mesh of the interface model."""
-        inflated, count = self.domain.joint, len(self.joint.cells)
+    def _sides(self, one: SeamLayer) -> Interface:
+        """The sides of a seam in the interface model, with the fibres of its layer.
+
+        Bodies that are kept may also shift along S as they make room for several layers, so that fibres are oblique.
+        """
+        model, joint = self.by_law, self.joint
+        sides = model.sides_of(one.name)
+        if model.domain.joint.parted is not None:  # whose sides know their fibres
+            return sides
+        inflated, count = self.domain.joint, len(joint.cells)
         moved = (inflated.points - inflated.reference)[inflated.cells[:count]].mean(axis=1)
-        return cellwise(self.by_law.domain, ("DG", 0, (self.joint.dim,)), moved[:, None])
+        lower, upper = joint.surface_cells[one.sheet.facets].T
+        n = joint.interface_normals[one.sheet.facets]
+        apart = moved[upper] - moved[lower]
+        along = apart - (apart * n).sum(axis=1, keepdims=True) * n
+        if np.abs(along).max() <= UPRIGHT * np.abs(apart).max():
+            return sides
+        by_cell = cellwise(model.domain, ("DG", 0, (joint.dim,)), moved[:, None])
+        way = by_cell("+") - by_cell("-")
+        return replace(sides, fibre=way / ufl.dot(way, sides.n))
 
     def _without_cells(self, name: str) -> npt.NDArray[np.int32]:
         """Rows (upper cell, local facet, lower cell, local facet) of this rank's facets of a seam without cells."""

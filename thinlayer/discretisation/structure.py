@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from thinlayer.discretisation.kinds import BondedModel, FullModel, InterfaceModel
-from thinlayer.discretisation.layer import Layers, ThinLayer
+from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.mixed import MixedModel, Where
 from thinlayer.discretisation.setup import Setup
 
@@ -84,11 +84,12 @@ class Structure(Setup):
         """
         return InterfaceModel(self, layer, bodies=bodies)
 
-    def mixed(self, layer: ThinLayer, *, where: Where, bodies: str = "kept", cells_through: int = 4) -> MixedModel:
+    def mixed(self, layer: Layers, *, where: Where, bodies: str = "kept", cells_through: int = 4) -> MixedModel:
         """The model whose layer is meshed on a part of S and replaced by its interface law on the rest. Collective.
 
         Args:
-            layer: the layer, without a pressure, phases or parameters that are functions; its order is that of the law.
+            layer: a thin layer, without a pressure, phases or parameters that are functions; its order is that of the law.
+                Of several seams as in `full`; where they meet they are meshed.
             where: the part of S where the layer is meshed, a function of places x (d, n) before inflating that returns n
                 truth values, asked at the centres of the facets of S; or these values, (n_S,), as
                 `Surface.most_of` gives them.
