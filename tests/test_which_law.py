@@ -86,7 +86,7 @@ PAGE = (CLONE / "forms" / "which_law.md").read_text()
 def test_the_table_of_the_page(row):
     """Two of its columns computed once more, its errors of two digits; files and studies that it names exist."""
     cells = re.findall(r"^\| (rollers|free), ([\d,]+) \| (.*?) \|(.*)\|$", PAGE, re.MULTILINE)
-    assert len(cells) == 14
+    assert len(cells) == 16
     ratios = [float(nu) for nu in re.search(r"E/mu \| law \|(.*)\|", PAGE)[1].replace("nu =", "").split("|")]
     set_ups = {
         "rollers": (which_law.Rollers(1 / 32), "200", 0.499),
