@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+import ufl
 
 from forms import LinearElastic, MohrCoulomb, Norton, VonMises
 from forms.contact import HolonomicCoulomb
@@ -157,6 +158,28 @@ def test_a_layer_that_yields_at_its_ends_has_no_estimate(law, words):
     assert estimate(solve(graded().interface(ThinLayer(law, EPS)), 0.01)).unknown == ""  # it stays elastic
 
 
+def test_goals_that_are_zero(every):
+    """A reaction across symmetric loads is rounding, and so is its relative change."""
+    made = Structure(graded().joint, body=LOWER, supports={"BOTTOM": 0}, tractions={"TOP": (0, -1)})
+    found = estimate(solve(made.interface(ThinLayer(GLUE, EPS))), goals=[goals.Reaction("BOTTOM", (1, 0))])
+    (goal,) = found.goals.values()
+    assert goal.zero
+    assert not goal.told
+    assert math.isnan(goal.relative)
+    assert "reaction BOTTOM along (1, 0) is zero" in str(found)
+
+
+def test_the_compliance_of_supports_that_move_knows_no_path():
+    held = {"BOTTOM": 0, "TOP": {"x": lambda x, t: 0.01 * t, "y": -0.02}}
+    made = Structure(sandwich(1.3, 0.3, 0.4, 0.3), body=LOWER, supports=held, body_force=(0, -1))
+    model = made.interface(ThinLayer(GLUE, EPS))
+    changes = []
+    for given in (solve(model, 2.0), march(model, [1.0, 2.0])):
+        found = estimate(given)
+        changes += [found.goals["compliance"].change, found.density().total]
+    assert changes == pytest.approx(changes[:1] * 4, rel=1e-8)
+
+
 # ---------------------------------------------------------------- thin enough
 def test_thin_enough_is_where_the_estimate_is_the_tolerance():
     joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15)
@@ -168,6 +191,18 @@ def test_thin_enough_is_where_the_estimate_is_the_tolerance():
     assert 0.98 * 0.01 < error <= 0.01
     assert f"thinner than {found.eps:.3g}" in str(found)
     assert len(found.table) <= 10
+
+
+def test_thin_enough_does_not_depend_on_where_it_begins():
+    """The error of a goal changes its sign, and is small at 0.05 and larger at half of it."""
+    sides = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    pressed = {"TOP": lambda x, t: (0, -t * (1 + 0.5 * ufl.cos(3.14159 * x[0])))}
+    made = Structure(sandwich(1.0, 0.4, 0.5, 0.2, h_S=0.1, h_ends=0.05), body=LOWER, supports=sides, tractions=pressed)
+    found = []
+    for eps in (0.05, 0.0125):
+        layer = ThinLayer(LinearElastic.young(3.0, 0.3).per_thickness(eps), eps)
+        found.append(thin_enough(made, layer, 2e-5, goals.Compliance(), t=1.0).eps)
+    assert found[0] == pytest.approx(found[1], rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -196,6 +231,10 @@ def test_what_has_no_estimate():
         (lambda: estimate(limit, goals=[goals.Displacement((9.0, 0.0), (0, 1))]), "in no cell"),
         (lambda: estimate(limit, goals=[goals.MeanTraction((0, 1), seam="GLUE")]), "GLUE"),
         (lambda: estimate(limit).density("traction"), "no goal"),
+        (lambda: estimate(limit, goals=[goals.Functional("mean", 3)]), "must be a function"),
+        (lambda: estimate(limit, goals=[goals.Functional("mean", lambda u, model: u[5] * model.dx)]), "fails"),
+        (lambda: thin_enough(limit.model, layer, 0.1), "takes a Structure"),
+        (lambda: thin_enough(made, layer, 0.1, bonded=True, bodies="extended"), "meet on S"),
     ]:
         with pytest.raises(ModelError, match=message):
             given()

@@ -170,6 +170,8 @@ def test_places_that_are_none():
     probe = Probe(solve(structure.interface(ThinLayer(K, EPS))))
     with pytest.raises(ModelError, match=r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"):
         probe.stress([[0.31, 0.2], [9.0, 9.0]])
+    with pytest.raises(ModelError, match="1 of 1 places are in no cell"):
+        probe.displacement([9.0, 9.0])  # near no cell at all
     for wrong in ([1.0, 2.0, 3.0], "x", [[1.0], [2.0]], [np.nan, 1.0], [[1.0, 2.0], [3.0]]):
         with pytest.raises(ModelError, match="2 finite coordinates each"):
             probe.displacement(wrong)

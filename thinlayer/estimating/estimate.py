@@ -44,8 +44,8 @@ class GoalError:
         value: Q(u_0), of the given state.
         better: Q(u_1), of the better law.
         scale: what both are compared with to see whether they are only rounding.
-        least: product of the errors of traction and jump, each at most 1. Leading terms cancel in an error below it, and the
-            estimate is none.
+        least: product of the errors of traction and jump, each at most 1. Leading terms cancel in an error below it, and
+            the estimate is none.
     """
 
     value: float

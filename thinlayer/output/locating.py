@@ -139,6 +139,8 @@ def _pulled_back(joint: Joint, cells: IntArray, x: Array) -> Array:
     """Coordinates (n, d) in the reference cell of places x (n, d) in cells (n,), outside it for places elsewhere."""
     element, nodes = lagrange(joint.cell_type, joint.degree), joint.cell_points[cells]
     X = np.tile(basix.geometry(basix.CellType[joint.cell_type]).mean(axis=0), (len(x), 1))
+    if not len(x):  # basix takes no empty arrays
+        return X
     for _ in range(STEPS):
         table = element.tabulate(1, X)[..., 0]
         there = np.einsum("pn,pnd->pd", table[0], nodes)
