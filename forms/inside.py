@@ -93,6 +93,10 @@ class Inside(Protocol):
     def moduli(self) -> tuple[float, float] | None:
         """Real lmbda and mu of a layer of one law; None: it has several."""
 
+    @property
+    def flows(self) -> bool:
+        """Whether the pressure is a field that flows along S, and falls towards free ends."""
+
     def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
         """Stresses (n, 3, 3) at heights y (n,), from -1/2 to 1/2.
 
@@ -118,6 +122,11 @@ class Pressed:
     def moduli(self) -> tuple[float, float]:
         """As of `Inside`."""
         return self.lmbda, self.mu
+
+    @property
+    def flows(self) -> bool:
+        """As of `Inside`."""
+        return True
 
     def stress(self, faces: FaceValues, eps: Array, y: Array) -> Array:
         """As of `Inside`."""
@@ -152,6 +161,11 @@ class Sublayers:
     def moduli(self) -> tuple[float, float] | None:
         """As of `Inside`."""
         return (float(self.lmbda[0]), float(self.mu[0])) if len(self.mu) == 1 else None
+
+    @property
+    def flows(self) -> bool:
+        """As of `Inside`."""
+        return False
 
     @cached_property
     def _ends(self) -> Array:

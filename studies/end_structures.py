@@ -105,17 +105,18 @@ def graded(length: float, first: float, last: float) -> Array:
     return np.append(0.0, np.cumsum(sizes)) * length / sizes.sum()
 
 
-def grid(*places: Array) -> Joint:
-    """Hexahedra on a rigid base, at the products of places along x, y and z."""
+def grid(*places: Array, cell: str = "hexahedron") -> Joint:
+    """A block of hexahedra or tetrahedra on a rigid base, with vertices at the products of places along x, y and z."""
     nx, ny, nz = (len(one) - 1 for one in places)
-    joint = block(nx, ny, 1.0, depth=nz, cell="hexahedron")
+    joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
     x = [np.interp(joint.points[:, k], np.arange(len(one)), one) for k, one in enumerate(places)]
     return replace(joint, points=np.stack(x, axis=1))
 
 
-def _edge(eps: float, cells: float) -> Structure:
+def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
     """A free edge at x = 0, along which loads vary; the other sides are planes of symmetry."""
-    joint, pi = grid(graded(1.0, eps / cells, H), graded(0.5, 2 * eps / cells, H), np.arange(4) / 3), ufl.pi
+    places = graded(1.0, eps / cells, H), graded(0.5, 2 * eps / cells, H), np.arange(4) / 3
+    joint, pi = grid(*places, cell=cell), ufl.pi
 
     def load(x: Expr, t: Expr) -> list[Expr]:
         wave = ufl.cos(pi * x[2])
@@ -125,4 +126,4 @@ def _edge(eps: float, cells: float) -> Structure:
     return Structure(joint, body=BODY, supports=held, tractions={"TOP": load})
 
 
-EDGE = EndCase("edge in 3D", _edge, LinearElastic.shear(8.0, 0.3), inner=lambda x: x[0] > 0.5)
+EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x: x[0] > 0.5)

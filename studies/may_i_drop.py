@@ -21,6 +21,7 @@ FIELDS = ("traction", "jump")
 BAND = 0.1  # of effectivities about 1
 SAME = 0.02  # of effectivities that another program found
 THIN = 0.05  # of the thickness from which on a layer may be dropped
+SOLVES = 1.2  # as many solves of the interface model may an estimate cost
 DRAWN = "two stiffnesses"
 
 
@@ -114,9 +115,10 @@ def _costs(record: Record, *, quick: bool) -> None:
     for name in track([*PLACES][: 1 if quick else None], "may_i_drop", "costs, {}"):
         table.append(cost(name))
     record.say(table)
+    record.check("largest number of further solves", table["further_solves"].max(), high=SOLVES)
 
 
 def draw(record: Record) -> None:
     """Draw the effectivities of all cases, and changes along S of one of them, from the tables."""
     draw_effectivities(record.load("effectivities.csv"), record.path("effectivities.png"))
-    draw_along(record.load("along.csv"), f"{DRAWN}, eps = 1/16", record.path("along.png"))
+    draw_along(record.load("along.csv"), f"{DRAWN}, eps = 1/16", 3 * COARSE, record.path("along.png"))

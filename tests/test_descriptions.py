@@ -57,7 +57,6 @@ def test_all_keys(tmp_path):
         times = [0.5, 2]
         bonded = true
         body_force = {A = [0, -1e-5], GLUE = [1e-6, 0]}
-        tolerance = {jump = 0.1, pull = 0.02}
         [body.A]
         E = 210e3
         nu = 0.3
@@ -101,7 +100,6 @@ def test_all_keys(tmp_path):
     assert (found.units, found.plane, found.element) == (("mm", "MPa"), "stress", "S2")
     assert (found.bodies, found.times, found.bonded) == ("extended", (0.5, 2.0), True)
     assert found.body_force == {"A": (0.0, -1e-5), "GLUE": (1e-6, 0.0)}
-    assert found.tolerance == {"jump": 0.1, "pull": 0.02}
     assert found.body["A"].law.parameters() == lame(210e3, 0.3)
     assert isinstance(found.body["B"].law, VonMises)
     assert found.body["B"].law.lmbda == pytest.approx(160e3 - 2 * 80e3 / 3)
@@ -128,6 +126,8 @@ def test_least(tmp_path):
     assert found.mesh.arguments == {}
     assert (found.bodies, found.times, found.goals, found.tolerance, found.bonded) == ("kept", (), {}, {}, False)
     assert described(tmp_path, LEAST + "tolerance = 0.07").tolerance == {"traction": 0.07}
+    both = LEAST + "tolerance = {jump = 0.1, pull = 0.02}\ngoals = {pull = {kind = 'compliance'}}"
+    assert described(tmp_path, both).tolerance == {"jump": 0.1, "pull": 0.02}
     assert described(tmp_path, LEAST + "body_force = [0, -2]").body_force == (0.0, -2.0)
 
 
@@ -349,6 +349,7 @@ def test_words_beside_a_file(tmp_path):
         LEAST.replace("body = {", "body = {B = {E = 1, nu = 0}, A = {").replace("0.2}", "0.2}}") + "tolerance = 0.3"
     )
     path = str(tmp_path / "a.toml")
+    (tmp_path / "b.toml").write_text(LEAST)
     assert words(path).mesh.path == tmp_path / "joint.msh"
     assert words(path, "b.msh").mesh.path == Path("b.msh")
     thinner = words(path, "--layer", "eps=0.1").layer[None]
@@ -363,6 +364,7 @@ def test_words_beside_a_file(tmp_path):
     assert words(path, "--body", "E=7 nu=0.1").body[None].law.parameters() == lame(7, 0.1)
     assert words(path, "--load", "TOP=1,2", "--load", "END=3,4").tractions == {"TOP": (1.0, 2.0), "END": (3.0, 4.0)}
     assert words(path, "--tolerance", "jump=0.1").tolerance == {"traction": 0.3, "jump": 0.1}
+    assert words(str(path).replace("a.toml", "b.toml"), "--times", "2").times == (2.0,)
     assert words(path, "--S", "GLUE").mesh.arguments == {"S": "GLUE"}
 
 
@@ -386,6 +388,8 @@ def test_words_beside_a_file(tmp_path):
             "--goal 'compliance': two goals are named 'compliance'; name",
         ),
         (("--tolerance", "much"), "--tolerance 'much': 'much' is no finite number"),
+        (("--times", "2,1"), "--times: [2.0, 1.0] are no times"),
+        (("--times", "soon"), "--times: 'soon' are no times"),
         (("--plane", "flat"), "--plane: unknown choice 'flat'"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from dataclasses import replace
 
@@ -12,11 +13,12 @@ from dolfinx import fem
 from dolfinx.fem.petsc import LinearProblem
 
 from forms import work as forms
-from studies.dropping.further import further_cases
 from studies.dropping.known import known_cases
 from studies.dropping.mapping import along
 from studies.dropping.measuring import Dropped, effectivities, solved
 from studies.dropping.refused import refused_cases
+from tests import effectivities_run
+from tests.ranks import mpirun
 from thinlayer import RangeWarning, goals
 
 COARSE = 1 / 16
@@ -126,12 +128,14 @@ def test_where_there_is_no_number_a_sentence_says_why(name):
     assert silent == case.silent
 
 
-def test_the_density_of_the_change_is_that_of_the_meshed_layer():
+def test_the_density_of_the_change_is_that_of_the_meshed_layer_on_any_ranks():
     """Away from ends, where the law of order 1 has the strains of the meshed layer."""
-    (case,) = (one for one in further_cases() if one.name == "two stiffnesses")
-    one = Dropped.of(case, COARSE)
+    one = effectivities_run.dropped()
     table = along(one)
     inner = np.abs(table["x"] - 0.5) < 0.3
     assert table["density"][inner] == pytest.approx(table["true_density"][inner], rel=0.06)
     assert np.trapezoid(table["density"], table["x"]) == pytest.approx(one.estimated["compliance"], rel=1e-8)
     assert np.trapezoid(table["true_density"], table["x"]) == pytest.approx(one.truth["compliance"], rel=1e-6)
+    done = mpirun(2, "-m", "tests.effectivities_run")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == pytest.approx(effectivities_run.numbers(one), rel=1e-8)

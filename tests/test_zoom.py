@@ -142,6 +142,24 @@ def test_stresses_at_free_ends_are_those_of_a_meshed_layer():
     assert observed_orders([1 / 8, 1 / 16], found["law"])[-1] > 1.0
 
 
+def test_stresses_at_free_ends_of_rubber_are_those_of_a_meshed_layer():
+    """nu = 0.499: the pressure falls over 6.5 eps, as on S, and within one eps otherwise."""
+    eps, law = 1 / 16, Rubber.shear(2.0, 0.499)
+    base = sandwich(1.0, 0.5, 0.5, h=1 / 4, h_S=1 / 16, h_ends=eps / 8, cell="quadrilateral")
+    stiff = LinearElastic.young(E=100.0, nu=0.3)
+    blocks = Structure(base, body=stiff, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
+    full = solve(blocks.full(ThinLayer(law, eps), cells_through=8))
+    zoom = Zoom(solve(blocks.interface(ThinLayer(law, eps, order=1))))
+    d, y = (one.ravel() for one in np.meshgrid([0.1, 0.3, 0.6, 1.0, 1.7, 2.9, 3.1, 4.0], [-0.3, 0.0, 0.3]))
+    x = np.stack([1 - d * eps, 0 * d], axis=1)
+    known = Probe(full).stress(meshed_places(full.model, x, y, "S"))
+    error = np.sqrt(np.mean((zoom.stress(x, y) - known) ** 2) / np.mean(known**2))
+    assert error < 0.03
+    before, after = zoom.stress([[1 - 2.999 * eps, 0.0], [1 - 3.001 * eps, 0.0]])
+    np.testing.assert_allclose(before, after, atol=0.01 * np.abs(after).max())
+    assert zoom.ends[0].exponent == pytest.approx(0.5952, abs=1e-3)
+
+
 def _faces(zoom, x):
     from thinlayer.output.faces_at import FacesAt
 
@@ -264,6 +282,7 @@ def test_places_and_heights_out_of_range_are_refused():
         ([[0.5, 0.0]], 0.6, "from -1/2 to 1/2"),
         ([[0.5, 0.0]], [0.1, 0.2], "one number or 1"),
         ([[0.5, np.nan]], 0.0, "finite coordinates"),
+        (np.empty((0, 2)), 0.0, "finite coordinates"),
     ):
         with pytest.raises(ModelError, match=words):
             zoom.stress(x, y)
@@ -276,7 +295,8 @@ def test_places_and_heights_out_of_range_are_refused():
     [
         (ThinLayer(Stack((0.5, GLUE), (0.5, LinearElastic(1.0, 1.0))), EPS), {}, "one law"),
         (ThinLayer(LinearElastic.shear(3.0, 0.48), EPS), {}, "0 to 0.45"),
-        (ThinLayer(Rubber.shear(3.0, 0.48), EPS, order=1), {}, "0 to 0.45"),
+        (ThinLayer(Rubber.shear(3.0, 0.48), EPS), {}, "order 0"),
+        (ThinLayer(Rubber.shear(3.0, 0.48), EPS, order=1), {}, "longer than the fall"),
         (ThinLayer(LinearElastic.shear(400.0, 0.3), EPS), {}, "rigid faces"),
         (ThinLayer(GLUE, EPS), {"plane": "axisymmetric", "supports": {"BOTTOM": {"y": 0}}}, "revolution"),
         (ThinLayer(GLUE, EPS, profile=lambda x: 1 + x[0] / 5), {}, "varies"),

@@ -11,6 +11,7 @@ from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, finish
 
 FIELDS = ("traction", "jump")
+LABELS = ("meshed layer", "estimate")
 ROW = 0.21  # inches
 RANGE = (0.8, 1.2)
 
@@ -53,24 +54,31 @@ def draw_effectivities(table: Table, save: Path) -> Picture:
     return finish(figure, save)
 
 
-def draw_along(table: Table, title: str, save: Path) -> Picture:
-    """Squares of the changes of traction and jump along S, and where the change of the compliance comes from."""
-    parts = {
-        "traction": ("change of t . n", {"true": "meshed", "estimated": "better law"}),
-        "jump": ("change of [u] . n", {"true": "meshed", "estimated": "better law"}),
+def draw_along(table: Table, title: str, near: float, save: Path) -> Picture:
+    """Changes of traction and jump along S, and where the change of the compliance comes from.
+
+    Args:
+        table: of `mapping.along`.
+        title: of the picture.
+        near: distance from the ends of S, x = 0 and 1, within which the estimate says nothing.
+        save: file.
+    """
+    panels = {
+        "change of t . n": ("true_traction", "estimated_traction"),
+        "change of [u] . n": ("true_jump", "estimated_jump"),
+        "where the compliance changes": ("true_density", "density"),
     }
-    figure = Picture(figsize=(9.0, 3.4), layout="constrained")
-    panels = figure.subplots(1, 3)
+    figure = Picture(figsize=(9.0, 3.2), layout="constrained")
     x = table["x"]
-    for axes, (name, (ylabel, lines)) in zip(panels, parts.items(), strict=False):
-        for k, (column, label) in enumerate(lines.items()):
-            axes.plot(x, table[f"{column}_{name}"], ("-", "--")[k], color=("black", COLOURS[1])[k], label=label)
-        axes.set_title(ylabel, fontsize=9)
-    panels[2].plot(x, table["density"], color=COLOURS[1], label="estimate.density")
-    panels[2].plot(x, table["true_density"], color="black", label="meshed")
-    panels[2].set_title("density of the change of the compliance", fontsize=9)
-    for axes in panels:
-        axes.set_xlabel("x along S")
+    shown = (x > near / 8) & (x < 1 - near / 8)
+    for axes, (name, columns) in zip(figure.subplots(1, 3), panels.items(), strict=True):
+        for column, label, style, colour in zip(columns, LABELS, ("-", "--"), ("black", COLOURS[1]), strict=True):
+            axes.plot(x[shown], table[column][shown], style, color=colour, label=label)
+        for ends in ((0, near), (1 - near, 1)):
+            axes.axvspan(*ends, color="0.93", zorder=0)
+        axes.set_title(name, fontsize=9)
+        axes.set_xlabel("x along S; grey: not known")
+        axes.set_xlim(0, 1)
         axes.grid(color="0.9")
         axes.legend(fontsize=8)
     figure.suptitle(title, fontsize=10)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 
 from studies.dropping.measuring import FIELDS, Dropped
 from thinlayer import Probe, Surface, Table
@@ -22,7 +22,7 @@ def along(one: Dropped) -> Table:
     linear between them. Of the estimate the density is its own.
 
     Args:
-        one: two bodies in 2D, S between them on y = 0 at all x, linear laws, loads alone.
+        one: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, loads alone.
     """
     found, surface = one.found, Surface(one.found.better.model)
     columns = {}
@@ -44,15 +44,26 @@ def along(one: Dropped) -> Table:
 def _of_layer(one: Dropped, at: Array) -> Array:
     """Work of the meshed layer's stress in displacements u_0 of its faces, spread over the places x of columns."""
     model, state = one.full.model, one.full
-    v, q = fem.Function(model.V), ufl.TestFunction(fem.functionspace(model.domain.mesh, ("Lagrange", 1)))
-    x = model.V.tabulate_dof_coordinates()[:, :2]
+    V, Q = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1))
+    v, q = fem.Function(V), ufl.TestFunction(Q)
+    x = V.tabulate_dof_coordinates()[:, :2]
     layer = np.flatnonzero(np.abs(x[:, 1]) <= one.eps / 2 * (1 + 1e-9))
-    probe, share = Probe(one.found.state), x[layer, 1:] / one.eps + 0.5
-    places = np.column_stack([x[layer, 0], np.zeros(len(layer))])
-    upper, lower = (probe.displacement(places, side=side) for side in ("upper", "lower"))
-    v.x.array.reshape(-1, 2)[layer] = share * upper + (1 - share) * lower
+    v.x.array.reshape(-1, 2)[layer] = _between(one, x[layer])
     (term,) = state.layers
     work = ufl.inner(state.stress(term), term.strain(v)) * term.weight * q * term.measure
-    found = fem.assemble_vector(fem.form(work)).array
-    nodes = q.ufl_function_space().tabulate_dof_coordinates()[:, 0]
-    return np.array([found[np.abs(nodes - one_x) < 10.0**-ROUND].sum() for one_x in at])
+    found = fem.assemble_vector(fem.form(work))
+    found.scatter_reverse(la.InsertMode.add)
+    mine = Q.dofmap.index_map.size_local
+    near = np.abs(Q.tabulate_dof_coordinates()[:mine, 0] - at[:, None]) < 10.0**-ROUND
+    return np.asarray(model.comm.allreduce(near @ found.array[:mine]))
+
+
+def _between(one: Dropped, x: Array) -> Array:
+    """Displacements u_0 (n, 2) at places (n, 2) of the meshed layer, linear from face to face. Collective."""
+    comm, count = one.full.model.comm, len(x)
+    everywhere = comm.allgather(x)  # a probe has the same places on all ranks
+    probe, places = Probe(one.found.state), np.concatenate(everywhere) * (1.0, 0.0)
+    begin = sum(len(there) for there in everywhere[: comm.rank])
+    upper, lower = (probe.displacement(places, side=side)[begin : begin + count] for side in ("upper", "lower"))
+    share = x[:, 1:] / one.eps + 0.5
+    return np.asarray(share * upper + (1 - share) * lower)

@@ -138,6 +138,10 @@ class Called(Goal):
         """As in `Goal`."""
         return self.goal.value(state, model)
 
+    def scale(self, state: Any, model: Any) -> float:
+        """As in `Goal`."""
+        return self.goal.scale(state, model)
+
     def dual(self, adjoint: Any) -> Any:
         """As in `Goal`."""
         return self.goal.dual(adjoint)

@@ -20,7 +20,7 @@ OPTIONS = {
     "goal": words.goal,
     "tolerance": words.tolerance,
 }  # options of the command line that may be repeated -> how each is read
-PLAIN = ("units", "plane", "element", "bodies")  # options that are entries as they are
+PLAIN = ("units", "plane", "element", "bodies", "times")  # options that are entries as they are
 OF_MESH = ("S", "upper", "lower", "direction", "scale")  # options that are entries of mesh
 
 
@@ -81,7 +81,7 @@ class Source:
         """
         if option in PLAIN:
             assert isinstance(given, str)
-            self._put((option,), given, f"--{option}")
+            self._put((option,), _numbers(given) if option == "times" else given, f"--{option}")
         elif option in OF_MESH:
             self._as_table("mesh", "path")
             self._put(("mesh", option), _of_mesh(option, given), f"--{option}")
@@ -132,6 +132,12 @@ class Source:
         table[path[-1]] = value
         self.origins = {one: words for one, words in self.origins.items() if one[: len(path)] != path}
         self.origins[path] = origin
+
+
+def _numbers(text: str) -> Any:
+    """Numbers parted by commas, in a list also if there is one."""
+    value = words.value_of(text)
+    return [value] if isinstance(value, float) else value
 
 
 def _of_mesh(option: str, given: Any) -> Any:

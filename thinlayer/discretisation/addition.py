@@ -72,6 +72,11 @@ class Addition(ABC):
     def check(self, model: Host) -> None:
         """Raise ModelError unless the description fits the model. Collective."""
 
+    @property
+    def prescribed(self) -> Sequence[Any]:
+        """The motions that the part prescribes, numbers or functions."""
+        return ()
+
     def is_linear(self, model: Host) -> bool:
         """Whether the forces are linear in the unknowns."""
         return True

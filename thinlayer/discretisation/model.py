@@ -29,7 +29,7 @@ from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
 from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, BODY, constants, layers_of
-from thinlayer.discretisation.loads import Coordinates, Load
+from thinlayer.discretisation.loads import Coordinates, Load, Pressure
 from thinlayer.discretisation.matter import Matter
 from thinlayer.discretisation.mean_strain import MeanStrain, MeanStress
 from thinlayer.discretisation.measures import compiled
@@ -255,7 +255,7 @@ class Model(ABC):
     def with_loads(
         self,
         *,
-        tractions: Mapping[str, Load] | None = None,
+        tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
         loads: Sequence[Concentrated] | None = None,
         supports: Given | None = None,

@@ -33,6 +33,7 @@ from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 Array = npt.NDArray[np.float64]
+ROUNDING = 1e-6  # of a goal that is zero but for rounding and the mesh, over its scale
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,15 @@ class GoalError:
     Attributes:
         value: Q(u_0), of the given state.
         better: Q(u_1), of the better law.
-        told: whether `relative` is larger than the product of the errors of traction and jump, below which leading terms
-            cancel and the estimate is none.
+        scale: what both are compared with to see whether they are only rounding.
+        least: product of the errors of traction and jump. Leading terms cancel in an error below it, and the estimate is
+            none.
     """
 
     value: float
     better: float
-    told: bool
+    scale: float
+    least: float
 
     @property
     def change(self) -> float:
@@ -57,8 +60,18 @@ class GoalError:
 
     @property
     def relative(self) -> float:
-        """|Q(u_1) - Q(u_0)|/|Q(u_1)|."""
-        return abs(self.change / self.better) if self.better else math.nan
+        """|Q(u_1) - Q(u_0)|/|Q(u_1)|; nan: the goal is zero."""
+        return math.nan if self.zero else abs(self.change / self.better) if self.better else math.inf
+
+    @property
+    def zero(self) -> bool:
+        """Whether the goal is zero, but for rounding."""
+        return max(abs(self.value), abs(self.better)) <= ROUNDING * self.scale
+
+    @property
+    def told(self) -> bool:
+        """Whether `relative` is an estimate."""
+        return not self.zero and not self.relative < self.least
 
 
 @dataclass(frozen=True)
@@ -164,9 +177,8 @@ class Estimate:
         errors = [f"{_percent(self.traction)} in traction"] if math.isfinite(self.traction) else []
         errors += [f"{_percent(self.jump)} in jump"] if math.isfinite(self.jump) else []
         for name, goal in self.goals.items():
-            limit = self.traction * self.jump if math.isfinite(self.jump) else self.traction**2
-            error = _percent(goal.relative) if goal.told else f"below {_percent(limit)}"
-            errors.append(f"{error} in {name}" if goal.better else f"{name} is zero")
+            error = _percent(goal.relative) if goal.told else f"below {_percent(goal.least)}"
+            errors.append(f"{name} is zero" if goal.zero else f"{error} in {name}")
         found.append(f"{self.dropped}: {', '.join(errors)}")
         for name, one in self.layers.items():
             where = f" of {name}" if len(self.layers) > 1 else ""
@@ -186,7 +198,7 @@ class Estimate:
 
 
 def _percent(x: float) -> str:
-    return f"{100 * x:.2g} %"
+    return f"{100 * x:.2g} %" if x < 0.995 else f"{100 * x:.0f} %"
 
 
 def estimate(
@@ -241,8 +253,8 @@ def estimate(
     least = traction * jump if math.isfinite(jump) else traction**2
     found = {}
     for name, goal in checked.items():
-        one = GoalError(goal.value(given, model), goal.value(better, model), True)
-        found[name] = GoalError(one.value, one.better, not one.relative < least)
+        scale = max(goal.scale(given, model), goal.scale(better, model))
+        found[name] = GoalError(goal.value(given, model), goal.value(better, model), scale, least)
     return Estimate(
         given, better, layers, found, traction, jump, unknown, time.perf_counter() - start, checked, before, options
     )

@@ -18,6 +18,7 @@ from forms.kinematics import Expr
 from geometry.errors import unknown
 from geometry.seam import S
 from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
@@ -25,6 +26,7 @@ from thinlayer.errors import ModelError
 from thinlayer.estimating.places import nodes_of_sides
 from thinlayer.output.locating import Located
 from thinlayer.output.probe import Probe
+from thinlayer.output.surface import Surface
 from thinlayer.ranges.areas import Areas
 from thinlayer.solving.adjoint import Adjoint
 
@@ -46,6 +48,10 @@ class Goal(ABC):
     @abstractmethod
     def value(self, state: State, model: InterfaceModel) -> float:
         """Q in a state; of another model its displacements are taken to the interface model. Collective."""
+
+    @abstractmethod
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        """What Q is zero beside where it is only rounding, >= 0. Collective."""
 
     @abstractmethod
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
@@ -83,28 +89,40 @@ def _written(vector: Any) -> str:
 class Compliance(Goal):
     """The work of the loads in the displacements, less that of the supports in their prescribed ones; an energy.
 
-    For linear models at rest before it is -2 times the potential energy.
+    For linear models it is -2 times the potential energy.
     """
 
     name: str = field(default="compliance", init=False)
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        loads = state.energies()["loads"]
+        energies = state.energies()
         if not _moves(model):
-            return loads
-        if not state.model.linear or any(term.given is not None for term in state.model.terms):
+            return energies["loads"]
+        if not state.model.linear or any(_has_other_energy(term) for term in state.model.terms):
             raise ModelError(
-                "compliance of supports that move: laws are not linear, or there are eigenstrains; take a reaction"
+                "compliance of supports that move: a law is not linear or remembers, or there are eigenstrains; take a "
+                "reaction"
             )
-        return 2 * loads - state.audit.supplied  # by loads and supports together
+        stored = sum(value for key, value in energies.items() if key != "loads" and not key.startswith(f"{LAYER} "))
+        return 2 * (energies["loads"] - stored)  # Clapeyron
+
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        return sum(abs(value) for value in state.energies().values())
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.of_loads(), adjoint.of_prescribed()
 
 
 def _moves(model: InterfaceModel) -> bool:
-    """Whether a support has displacements that are not zero."""
-    return any(callable(value) or value != 0 for _, given in model.supports.entries for value in given.values())
+    """Whether a support or a plate has prescribed displacements that are not zero."""
+    given = [value for _, components in model.supports.entries for value in components.values()]
+    given += [value for part in model.parts for value in part.prescribed]
+    return any(callable(value) or value != 0 for value in given)
+
+
+def _has_other_energy(term: forms.Term) -> bool:
+    """Whether the energy of a term is not half of the work of its stresses in its strains."""
+    return term.given is not None or term.law.traits.rate or term.law.traits.remembers
 
 
 @dataclass(frozen=True)
@@ -129,6 +147,10 @@ class Reaction(Goal):
 
     def value(self, state: State, model: InterfaceModel) -> float:
         return float(state.reaction(self.place).force @ unit(self.direction, model.joint.dim, self.name))
+
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        forces = [one.force for one in state.reactions_by_place().values()]
+        return float(sum(np.linalg.norm(one) for one in [*forces, state.applied().force]))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model
@@ -172,6 +194,10 @@ class MeanTraction(Goal):
         if model.parts:
             works.append(model.added_work(u, v))
         return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(one))) for one in works if one.integrals())
+
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        surface = Surface(model, self.seam)
+        return surface.norm(surface.traction(state)) / np.sqrt(surface.integral(ufl.as_ufl(1.0)))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model
@@ -234,6 +260,9 @@ class Displacement(Goal):
         u = Probe(shown).displacement(self.x, side=self.side, seam=self.seam)
         return float(u @ unit(self.direction, model.joint.dim, self.name))
 
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        return float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
+
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model, located, d = adjoint.model, self._located(adjoint.model), adjoint.model.joint.dim
         e, V = unit(self.direction, d, self.name), model.V
@@ -270,7 +299,15 @@ class Functional(Goal):
         form = self._form(displacements_of(state, model), model)
         return float(model.comm.allreduce(fem.assemble_scalar(compiled(form))))
 
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        u = displacements_of(state, model)
+        weights = fem.assemble_vector(compiled(self._derivative(u, model)))
+        weights.scatter_reverse(la.InsertMode.add)
+        owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
+        return float(model.comm.allreduce(float(np.abs(weights.array[:owned] * u.x.array[:owned]).sum())))
+
+    def _derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
+        return ufl.derivative(self._form(u, model), u, ufl.TestFunction(model.V))
+
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        u = adjoint.state.u
-        derivative = ufl.derivative(self._form(u, adjoint.model), u, ufl.TestFunction(adjoint.model.V))
-        return adjoint.of_form(derivative), adjoint.nothing()
+        return adjoint.of_form(self._derivative(adjoint.state.u, adjoint.model)), adjoint.nothing()

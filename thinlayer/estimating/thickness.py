@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from forms.base import is_number
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import ModelError
 from thinlayer.estimating.estimate import Estimate, estimate
 from thinlayer.estimating.goals import Compliance, Goal
+from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.files.table import Table
 from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import solve
+from thinlayer.time.history import History
+from thinlayer.time.marching import march
 
 FIELDS = ("traction", "jump")
 ACCURACY = 0.01  # of the thickness, relative
 STALLED = 0.98  # error over that of twice the thickness from which on it hardly falls
+FEW = 5  # halvings after which S should be longer than what its ends reach
 HALVINGS = 20  # of the thickness, at most, in search of one that is thin enough
 THICKEST = 0.5  # thickness over the height of the thinner body up to which the search goes
 
@@ -56,6 +62,8 @@ def thin_enough(
     tolerance: float,
     goal: str | Goal = "traction",
     *,
+    t: float = 0.0,
+    times: Sequence[float] | None = None,
     bonded: bool = False,
     bodies: str = "kept",
     options: Mapping[str, OptionValue] | None = None,
@@ -70,6 +78,8 @@ def thin_enough(
         layer: the layer, with the thickness at which the search begins; its law per thickness, as always.
         tolerance: relative error that is allowed, between 0 and 1.
         goal: "traction" or "jump", on S away from its free ends; or a goal.
+        t: time of the loads and supports, as in `solve`.
+        times: ends of time steps, as in `march`, for layers with a rate or a memory; t is then not used.
         bonded: whether the layer is ignored altogether, instead of replaced by its law of order 0.
         bodies: "kept" or "extended", as of `Structure.interface`.
         options: PETSc options, as in `solve`.
@@ -79,6 +89,10 @@ def thin_enough(
         SolveError: as in `solve`.
     """
     _check(structure, layer, tolerance, goal, bonded)
+
+    def solved(model: Model) -> State | History:
+        return solve(model, t, options=options) if times is None else march(model, times, options=options)
+
     goals = (goal,) if isinstance(goal, Goal) else (Compliance(),)
     quantity = goal if isinstance(goal, str) else goal.name
 
@@ -86,13 +100,13 @@ def thin_enough(
         return replace(layer, eps=eps, law=layer.law.per_thickness(eps / float(layer.eps)))
 
     begun = structure.interface(layer, bodies=bodies)
-    alone = solve(structure.bonded(), options=options) if bonded else None
+    alone = solved(structure.bonded()) if bonded else None
 
     def error(eps: float) -> float:
         if alone is not None:
             return _error(estimate(alone, scaled(eps), goals, options=options), quantity)
         model = begun.with_layer(scaled(eps)) if bodies == "kept" else structure.interface(scaled(eps), bodies=bodies)
-        return _error(estimate(solve(model, options=options), goals=goals, options=options), quantity)
+        return _error(estimate(solved(model), goals=goals, options=options), quantity)
 
     rows: dict[float, float] = {}
     eps, found = _search(error, float(layer.eps), _thickest(begun), tolerance, rows)
@@ -127,7 +141,7 @@ def _error(found: Estimate, quantity: str) -> float:
         error = found.traction if quantity == "traction" else found.jump
         return error if math.isfinite(error) else math.inf
     goal = found.goals[quantity]
-    if not goal.better:
+    if goal.zero:
         raise ModelError(f"thin_enough: {quantity} is zero, and so has no relative error")
     return goal.relative
 
@@ -146,6 +160,11 @@ def _search(
     low = high = min(start, thickest)
     while excess(low) > 0:
         low, high = low / 2, low
+        if math.isinf(rows[high]) and high < start / 2**FEW:
+            raise ModelError(
+                f"thin_enough: even at {high:.3g} the layer bears nothing farther than {NEAR_ENDS:g} thicknesses from its "
+                "free ends; are there loads at this time?"
+            )
         if low < start / 2**HALVINGS or (excess(low) > 0 and rows[low] > STALLED * rows[high]):
             raise ModelError(
                 f"thin_enough: no thickness is thin enough: the error is {rows[high]:.3g} at {high:.3g}, and hardly falls "

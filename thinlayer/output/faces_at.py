@@ -80,11 +80,12 @@ def _values(state: State, located: Located) -> tuple[Array, Array]:
     at = np.minimum(np.searchsorted(owned[order], located.cell), max(len(owned) - 1, 0))
     mine = np.flatnonzero(owned[order][at] == located.cell) if len(owned) else np.empty(0, np.int64)
     found = np.zeros((len(located.cell), joint.dim, 1 + joint.dim))
-    table = state.u.function_space.ufl_element().basix_element.tabulate(1, located.X[mine])[..., 0]
-    nodal = cell_values(state.u, order[at[mine]]).reshape(len(mine), table.shape[2], joint.dim)
-    to_x = np.linalg.inv(slopes(located)[mine])
-    found[mine, :, 0] = np.einsum("mn,mni->mi", table[0], nodal)
-    found[mine, :, 1:] = np.einsum("kmn,mni,mkj->mij", table[1:], nodal, to_x)
+    if len(mine):  # basix takes no empty arrays
+        table = state.u.function_space.ufl_element().basix_element.tabulate(1, located.X[mine])[..., 0]
+        nodal = cell_values(state.u, order[at[mine]]).reshape(len(mine), table.shape[2], joint.dim)
+        to_x = np.linalg.inv(slopes(located)[mine])
+        found[mine, :, 0] = np.einsum("mn,mni->mi", table[0], nodal)
+        found[mine, :, 1:] = np.einsum("kmn,mni,mkj->mij", table[1:], nodal, to_x)
     means = mean_at(located, np.asarray(comm.allreduce(found)))
     return means[..., 0], means[..., 1:]
 

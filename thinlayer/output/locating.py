@@ -52,7 +52,7 @@ class Located:
             found = np.atleast_2d(np.array(x, float))
         except (TypeError, ValueError):
             found = np.empty((0, 0))
-        if found.ndim != 2 or found.shape[1] != joint.dim or not np.isfinite(found).all():
+        if found.ndim != 2 or not found.size or found.shape[1] != joint.dim or not np.isfinite(found).all():
             raise ModelError(f"places are {x!r:.80}; they need {joint.dim} finite coordinates each, (n, {joint.dim})")
         nodes = joint.cell_points
         low, high = nodes.min(axis=1), nodes.max(axis=1)

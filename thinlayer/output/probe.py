@@ -78,7 +78,7 @@ class Probe:
         V = self.state.u.function_space
         d = self._joint.dim
         mine, local = self._local(located.cell)
-        basis = V.ufl_element().basix_element.tabulate(0, located.X[mine])[0, :, :, 0]
+        basis = V.ufl_element().basix_element.tabulate(0, located.X)[0, mine, :, 0]  # not of no places
         nodal = cell_values(self.state.u, local).reshape(len(local), basis.shape[1], d)
         u = self._summed(np.einsum("kn,knd->kd", basis, nodal), mine, len(located.cell))
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)

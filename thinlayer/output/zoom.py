@@ -48,7 +48,7 @@ class CornerStrengths:
 class Zoom:
     """Stresses inside a layer, from a solved interface model, without a mesh of the layer. Methods are collective.
 
-    For isotropic linear elastic layers, or a `Stack` of them. Away from free ends the error of the stresses is that of the
+    For isotropic linear elastic layers, a `Stack` of them, `Rubber` and `Incompressible`. Away from free ends the error of the stresses is that of the
     state: O(eps) for a layer of order 0, O(eps^2) of order 1 (`forms.inside`). At straight free ends of a layer of one law
     fields are added that take the stresses off the end, those between rigid faces (`forms.ends.fields`); the error there is
     O(eps), the layer's stiffness over the bodies'.

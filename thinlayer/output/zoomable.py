@@ -17,7 +17,7 @@ from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
 from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
-from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
@@ -29,6 +29,8 @@ from thinlayer.output.pressure_at import pressure_at
 
 Array = npt.NDArray[np.float64]
 NEAR = 3.0  # distance from a free end, over the thickness, within which stresses are not those of a layer without end
+TAKEN = np.array([2.0, 4.0])  # distances, over the thickness, at which pressures are taken for free ends
+NEARLY = 0.4999  # Poisson's ratio that stands for larger ones: its fields within NEAR differ by less than 1e-3
 DIGITS = 12  # of Poisson's ratio
 
 
@@ -106,6 +108,7 @@ class Zoomable:
         if self.one.law.traits.constrained:
             pressure, gradient = pressure_at(self.state, self.one, faces.x)
             slope = np.asarray(np.einsum("nij,nj->ni", along_s, gradient))
+            self._take_ends(faces.x, pressure, slope)
         if self.one.thin.order == 0:
             nothing = np.zeros((n, 3, 3))
             return FaceValues(*lifted, nothing, nothing, pressure, np.zeros((n, 3)))
@@ -115,6 +118,26 @@ class Zoomable:
         strains[..., 2, 2] += hoops
         lower, upper = strains
         return FaceValues(*lifted, (lower + upper) / 2, upper - lower, pressure, _lifted(slope))
+
+    def _take_ends(self, x: Array, pressure: Array, slope: Array) -> None:
+        """Replace pressures (n,) near free ends, where they fall to zero, by those without the fields of the ends.
+
+        The fields of the stresses on an end have that fall. They belong to a pressure that is linear in the distance, which
+        is found from the pressures of S at two distances where the rest of the fields has gone.
+        """
+        if not self.inside.flows:
+            return
+        for end, distance in self.near(x):
+            at = np.flatnonzero(np.isfinite(distance))
+            fields = self.fields.stresses(TAKEN, 0 * TAKEN)
+            known = [
+                pressure_at(self.state, self.one, x[at] + (distance[at] - one * self.eps)[:, None] * end.m)[0]
+                for one in TAKEN
+            ]
+            responses = np.stack([1 + fields[0, :, 1], TAKEN - fields[3, :, 1]], axis=1)
+            start, growth = np.linalg.solve(responses, np.array(known))
+            pressure[at] = start + growth * distance[at] / self.eps
+            slope[at] = -growth[:, None] / self.eps * end.m
 
     # ---------------------------------------------------------------- ends
     @cached_property
@@ -129,7 +152,11 @@ class Zoomable:
         assert one.thin
         if moduli is None:
             return "the fields of free ends are those of a layer of one law"
-        if self.nu < 0 or self.nu > LARGEST_NU + ROUNDING:
+        if self.inside.flows and one.thin.order == 0:
+            return "the pressure of order 0 does not fall there"
+        if self.inside.flows and len(free_of_pressure(self.model, one)[1].vertices):
+            return "cells there are longer than the fall of the pressure; make them shorter (h_ends=...)"
+        if not self.inside.flows and not 0 <= self.nu <= LARGEST_NU + ROUNDING:
             return f"Poisson's ratio is {self.nu:.4g}; the fields of free ends need 0 to {LARGEST_NU}"
         if one.thin.profile is not None:
             return "the thickness varies"
@@ -164,7 +191,7 @@ class Zoomable:
     def fields(self) -> EndFields:
         """The fields of the free ends."""
         self._require_ends()
-        return end_fields(self.nu)
+        return end_fields(min(self.nu, NEARLY))
 
     @cached_property
     def _ends(self) -> list[StraightEnd]:
@@ -182,7 +209,7 @@ class Zoomable:
         return found
 
     def near(self, x: Array) -> list[tuple[StraightEnd, Array]]:
-        """Each free end and the distances (n,) of places (n, d) that lie beside it, others inf.
+        """Free ends and the distances (n,) of places (n, d) that lie beside them, others inf; ends with such places.
 
         Raises:
             ModelError: a place is near an end whose fields are not known, or near two that meet.
@@ -197,7 +224,13 @@ class Zoomable:
                     f"{self.why_no_ends}"
                 )
             return []
-        found = [(end, np.where(end.beside(x), np.maximum(end.distance(x), 0.0), np.inf)) for end in self._ends]
+        reach = NEAR * self.eps if self.inside.flows else np.inf  # of the fields beside the pressure of S
+        found = []
+        for end in self._ends:
+            distance = np.where(end.beside(x), np.maximum(end.distance(x), 0.0), np.inf)
+            distance = np.where(distance <= reach, distance, np.inf)
+            if np.isfinite(distance).any():
+                found.append((end, distance))
         both = np.sum([distance < NEAR * self.eps for _, distance in found], axis=0) > 1
         if both.any():
             raise ModelError(

@@ -60,6 +60,11 @@ class RigidPlate(PlateData, Addition):
 
     ties_nodes: ClassVar[bool] = True
 
+    @property
+    def prescribed(self) -> Sequence[Any]:
+        """As in `Addition`: its prescribed motions."""
+        return list(self.motion.values())
+
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
         """Zero: a plate has no forces of its own."""
         return ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx

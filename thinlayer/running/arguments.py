@@ -43,6 +43,7 @@ ENTRIES = {
     "plane": ("KIND", "strain (default), stress or axisymmetric"),
     "element": ("NAME", "P2, Q2 or S2"),
     "bodies": ("KIND", "kept, or extended: bodies at their true places, for a curved S"),
+    "times": ("T,T", "ends of time steps, for laws with a rate or a memory: 0.5,1,2"),
 }
 
 
@@ -86,7 +87,7 @@ def _add_estimate(commands: Any) -> None:
         description="May you drop the layer, and by how much does the answer change? MESH is a file that meshio reads, "
         "DESCRIPTION one in TOML, which may name the mesh file itself, or in Python. Options add to it, or replace what it "
         f"has. PETSc options start with {PETSC_PREFIX}.",
-        epilog=STATUSES,
+        epilog=STATUSES.replace("all checks of the study hold; 1 a check failed", "told"),
     )
     one.add_argument("files", nargs="+", metavar="FILE", help="the mesh file, a description (.toml, .py), or both")
     for name, (metavar, text) in WORDS.items():

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from forms.base import InputError
 from thinlayer.files.say import say
 from thinlayer.running.arguments import command_line, folder, petsc_options, refuse, uses
 from thinlayer.running.catalogue import studies
@@ -105,6 +104,7 @@ def _run(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequ
 
 def _estimate(parser: argparse.ArgumentParser, chosen: argparse.Namespace, rest: Sequence[str]) -> int:
     petsc = petsc_options(parser, rest)
+    from forms.base import InputError
     from thinlayer.running.asked import Asked
 
     try:

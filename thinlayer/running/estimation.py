@@ -93,7 +93,8 @@ def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
             continue  # bonded bodies have none
         goal = goals.get(quantity, quantity)
         try:
-            thin = thin_enough(case.structure, layer, tolerance, goal, bonded=name == BOND, bodies=case.bodies)
+            how: dict[str, Any] = {"times": case.times or None, "bonded": name == BOND, "bodies": case.bodies}
+            thin = thin_enough(case.structure, layer, tolerance, goal, **how)
             eps, told = thin.eps, str(thin)
         except ModelError as error:  # an answer too: no thickness is thin enough
             eps, told = None, str(error).removeprefix("thin_enough: ")

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import SymLogNorm
 
-from geometry.topology import is_tensor
 from thinlayer.errors import ModelError
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, finish, require_name
@@ -97,8 +96,14 @@ def _coloured(figure: Picture, axes: Axes, given: SurfaceDensity, name: str, uni
     at = np.zeros(len(joint.points))
     at[given.vertices] = given.values
     largest = float(np.abs(given.values).max()) or 1.0
-    ring = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
-    facets: Any = PolyCollection([*x[:, ring]], array=at[corners].mean(axis=1), cmap=COLOUR_MAP, edgecolor="face")
+    from_centre = x - x.mean(axis=1, keepdims=True)  # corners have the order of their numbers, not one around the facet
+    ring = np.arctan2(from_centre[..., 1], from_centre[..., 0]).argsort(axis=1)
+    facets: Any = PolyCollection(
+        [*np.take_along_axis(x, ring[..., None], axis=1)],
+        array=at[corners].mean(axis=1),
+        cmap=COLOUR_MAP,
+        edgecolor="face",
+    )
     facets.set_norm(SymLogNorm(SHOWN * largest, vmin=-largest, vmax=largest))
     axes.add_collection(facets)
     axes.set_aspect("equal")

@@ -1,0 +1,103 @@
+"""Free ends in three dimensions: straight edges along which loads vary, corners, re-entrant corners, holes, turned S."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from forms import LinearElastic
+from forms.ends import free_end
+from forms.ends.weights import Strips
+from geometry.ends import straight_ends
+from geometry.sheet import Sheet
+from studies.end_structures import BODY, edge, graded, grid
+from thinlayer import ModelError, Structure, ThinLayer, compare, solve
+from thinlayer.discretisation.end_weights import FacetWeights
+
+LAW = LinearElastic.shear(8.0, 0.3)
+
+
+def cut(joint, kept):
+    """A joint without some of its cells."""
+    used, cells = np.unique(joint.cells[kept], return_inverse=True)
+    new = np.full(len(joint.points), -1)
+    new[used] = np.arange(len(used))
+    own = {name: kept[joint.table.cells[joint.table.index(rows), 0]] for name, rows in joint.facets.items()}
+    facets = {name: new[rows[own[name]]] for name, rows in joint.facets.items()}
+    cells = cells.reshape(-1, joint.cells.shape[1])
+    return replace(joint, points=joint.points[used], cells=cells, region=joint.region[kept], facets=facets)
+
+
+def plate(shape, eps, cell="hexahedron"):
+    """A plate on a base: an L of two squares by 0.5 and one more, or a square with a hole of 0.3."""
+    parts = {"L": (0.0, 0.5, 1.0), "hole": (0.0, 0.35, 0.65, 1.0)}[shape]
+    x = np.unique(np.concatenate([a + (b - a) * np.linspace(0, 1, 5) for a, b in pairwise(parts)]))
+    joint = grid(x, graded(0.3, eps, 0.15), x, cell=cell)
+    centre = joint.points[joint.corners].mean(axis=1)[:, [0, 2]]
+    out = (centre > 0.5).all(axis=1) if shape == "L" else (abs(centre - 0.5) < 0.15).all(axis=1)
+    return cut(joint, ~out)
+
+
+def weights(joint, eps):
+    sheet = Sheet(joint)
+    ends, strips = straight_ends(sheet.rim, sheet), Strips.of(free_end(0.3))
+    area = np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
+    return ends, FacetWeights.of(ends, sheet, eps, strips), area, strips, sheet
+
+
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+@pytest.mark.parametrize(("shape", "count", "length"), [("L", 6, 4.0), ("hole", 8, 5.2)])
+def test_ends_of_an_angular_plate(shape, count, length, cell):
+    """Each side is an end, of its own length; where strips overlap at corners their weights add up, below 1."""
+    eps = 0.05
+    ends, found, area, strips, sheet = weights(plate(shape, eps, cell), eps)
+    assert len(ends) == count
+    assert sum(end.length for end in ends) == pytest.approx(length)
+    for c, a in ((strips.opening.c, found.a_N), (strips.shear.c, found.a_T)):
+        # triangles at the ends of a strip are in it or not, by their middles
+        assert a @ area == pytest.approx(c * eps * length, rel=1e-9 if cell == "hexahedron" else 0.1)
+    corner = np.abs(sheet.joint.points[sheet.joint.surface].mean(axis=1)[:, [0, 2]]).max(axis=1).argmin()
+    beside = np.sort(found.a_N)[-1]
+    assert found.a_N[corner] == pytest.approx(beside)
+    assert beside < 1
+
+
+def test_a_straight_edge_along_which_loads_vary():
+    """It opens, and is sheared across and along the edge; without its constants errors are of order 1."""
+    eps = 1 / 16
+    structure = edge(eps, 2, "tetrahedron")
+    meshed, found = solve(structure.full(ThinLayer(LAW, eps), cells_through=2)), {}
+    for edges in ("free", "plain"):
+        limit = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges)))
+        row = compare(meshed, limit, where=lambda x: x[0] > 0.5)
+        work = limit.energies()["loads"] / meshed.energies()["loads"] - 1
+        found[edges] = np.array([row["error_traction"], row["error_jump"], abs(work)])
+    assert np.all(found["free"] < [0.25 * one for one in found["plain"]])
+    assert found["free"].max() < 6e-4
+
+
+@pytest.mark.parametrize("shape", ["L", "hole"])
+def test_angular_plates(shape):
+    """Weaker than an infinite layer by about its deficit along all ends; the same where the whole is turned in space."""
+    eps, works = 0.03, {}
+    turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    joint = plate(shape, eps, "tetrahedron")
+    stiff = LinearElastic.young(E=1e5, nu=0.3)
+    for name, R, edges in (("known", np.eye(3), "free"), ("turned", turn, "free"), ("plain", np.eye(3), "plain")):
+        moved = replace(joint, points=joint.points @ R.T)
+        structure = Structure(moved, body=stiff, supports={}, tractions={"TOP": tuple(R @ (0.0, -1.0, 0.0))})
+        works[name] = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges))).energies()["loads"]
+    assert works["turned"] == pytest.approx(works["known"], rel=1e-9)
+    area, length = {"L": (0.75, 4.0), "hole": (0.91, 5.2)}[shape]
+    weaker = 1 / (1 - free_end(0.3).c_N * eps * length / area)
+    assert works["known"] / works["plain"] == pytest.approx(weaker, rel=1e-2)
+
+
+def test_strips_that_lie_on_one_another_are_refused():
+    structure = Structure(plate("hole", 0.1, "tetrahedron"), body=BODY, supports={}, tractions={})
+    with pytest.raises(ModelError, match="S is short"):
+        structure.interface(ThinLayer(LAW, 0.1, order=1, edges="free"))
