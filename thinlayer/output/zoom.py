@@ -30,7 +30,7 @@ class CornerStrengths:
     test of the same layer and exponent has found.
 
     Attributes:
-        x: (n, d) places along the end; in 2D one.
+        x: (n, d) places along the end, farther than 3 thicknesses from others; in 2D one.
         m: (d,) unit normal of the end, in S, outward.
         exponent: lambda, from 1 at nu = 0 to 0.595 at nu = 0.5.
         shear: of the traction along S; at the upper corner with the other sign.
@@ -137,7 +137,7 @@ class Zoom:
         Raises:
             ModelError: as of `ends`.
         """
-        return self._axes(self._known.places_of_ends[end][0])
+        return self._axes([one for one, x in self._known.places_of_ends if len(x)][end])
 
     @property
     def _fields(self) -> EndFields:
@@ -178,6 +178,8 @@ class Zoom:
         found = []
         corner = self._fields.corner
         for end, x in self._known.places_of_ends:
+            if not len(x):
+                continue
             amplitudes = self._amplitudes(end, FacesAt.of(self.state, x, self.seam))
             size = self.eps ** (1 - corner.exponent)
             lower, upper = (size * (self._fields.strengths * sign) @ amplitudes for sign in (1.0, EVEN))

@@ -16,6 +16,7 @@ from geometry.ends import StraightEnd, straight_ends
 from geometry.errors import GeometryError, place, unknown
 from geometry.seam import S
 from geometry.sheet import Rim
+from geometry.topology import IntArray
 from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
 from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
 from thinlayer.discretisation.kinds import InterfaceModel
@@ -200,11 +201,12 @@ class Zoomable:
 
     @property
     def places_of_ends(self) -> list[tuple[StraightEnd, Array]]:
-        """Each free end and places (n, d) on it, vertices of the mesh in their order along it."""
+        """Each free end and places (n, d) on it far from others, vertices of the mesh in their order along it."""
         joint, found = self.model.joint, []
         for end in self._ends:
             x = joint.points[np.unique(self.rim.vertices)]
             x = x[end.has(x)]
+            x = x[self._ends_near(x) == 1]
             found.append((end, x[np.argsort(x @ end.along)]))
         return found
 
@@ -231,13 +233,19 @@ class Zoomable:
             distance = np.where(distance <= reach, distance, np.inf)
             if np.isfinite(distance).any():
                 found.append((end, distance))
-        both = np.sum([distance < NEAR * self.eps for _, distance in found], axis=0) > 1
-        if both.any():
+        ends = self._ends_near(x)
+        wrong = (ends > 1) | ((ends == 0) & (self._distance(x) < NEAR * self.eps))
+        if wrong.any():
             raise ModelError(
-                f"zoom into {self.one} at {place(x[both.argmax()])}, within {NEAR:g} thicknesses of two free ends: the "
-                "fields of an end are those far from others"
+                f"zoom into {self.one} at {place(x[wrong.argmax()])}, within {NEAR:g} thicknesses of where two free ends "
+                "meet, or of both: the fields of an end are those far from others"
             )
         return found
+
+    def _ends_near(self, x: Array) -> IntArray:
+        """(n,) how many free ends are near places (n, d) beside them."""
+        near = [end.beside(x) & (end.distance(x) <= NEAR * self.eps) for end in self._ends]
+        return np.asarray(np.sum(near, axis=0), np.int64)
 
     def _distance(self, x: Array) -> Array:
         """Distances (n,) of places from the free ends."""
