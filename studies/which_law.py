@@ -33,7 +33,7 @@ LAWS = {
     "rubber": "Rubber, order 1",
     "rubber_edges": "Rubber, free ends",
 }
-LETTERS = dict(zip(LAWS, "01ERF", strict=True))
+LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
 CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # at free ends -> not corrected
 QUANTITIES = ("traction", "jump", "compliance")
 LEVELS = (0.001, 0.01, 0.05, 0.2)  # errors at which cells of the maps change their colour
@@ -247,11 +247,17 @@ def _drawn(table: Table) -> list[str]:
 def _cheapest(
     record: Record, picture: str, what: str, laws: list[str], errors: Mapping[str, Array], axes: Mapping[str, Any]
 ) -> None:
-    """Draw the first law whose error is below each of `WANTED`; none: the meshed layer."""
+    """Draw the first law whose error is below each of `WANTED`, with known ends if it can; none: the meshed layer."""
+    corrected = {law: name for name, law in CORRECTED.items() if name in laws}
+    laws = [law for law in laws if law in LETTERS]
     names = {LETTERS[law]: LAWS[law] for law in laws} | {"m": "meshed layer"}
     parts, texts = {}, {}
     for contrast in CONTRASTS:
-        stack = np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in laws])
+        plain, known = (
+            np.array([errors[f"{LAWS[name.get(law, law)]}; E/mu = {contrast:,}"] for law in laws])
+            for name in ({}, corrected)
+        )
+        stack = np.where(np.isfinite(known), known, plain)
         for wanted in WANTED:
             panel = f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0)
