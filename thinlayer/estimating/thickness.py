@@ -203,6 +203,6 @@ def _require_falling(rows: Mapping[float, float], top: float, low: float, passed
     largest = max(error for eps, error in rows.items() if low < eps <= before)
     if rows[low] > STALLED * largest or low < top / 2**HALVINGS:
         raise ModelError(
-            f"thin_enough: no thickness is thin enough: the error is {rows[low]:.3g} at {low:.3g}, and hardly falls with the "
-            "thickness; is the layer much softer than the bodies?"
+            f"thin_enough: no thickness is thin enough: the error is {rows[low]:.3g} at {low:.3g}, and hardly falls with "
+            "the thickness; is the layer much softer than the bodies?"
         )
