@@ -9,7 +9,7 @@ import numpy as np
 from forms import HolonomicCoulomb, LinearElastic
 from geometry import wall
 from thinlayer import ContactReport, SolveError, State, Structure, ThinLayer, plotting, solve
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
 from thinlayer.running.record import Record
 

@@ -11,7 +11,7 @@ from forms import LinearElastic
 from geometry import sandwich
 from studies.performance import resident
 from thinlayer import Structure, Surface, ThinLayer, plotting, solve
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
 from thinlayer.parts.part import Interval
 from thinlayer.running.record import Record

@@ -14,7 +14,7 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from geometry import sandwich
 from thinlayer import State, Structure, ThinLayer, plotting
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row
 from thinlayer.running.record import Record

@@ -15,7 +15,7 @@ from studies.friction_profiles import draw_profiles, profile_name, profile_of
 from studies.problems import pressed
 from studies.sweeping import Solution, Sweep, draw_rates, last
 from thinlayer import History, Model, Structure, Surface, Table, ThinLayer, compare, march, solve
-from thinlayer.discretisation.kinds import FullModel
+from thinlayer.discretisation.full_model import FullModel
 from thinlayer.running.record import Record
 
 MODULI = {"lmbda": 60.0, "mu": 40.0}

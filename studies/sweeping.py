@@ -12,7 +12,8 @@ from forms.kinematics import Expr
 from geometry import Joint
 from studies.problems import fourier
 from thinlayer import History, Model, State, Structure, Table, ThinLayer, compare, plotting, solve
-from thinlayer.discretisation.kinds import FullModel, InterfaceModel
+from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LawOnS
 from thinlayer.running.record import Record
 

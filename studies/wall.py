@@ -12,7 +12,7 @@ import numpy as np
 from forms import LinearElastic, MohrCoulomb, MohrCoulombMonodirectional
 from geometry import wall
 from thinlayer import History, LayerReport, LimitLoad, State, Structure, Surface, ThinLayer, march, plotting
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.running.record import Record
 

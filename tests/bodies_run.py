@@ -10,7 +10,7 @@ from mpi4py import MPI
 from forms import LinearElastic, Maxwell, VonMises
 from geometry import sandwich
 from thinlayer import Structure, Surface, ThinLayer, compare, march
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 
 JOINT = sandwich(1.0, 0.5, 0.5, 0.25)
 YIELDING = VonMises(60.0, 50.0, strength=1.0, hardening=20.0, kinematic=10.0)

@@ -15,7 +15,7 @@ from forms.contact import ContactLaw, Status
 from geometry import wall
 from thinlayer import History, State, Structure, march, piecewise
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.output.surface_mass import contact_forces, nodal_forces
 
 PUSHES = [0.2, 0.3, 0.1, -0.2, 0.0]  # shear stress, over the pressure

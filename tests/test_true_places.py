@@ -19,7 +19,7 @@ from studies.tubes import lame
 from tests.ranks import mpirun
 from tests.true_places_run import BODY, numbers, quarter, taper
 from thinlayer import ModelError, Pressure, Probe, Structure, Surface, ThinLayer, compare, observed_orders, solve
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.output.grid import gather
 

@@ -12,7 +12,7 @@ import ufl
 from forms.kinematics import Expr
 from studies.dropping.case import Case
 from thinlayer import Estimate, History, Model, RangeWarning, State, Surface, estimate, march, solve
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.estimating.places import away_from_ends
 from thinlayer.running.record import Record
 

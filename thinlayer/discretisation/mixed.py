@@ -18,8 +18,9 @@ from geometry.seam import LAYER, S
 from thinlayer.compiling.compat import exterior_facet_entities
 from thinlayer.discretisation.followers import Followers
 from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.kinds import FullModel, InterfaceModel
 from thinlayer.discretisation.layer import Layers, ThinLayer, layers_of
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer, seam_entities

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from thinlayer.discretisation.kinds import BondedModel, FullModel, InterfaceModel
+from thinlayer.discretisation.bonded_model import BondedModel
+from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.mixed import MixedModel, Where
 from thinlayer.discretisation.setup import Setup

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from forms.base import InputError
 from forms.next_order import for_next_order
 from thinlayer.discretisation.free_rim import free_rim
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
 
-WITHOUT_ENDS = "without edge terms: up to 30 % low"
+WITHOUT_ENDS = "without edge terms: up to 30 % off"
 
 
 @dataclass(frozen=True)

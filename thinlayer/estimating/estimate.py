@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.kinematics import Expr
-from thinlayer.discretisation.kinds import BondedModel, InterfaceModel
+from geometry.seam import LAYER
+from thinlayer.discretisation.bonded_model import BondedModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
@@ -132,6 +134,11 @@ class Estimate:
         """What the given state has in place of the layers, in words."""
         return "perfect bond" if isinstance(self.state.model, BondedModel) else "order 0"
 
+    @property
+    def _side_loads(self) -> list[str]:
+        """Names of the layer's own sides on which tractions act, which order 0 leaves out."""
+        return [name for name in self.better.model.structure.tractions or {} if name.endswith(f"/{LAYER}")]
+
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> SurfaceDensity:
         """Where on S the change of a goal comes from: a density whose integral is Q(u_1) - Q(u_0). Collective.
@@ -142,6 +149,11 @@ class Estimate:
         Raises:
             ModelError: no such goal; one without a dual.
         """
+        if self._side_loads:
+            raise ModelError(
+                f"estimate: the traction on {self._side_loads[0]!r} acts in the better law alone, so that the change has no "
+                "density on S"
+            )
         if goal not in self._goals:
             known = ", ".join(map(repr, self._goals)) or "none"
             raise ModelError(f"estimate: there is no goal {goal!r}; there are: {known}")
@@ -188,6 +200,8 @@ class Estimate:
                 found.append(f"the layer{where} is nowhere farther from its free ends, or bears no traction there")
             if one.law.lacks:
                 found.append(one.law.lacks)
+        if self._side_loads:
+            found.append("what tractions on the layer's own side do inside it is left out: their part of the work is low")
         return found
 
     def __str__(self) -> str:

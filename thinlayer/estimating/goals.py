@@ -18,7 +18,7 @@ from forms import work as forms
 from forms.kinematics import Expr
 from geometry.errors import unknown
 from geometry.seam import S
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import State, displacements_of

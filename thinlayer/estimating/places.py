@@ -14,8 +14,8 @@ from geometry.sheet import Rim
 from geometry.topology import FloatArray, IntArray
 from thinlayer.compiling.compat import interpolation_points
 from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.kinds import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer, seam_entities
 from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.parts.part import DISPLACEMENTS

@@ -11,7 +11,7 @@ import pyvista
 from mpi4py import MPI
 
 from geometry.joint import Joint
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import Grid, gather
 from thinlayer.output.law_points import LawPoints, law_points

@@ -13,7 +13,8 @@ from forms.base import is_number
 from forms.kinematics import Expr
 from geometry.parallel import on_root
 from geometry.seam import S
-from thinlayer.discretisation.kinds import FullModel, InterfaceModel
+from thinlayer.discretisation.full_model import FullModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError

@@ -14,7 +14,7 @@ from ufl.classes import Zero
 from forms.base import is_number
 from forms.interface import Interface
 from forms.kinematics import Expr
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.errors import ModelError
 from thinlayer.output.surface_expression import integrated
 from thinlayer.output.surface_mass import nodal_forces

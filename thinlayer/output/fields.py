@@ -14,7 +14,7 @@ import dolfinx
 import pyvista
 
 from geometry.parallel import on_root, world
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.blocks import blocks

@@ -12,7 +12,7 @@ from forms.kinematics import MANDEL
 from geometry.errors import unknown
 from geometry.seam import S
 from geometry.topology import IntArray
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.places import compiled_terms
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from geometry.topology import lagrange
-from thinlayer.discretisation.kinds import FullModel
+from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.model import Model
 from thinlayer.errors import ModelError
 from thinlayer.output.locating import SIDES, Located

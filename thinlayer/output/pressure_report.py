@@ -8,7 +8,7 @@ from functools import cached_property
 from geometry.errors import unknown
 from geometry.parallel import on_root
 from geometry.seam import S
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError

@@ -14,7 +14,7 @@ from geometry.errors import place
 from geometry.order import by_place
 from geometry.seam import S
 from geometry.topology import IntArray, is_tensor
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.errors import ModelError

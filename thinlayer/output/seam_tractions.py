@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from forms.interface import Interface
 from forms.kinematics import Expr
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State, transfer
 from thinlayer.output.other_side import OtherSide
 from thinlayer.output.surface_mass import SurfaceMass, contact_forces, reaction

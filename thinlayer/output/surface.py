@@ -17,7 +17,7 @@ from forms.kinematics import Expr, layer_frame, lift
 from geometry.errors import unknown
 from geometry.order import order_on_s
 from geometry.seam import S
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.mixed import MixedModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, transfer

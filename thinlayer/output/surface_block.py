@@ -12,7 +12,7 @@ from forms.contact import Status
 from geometry.joint import Joint
 from geometry.seam import S
 from geometry.topology import lagrange
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.pairs import pair_numbers
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_report import NAMES, PINNED, ContactReport

@@ -10,8 +10,8 @@ import numpy as np
 from forms.kinematics import Expr
 from geometry.inflating.parting import points_on_middle
 from geometry.topology import FloatArray, IntArray
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
-from thinlayer.discretisation.kinds import InterfaceModel
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dolfinx import fem
 from forms.interface import Interface
 from forms.kinematics import Expr
 from geometry.topology import IntArray
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.output.surface_expression import integrated
 from thinlayer.output.surface_mass import SurfaceMass, nodal_forces
 

@@ -19,7 +19,7 @@ from geometry.sheet import Rim
 from geometry.topology import IntArray
 from thinlayer.discretisation.free_ends import LEAST_CONTRAST, softest_body
 from thinlayer.discretisation.free_rim import free_of_pressure, free_rim
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer

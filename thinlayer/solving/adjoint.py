@@ -11,7 +11,7 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from forms.kinematics import Expr
-from thinlayer.discretisation.kinds import InterfaceModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.parts.making import layer_parts

@@ -1,0 +1,181 @@
+"""FullModel: its layers are meshed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from forms import work as forms
+from forms.law import BulkLaw
+from forms.tangent import needs_director
+from geometry.errors import unknown
+from geometry.inflating.inflation import inflate
+from geometry.inflating.layering import check_layering
+from geometry.joint import Joint
+from geometry.seam import BASE
+from thinlayer.discretisation.axis import require_revolution, require_shifts
+from thinlayer.discretisation.forces import Weighted
+from thinlayer.discretisation.joint_fields import director
+from thinlayer.discretisation.layer import Gap, LawOnS, Layers, constants, gaps_of, real_law
+from thinlayer.discretisation.layered_model import LayeredModel
+from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.setup import Setup
+from thinlayer.errors import ModelError
+from thinlayer.identity.described import described
+
+LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
+
+
+class FullModel(LayeredModel):
+    """The model whose layers are meshed.
+
+    Attributes:
+        meshed: (n_S,) which facets of S have cells of the layer; None: all.
+    """
+
+    name = "full"
+    meshed: npt.NDArray[np.bool_] | None = None
+
+    def __init__(
+        self, structure: Setup, layer: Layers, *, bodies: str, cells_through: int, junctions: str | None = None
+    ) -> None:
+        self.layer, self._bodies, self._cells_through, self._junctions = layer, bodies, cells_through, junctions
+        chosen = {} if junctions is None else {"junctions": junctions}
+        super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)
+
+    @property
+    def _clamped(self) -> tuple[str, ...]:
+        return (BASE,) if BASE in self.domain.joint.facets else ()
+
+    def _checked(self) -> Joint:
+        check_layering(self._cells_through, self._bodies)
+        if self._bodies == "kept":
+            require_shifts(self.structure.kinematics, self.joint)
+        gaps = self._checked_layers()
+        if self._junctions is not None and self._junctions not in [*self.joint.seams]:
+            raise ModelError(f"junctions: {unknown('seam', self._junctions, self.joint.seams)}")
+        if self._junctions in gaps:
+            raise ModelError(f"junctions: the seam {self._junctions!r} is a gap and has no law")
+        first = () if self._junctions is None else (self._junctions,)
+        thin = {name: one.thin for name, one in self.layers.items() if one.thin}
+        eps = {name: layer.eps for given in (thin, gaps) for name, layer in given.items()}
+        for thickness in eps.values():
+            self._check_size(thickness)
+        inflated = inflate(
+            self.joint,
+            eps,
+            profile={name: layer.profile for name, layer in thin.items()},
+            cells_through=self._cells_through,
+            fractions={name: layer.fractions for name, layer in thin.items()},
+            bodies=self._bodies,
+            junctions=(*first, *thin),
+            gaps=tuple(gaps),
+            meshed=self.meshed,
+        )
+        self._check_junctions(inflated)
+        require_revolution(self.structure.kinematics, inflated)
+        return inflated
+
+    def _checked_layers(self) -> dict[str, Gap]:
+        """Check each layer by itself; returns the gaps."""
+        gaps = gaps_of(self.layer)
+        for name in self.joint.seams:
+            if name not in self.layers and name not in gaps:
+                raise ModelError(
+                    f"the seam {name!r} is open, and its width is not known: give it a Gap(eps), or use "
+                    "structure.interface"
+                )
+        for one in self.layers.values():
+            self._check(one)
+        return gaps
+
+    def _check_beside(self, other: Self) -> None:
+        here, there = self._shapes(self._checked_layers()), other._shapes(gaps_of(other.layer))
+        for name, shape in here.items():
+            if shape != there.get(name):
+                raise ModelError(
+                    f"the mesh has a layer {name!r} of (thickness, profile, fractions) {there.get(name)}, not {shape}; "
+                    "make a model of its own, structure.full(layer)"
+                )
+        self._check_junctions(self.domain.joint)
+
+    def _shapes(self, gaps: Mapping[str, Gap]) -> dict[str, tuple[object, ...]]:
+        """Name of a seam -> what its mesh depends on."""
+        shapes: dict[str, tuple[object, ...]] = {name: ("a gap", gap.eps) for name, gap in gaps.items()}
+        for name, one in self.layers.items():
+            if thin := one.thin:
+                profile = self.joint.relative_thickness(thin.profile, name) if thin.profile else None
+                shapes[name] = (thin.eps, None if profile is None else described(profile), thin.fractions)
+        return shapes
+
+    def _check(self, one: SeamLayer) -> None:
+        """Raise an error if a layer cannot be meshed."""
+        layer = one.layer
+        if isinstance(layer, LawOnS):
+            raise ModelError(f"{type(layer).__name__} is a law of jump and traction: it has no meshed layer")
+        one.check(self._bodies)
+        if layer.law.traits.softens:
+            raise ModelError(
+                f"the stress of {layer.law!r} falls as strains grow: in a meshed layer all strain would gather in one row "
+                "of cells; take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
+            )
+
+    def _check_size(self, eps: float) -> None:
+        """Raise ModelError if a thickness is out of proportion."""
+        if eps > LARGEST_EPS * self.structure.size:
+            raise ModelError(
+                f"the layer's thickness eps is {eps:g}, the bodies measure {self.structure.size:g}: next to such a "
+                "layer their shape is lost in rounding; is eps in the unit of the mesh?"
+            )
+
+    def _check_junctions(self, inflated: Joint) -> None:
+        """Raise ModelError if a law cannot be that of cells where layers meet."""
+        assert inflated.band is not None
+        for region, name in inflated.band.junctions.items():
+            law = real_law(self.layers[name].layer, self.structure.kinematics)
+            self._check_junction(name, law, region in inflated.band.aligned)
+
+    def _check_junction(self, name: str, law: BulkLaw, aligned: bool) -> None:
+        """Raise ModelError if a seam's law cannot be that of cells where layers meet, which are in no column of a layer.
+
+        Args:
+            name: of the seam.
+            law: its law.
+            aligned: whether all layers that meet at one place have one normal there.
+        """
+        hint = "give junctions=... the name of a seam with another law, such as forms.LinearElastic"
+        if law.traits.switches:
+            raise ModelError(
+                f"{type(law).__name__} of the seam {name!r} has one phase for each column of a layer, and cells where "
+                f"layers meet are in none; {hint}"
+            )
+        if not aligned and needs_director(law):
+            raise ModelError(
+                f"{type(law).__name__} of the seam {name!r} depends on the normal of S, which is not defined where layers "
+                f"meet; {hint}"
+            )
+
+    def _layer_terms(self) -> list[forms.Term]:
+        mesh, band, n = self.domain.mesh, self.domain.joint.band, director(self.domain)
+        assert band is not None
+        terms = []
+        for name, one in self.layers.items():
+            shared = [region for region, seam in band.junctions.items() if seam == name]
+            sublayers = real_law(one.layer, self.kinematics).sublayers
+            for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
+                law = law if law.traits.compiled else constants(law, mesh)
+                cells = self.dx(self.domain.cell_values(region, *shared), **self._rule(self.dx))
+                term = forms.band(law, cells, n, self.kinematics)
+                terms.append(replace(term, key=one.key, given=self.given_on[name]))
+        return terms
+
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        band = self.domain.joint.band
+        assert band is not None
+        shared = [region for region, seam in band.junctions.items() if seam == one.name]
+        cells = self.dx(self.domain.cell_values(*band.of_seam[one.name], *shared))
+        return [Weighted(cells, self.kinematics.factor)]

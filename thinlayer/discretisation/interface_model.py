@@ -1,0 +1,218 @@
+"""InterfaceModel: its layers are replaced by their interface laws on S."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property, partial
+from typing import Any, Self
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from forms import work as forms
+from forms.interface import Interface
+from forms.kinematics import Expr
+from forms.law import BulkLaw
+from geometry.errors import unknown
+from geometry.inflating.layering import check_layering
+from geometry.joint import Joint
+from geometry.seam import S
+from thinlayer.discretisation.apart import Middle, apart, require_same_room
+from thinlayer.discretisation.axis import require_revolution
+from thinlayer.discretisation.forces import Forces, Weighted
+from thinlayer.discretisation.free_ends import SeamEnds
+from thinlayer.discretisation.free_rim import require_unloaded_sides
+from thinlayer.discretisation.joint_fields import cellwise, relative_thickness
+from thinlayer.discretisation.layer import Layers, ThinLayer, for_terms, real_law
+from thinlayer.discretisation.layered_model import LayeredModel
+from thinlayer.discretisation.loads import Coordinates
+from thinlayer.discretisation.pairs import Pairs
+from thinlayer.discretisation.placed import known_at
+from thinlayer.discretisation.point_forms import ConcentratedForms
+from thinlayer.discretisation.seams import SeamLayer, seam_entities
+from thinlayer.discretisation.setup import Setup
+from thinlayer.discretisation.side_loads import add_side_loads
+from thinlayer.errors import ModelError
+from thinlayer.parallel.agreement import on_all
+from thinlayer.pointwise.quadrature import quadrature_degree
+
+AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
+
+
+class InterfaceModel(LayeredModel):
+    """The model whose layer is replaced by its interface law on S."""
+
+    name = "interface"
+    broken = True
+
+    def __init__(self, structure: Setup, layer: Layers, *, bodies: str = "kept") -> None:
+        self.layer, self._bodies = layer, bodies
+        super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
+
+    def _checked(self) -> Joint:
+        check_layering(1, self._bodies)
+        self._check_layers()
+        if self._bodies == "kept":
+            return self.joint
+        joint = apart(self.joint, self.layers)
+        require_revolution(self.structure.kinematics, joint)
+        return joint
+
+    def _forces(self, structure: Setup) -> Forces:
+        forces = super()._forces(structure)  # raises errors of bad data
+        points = partial(ConcentratedForms, self.domain, self.joint, structure.degree, forces.at)
+        to_base = 2 * self._middle.to_s if self._middle else None
+        for one in self.layers.values():
+            if one.flows:
+                require_unloaded_sides(one, structure.tractions)
+            elif one.thin and one.thin.order == 1:
+                add_side_loads(forces, self, one, self.sides_of(one.name), points, self.ends[one.name], to_base)
+        return forces
+
+    def _check_layers(self) -> None:
+        for one in self.layers.values():
+            one.check(self._bodies)
+
+    def _check_beside(self, other: Self) -> None:
+        self._check_layers()
+        if self._bodies != "kept":
+            require_same_room(self.joint, self.layers, other.layers)
+
+    @cached_property
+    def _middle(self) -> Middle | None:
+        """S between bodies that stand apart; None: they meet there."""
+        return None if self.domain.joint.parted is None else Middle(self.domain)
+
+    def _coordinates_on(self, at: Coordinates) -> Coordinates:
+        return self._middle.coordinates(at) if self._middle else at
+
+    def _given_on(self, one: SeamLayer) -> Expr | None:
+        given = one.given(self._coordinates_on(self.coordinates))
+        return self.sides_of(one.name).upper(given) if given is not None and self._middle else given
+
+    @cached_property
+    def dS(self) -> ufl.Measure:
+        """The measure of the seams between bodies; dS(k + 1) is the k-th of `joint.seams`, "+" its upper side."""
+        joint = self.joint
+        entities = [
+            (k + 1, seam_entities(self.domain, name).ravel())
+            for k, name in enumerate(joint.seams)
+            if name not in joint.base_seams
+        ]
+        return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
+
+    def sides_of(self, name: str = S) -> Interface:
+        """The two sides of a seam, or of all ("S"): n, jumps, values from either side, and the measure.
+
+        Raises:
+            GeometryError: no such seam. ModelError: S lies between bodies and on a rigid base.
+        """
+        joint, mesh, to_s = self.joint, self.domain.mesh, self._middle.to_s if self._middle else None
+        joint.rows_of(name)
+        names = tuple(joint.seams) if name == S else (name,)
+        based = [one in joint.base_seams for one in names]
+        if all(based):
+            measure = self.ds(self.domain.values(name))
+            return Interface.on_rigid_base(mesh, measure, self.kinematics, to_s)
+        if any(based):
+            raise ModelError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
+        numbers = tuple(list(joint.seams).index(one) + 1 for one in names)
+        measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
+        return Interface.between_bodies(mesh, measure, self.kinematics, to_s)
+
+    @cached_property
+    def sides(self) -> Interface:
+        """The two sides of S."""
+        return self.sides_of(S)
+
+    @cached_property
+    def pairs(self) -> Pairs | None:
+        """Functions with a value for each pair of bodies around a vertex of S; None where seams do not meet. Collective."""
+        return Pairs(self.domain) if self.joint.seams_meet else None
+
+    def _layer_terms(self) -> list[forms.Term]:
+        with on_all(self.comm):
+            self.ends = {name: self._ends_of(one) for name, one in self.layers.items()}
+        return [term for one in self.layers.values() if not one.contact for term in self.terms_of(one)]
+
+    def _ends_of(self, one: SeamLayer) -> SeamEnds:
+        ends = SeamEnds.of(self, one, self._bodies)
+        if ends.unknown and one.thin and one.thin.edges == "free":
+            raise ModelError(f"edges='free' of {one}: {ends.unknown}")
+        return ends
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was chosen at the free ends of layers of order 1."""
+        some = [(one, self.ends[name].said) for name, one in self.layers.items() if one.thin and one.thin.order]
+        return [f"free ends of {one}: {said}" for one, said in some]
+
+    def free_ends(self, name: str) -> str | None:
+        """Why the interface law of a seam knows nothing of its free ends; None: it does, or there are none.
+
+        Raises:
+            ModelError: no layer of this name.
+        """
+        if name not in self.ends:
+            raise ModelError(unknown("layer", name, self.ends))
+        return self.ends[name].unknown
+
+    def terms_of(self, one: SeamLayer, sides: Interface | None = None) -> list[forms.Term]:
+        """The terms of a layer without contact on its seam, or on some sides that are given."""
+        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), sides or self.sides_of(one.name)
+        measure = sides.measure.reconstruct(**self._rule(sides.measure))
+        if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
+            degree = quadrature_degree(self.V, measure) + self.kinematics.degree
+            measure = measure(metadata={"quadrature_degree": degree})
+        sides = replace(sides, measure=measure, known=partial(self._known, one))
+        if one.thin is None:
+            terms = [forms.of_jumps(law, sides)]
+        else:
+            eps = self._thickness(one.name, one.thin, sides)
+            slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
+            ends = self.ends[one.name].expressions(self, one, sides)
+            if ends is not None:
+                finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
+                sides = replace(sides, measure=measure.reconstruct(metadata=finer))
+            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
+        return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
+
+    def _thickness(self, name: str, layer: ThinLayer, sides: Interface) -> Expr:
+        if self._middle:
+            return self._middle.thickness(sides)
+        eps: Expr = fem.Constant(self.domain.mesh, float(layer.eps))
+        if layer.profile is not None:
+            eps = eps * sides.upper(relative_thickness(self.domain, layer.profile, name))
+        return eps
+
+    def _data(self) -> dict[str, Any]:
+        known = [name for name, ends in self.ends.items() if ends.weights is not None]
+        return super()._data() | ({"free ends": known} if known else {})
+
+    def _places_of(self, one: SeamLayer) -> list[Weighted]:
+        """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
+        sides = self.sides_of(one.name)
+        assert one.thin is not None
+        eps = self._thickness(one.name, one.thin, sides)
+        to_base = 2 * self._middle.to_s if self._middle else None  # from the facets of the body
+
+        def on_base(v: Expr) -> Expr:
+            return sides.upper(v if to_base is None else v + ufl.dot(ufl.grad(v), to_base)) / 2
+
+        def on_either(v: Expr) -> Expr:
+            return (sides.upper(v) + sides.lower(v)) / 2
+
+        based = one.name in self.joint.base_seams
+        weight = eps * sides.factor
+        return [Weighted(sides.measure, weight, sides.upper, on_either, on_base if based else None)]
+
+    def _known(self, one: SeamLayer, law: BulkLaw) -> BulkLaw:
+        """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
+        joint, upper, on_s = self.joint, self.sides_of(one.name).upper, {}
+        vertices = np.unique(joint.table.vertices[joint.rows_of(one.name)])
+        for name, found in law.fields_at(joint.points[vertices].T).items():
+            values = np.full(len(joint.points), found[0])  # elsewhere without meaning
+            values[vertices] = found
+            on_s[name] = upper(cellwise(self.domain, ("Lagrange", 1), values[joint.corners][..., None]))
+        return known_at(law, self.domain.mesh, on_s)

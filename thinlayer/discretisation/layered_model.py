@@ -1,0 +1,60 @@
+"""LayeredModel: a model with layers, meshed or on S; base of both kinds."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import partial
+from typing import Self
+
+from thinlayer.discretisation.layer import Layers
+from thinlayer.discretisation.loads import Load
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.seams import loads_of_layers
+from thinlayer.discretisation.setup import Setup
+from thinlayer.errors import ModelError
+from thinlayer.parallel.agreement import on_all
+
+
+class LayeredModel(Model):
+    """A model with layers.
+
+    Attributes:
+        layer: as given: a layer for all seams, or {name of a seam: its layer}.
+    """
+
+    layer: Layers
+
+    def with_layer(self, layer: Layers) -> Self:
+        """The same model with other layers; it shares mesh, space, supports, loads and the bodies' matrix. Collective.
+
+        Args:
+            layer: as in `Structure.full` or `Structure.interface`; of a full model layers and gaps of the same thickness,
+                profile and fractions, which are those of the mesh.
+
+        Raises:
+            ModelError, LawError: as there; another shape of a meshed layer.
+        """
+        new = self._derived()
+        new.layer = layer
+        new._lay(layer, partial(new._check_beside, self))
+        with on_all(self.comm):
+            new.given_on = {name: new._given_on(one) for name, one in new.layers.items()}
+        new.layer_terms = new._strained(new._terms_of_layers())
+        with on_all(self.comm):
+            new.forces = new._forces(new.structure)
+            if new.strain or new.stress:
+                new.require_order_zero()
+            if new.stress and not new.broken:
+                raise ModelError(
+                    "with_layer: under a mean stress a meshed layer is a part of the cell; build the model anew"
+                )
+        new.made_from = new._data()
+        new.laws_were_read()
+        return new
+
+    def _loads_of_layers(self, structure: Setup) -> dict[str, Load]:
+        return loads_of_layers(structure.body_force, self.joint, self.layers)
+
+    @abstractmethod
+    def _check_beside(self, other: Self) -> None:
+        """Raise an error unless the layers suit the mesh of another model."""
