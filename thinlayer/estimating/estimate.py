@@ -201,7 +201,7 @@ class Estimate:
             if one.law.lacks:
                 found.append(one.law.lacks)
         if self._side_loads:
-            found.append("what tractions on the layer's own side do inside it is left out: their part of the work is low")
+            found.append("what tractions on the layer's own side do inside it is left out: their work is told too low")
         return found
 
     def __str__(self) -> str:
