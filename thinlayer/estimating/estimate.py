@@ -151,8 +151,8 @@ class Estimate:
         """
         if self._side_loads:
             raise ModelError(
-                f"estimate: the traction on {self._side_loads[0]!r} acts in the better law alone, so that the change has no "
-                "density on S"
+                f"estimate: the traction on {self._side_loads[0]!r} acts in the better law alone, so that the change has "
+                "no density on S"
             )
         if goal not in self._goals:
             known = ", ".join(map(repr, self._goals)) or "none"
