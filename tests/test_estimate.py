@@ -287,3 +287,16 @@ def test_ranks_do_not_matter():
         sizes[name.split(" ")[0]] = max(sizes[name.split(" ")[0]], abs(value))
     for name, value in here.items():
         assert there[name] == pytest.approx(value, rel=1e-8, abs=1e-11 * sizes[name.split(" ")[0]]), name
+
+
+def test_loads_that_one_of_both_laws_lacks():
+    """A traction on the layer's own side: the work in the layer itself is not known, and a change has no density."""
+    loads = {"TOP": (0.3, -1.0), "RIGHT/LAYER": (0.5, 0.1)}
+    made = Structure(sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15), body=LOWER, supports={"BOTTOM": 0}, tractions=loads)
+    wanted = [goals.Compliance(), goals.Displacement((0.41, 0.17), (1, 0))]
+    found = estimate(solve(made.interface(ThinLayer(GLUE, EPS))), goals=wanted)
+    assert "not known in compliance" in str(found)
+    assert math.isnan(found.goals["compliance"].relative)
+    for name in found.goals:
+        with pytest.raises(ModelError, match="act in one of both models alone"):
+            found.density(name)

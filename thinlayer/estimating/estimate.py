@@ -35,6 +35,7 @@ from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 Array = npt.NDArray[np.float64]
+SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
 ROUNDING = 1e-6  # of a goal that is zero but for rounding and the mesh, over its scale
 
 
@@ -46,6 +47,7 @@ class GoalError:
         value: Q(u_0), of the given state.
         better: Q(u_1), of the better law.
         scale: what both are compared with to see whether they are only rounding.
+        known: whether what both laws leave out of Q is of a higher order.
         least: product of the errors of traction and jump, each at most 1. Leading terms cancel in an error below it, and
             the estimate is none.
     """
@@ -54,6 +56,7 @@ class GoalError:
     better: float
     scale: float
     least: float
+    known: bool = True
 
     @property
     def change(self) -> float:
@@ -62,8 +65,8 @@ class GoalError:
 
     @property
     def relative(self) -> float:
-        """|Q(u_1) - Q(u_0)|/|Q(u_1)|; nan: the goal is zero."""
-        return math.nan if self.zero else abs(self.change / self.better) if self.better else math.inf
+        """|Q(u_1) - Q(u_0)|/|Q(u_1)|; nan: the goal is zero, or its error is not known."""
+        return math.nan if self.zero or not self.known else abs(self.change / self.better) if self.better else math.inf
 
     @property
     def zero(self) -> bool:
@@ -73,7 +76,7 @@ class GoalError:
     @property
     def told(self) -> bool:
         """Whether `relative` is an estimate."""
-        return not self.zero and not self.relative < self.least
+        return self.known and not self.zero and not self.relative < self.least
 
 
 @dataclass(frozen=True)
@@ -134,11 +137,6 @@ class Estimate:
         """What the given state has in place of the layers, in words."""
         return "perfect bond" if isinstance(self.state.model, BondedModel) else "order 0"
 
-    @property
-    def _side_loads(self) -> list[str]:
-        """Names of the layer's own sides on which tractions act, which order 0 leaves out."""
-        return [name for name in self.better.model.structure.tractions or {} if name.endswith(f"/{LAYER}")]
-
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> SurfaceDensity:
         """Where on S the change of a goal comes from: a density whose integral is Q(u_1) - Q(u_0). Collective.
@@ -147,20 +145,26 @@ class Estimate:
         large where a mesh of the layer is needed.
 
         Raises:
-            ModelError: no such goal; one without a dual.
+            ModelError: no such goal; one without a dual; loads that act in one of both models alone.
         """
-        if self._side_loads:
-            raise ModelError(
-                f"estimate: the traction on {self._side_loads[0]!r} acts in the better law alone, so that the change has "
-                "no density on S"
-            )
         if goal not in self._goals:
             known = ", ".join(map(repr, self._goals)) or "none"
             raise ModelError(f"estimate: there is no goal {goal!r}; there are: {known}")
         before, theirs = self._before
         with Adjoint(self.better, before, self._options) as adjoint:
             z = adjoint.weights(*self._goals[goal].dual(adjoint))
-            return density_of(adjoint, adjoint.summands(z, self.state, theirs))
+            found = density_of(adjoint, adjoint.summands(z, self.state, theirs))
+        self._require_same_loads(found, self.goals[goal])
+        return found
+
+    def _require_same_loads(self, density: SurfaceDensity, goal: GoalError) -> None:
+        """Raise ModelError if the identity does not hold, as loads act in one of both models alone."""
+        model, size = self.better.model, max(abs(goal.value), abs(goal.better))
+        if model.linear and model.symmetric and abs(density.total - goal.change) > SAME * max(size, goal.scale):
+            raise ModelError(
+                "estimate: loads act in one of both models alone, such as tractions on the layer's side or its weight, so "
+                f"that the change {goal.change:.4g} has no density on S (it would add up to {density.total:.4g})"
+            )
 
     def map(self, goal: str = "compliance") -> Expr:
         """`density` as a scalar UFL expression on S of the model of `better`. Collective."""
@@ -190,6 +194,7 @@ class Estimate:
         errors += [f"{_percent(self.jump)} in jump"] if math.isfinite(self.jump) else []
         for name, goal in self.goals.items():
             error = _percent(goal.relative) if goal.told else f"below {_percent(goal.least)}"
+            error = error if goal.known else "not known"
             errors.append(f"{name} is zero" if goal.zero else f"{error} in {name}")
         found.append(f"{self.dropped}: {', '.join(errors)}")
         for name, one in self.layers.items():
@@ -200,8 +205,8 @@ class Estimate:
                 found.append(f"the layer{where} is nowhere farther from its free ends, or bears no traction there")
             if one.law.lacks:
                 found.append(one.law.lacks)
-        if self._side_loads:
-            found.append("what tractions on the layer's own side do inside it is left out: their work is told too low")
+        if not all(goal.known for goal in self.goals.values()):
+            found.append("what tractions on the layer's own side do inside it is left out: their work is not known")
         return found
 
     def __str__(self) -> str:
@@ -268,10 +273,16 @@ def estimate(
     found = {}
     for name, goal in checked.items():
         scale = max(goal.scale(given, model), goal.scale(better, model))
-        found[name] = GoalError(goal.value(given, model), goal.value(better, model), scale, least)
+        known = not (isinstance(goal, Compliance) and _has_side_loads(model))
+        found[name] = GoalError(goal.value(given, model), goal.value(better, model), scale, least, known)
     return Estimate(
         given, better, layers, found, traction, jump, unknown, time.perf_counter() - start, checked, before, options
     )
+
+
+def _has_side_loads(model: InterfaceModel) -> bool:
+    """Whether tractions act on a layer's own side: they do work in the layer itself, which no law on S knows."""
+    return any(name.endswith(f"/{LAYER}") for name in model.structure.tractions or {})
 
 
 def _checked_goals(goals: Any) -> dict[str, Goal]:

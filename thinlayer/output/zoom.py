@@ -13,12 +13,14 @@ from forms.ends.fields import EVEN, EndFields
 from forms.kinematics import MANDEL
 from forms.law import BulkLaw
 from geometry.ends import StraightEnd
+from geometry.errors import place
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
 from thinlayer.output.faces_at import FacesAt
 from thinlayer.output.zoomable import Zoomable
 
 Array = npt.NDArray[np.float64]
+AT_CORNER = 1e-6  # distance from a corner, over the thickness, where stresses count as infinite
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ class Zoom:
                 stresses along S jump: there they are those of the lower one.
 
         Raises:
-            ModelError: places off the seam; heights out of range; places within 3 thicknesses of a free end whose
+            ModelError: places off the seam; heights out of range; corners of free ends; places within 3 thicknesses of a free end
+                whose
                 fields are not known, with the reason, or of two ends that meet.
         """
         faces = FacesAt.of(self.state, x, self.seam)
@@ -95,6 +98,7 @@ class Zoom:
         near = self._known.near(faces.x)
         for end, distance in near:
             at = np.flatnonzero(np.isfinite(distance))
+            self._require_no_corner(faces.x[at], distance[at], y[at])
             foot = FacesAt.of(self.state, faces.x[at] + distance[at, None] * end.m, self.seam)
             fields = self._fields.stresses(np.asarray(distance[at] / self.eps), y[at])
             found[at] += self._turned(end, np.einsum("kn,knc->nc", self._amplitudes(end, foot), fields))
@@ -105,8 +109,20 @@ class Zoom:
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
+    def _require_no_corner(self, x: Array, distance: Array, y: Array) -> None:
+        """Raise ModelError for places at a corner, where stresses are infinite."""
+        near = (distance < AT_CORNER * self.eps) & (np.abs(y) > 0.5 - AT_CORNER)
+        if near.any() and self._fields.corner.exponent < 1:
+            raise ModelError(
+                f"the stresses at the corner at {place(x[near.argmax()])}, height {y[near.argmax()]:g}, are infinite; "
+                "their exponents and strengths are in `ends`"
+            )
+
     def _heights(self, height: Any, n: int) -> Array:
-        y = np.asarray(height, float)
+        try:
+            y = np.asarray(height, float)
+        except (TypeError, ValueError):
+            y = np.array([np.nan])
         if y.shape not in ((), (n,)) or not (np.abs(y) <= 0.5).all():
             raise ModelError(
                 f"heights are {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness"
@@ -135,9 +151,12 @@ class Zoom:
         """(2, 3) unit vectors at one of `ends`: inward along S, and the normal of S.
 
         Raises:
-            ModelError: as of `ends`.
+            ModelError: as of `ends`; no end of this number.
         """
-        return self._axes([one for one, x in self._known.places_of_ends if len(x)][end])
+        known = [one for one, x in self._known.places_of_ends if len(x)]
+        if end not in range(len(known)):
+            raise ModelError(f"end {end!r}: there are {len(known)}, numbered from 0")
+        return self._axes(known[end])
 
     @property
     def _fields(self) -> EndFields:
