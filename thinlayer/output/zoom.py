@@ -88,9 +88,8 @@ class Zoom:
                 stresses along S jump: there they are those of the lower one.
 
         Raises:
-            ModelError: places off the seam; heights out of range; corners of free ends; places within 3 thicknesses of a free end
-                whose
-                fields are not known, with the reason, or of two ends that meet.
+            ModelError: places off the seam; heights out of range; corners of free ends; places within 3 thicknesses of a
+                free end whose fields are not known, with the reason, or of two ends that meet.
         """
         faces = FacesAt.of(self.state, x, self.seam)
         y = self._heights(height, len(faces.x))
