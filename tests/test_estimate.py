@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, MohrCoulomb, Norton, VonMises
+from forms import LinearElastic, Maxwell, MohrCoulomb, Norton, VonMises
 from forms.contact import HolonomicCoulomb
 from geometry import sandwich
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, numbers, structure
@@ -287,6 +287,20 @@ def test_ranks_do_not_matter():
         sizes[name.split(" ")[0]] = max(sizes[name.split(" ")[0]], abs(value))
     for name, value in here.items():
         assert there[name] == pytest.approx(value, rel=1e-8, abs=1e-11 * sizes[name.split(" ")[0]]), name
+
+
+def test_states_and_supports_that_have_no_estimate():
+    joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15)
+    given = {"body": LOWER, "tractions": {"TOP": (0.3, -1.0)}}
+    creeping = Structure(joint, supports={"BOTTOM": 0}, **given).interface(ThinLayer(Maxwell(3.0, 2.0, 0.5), EPS))
+    with pytest.raises(ModelError, match="give the history"):
+        estimate(march(creeping, [0.4]).last)
+    held = Structure(joint, supports={"BOTTOM": 0, "LEFT/LAYER": 0}, **given)
+    with pytest.raises(ModelError, match="holds the side of the layer alone"):
+        estimate(solve(held.interface(ThinLayer(GLUE, EPS))))
+    free = Structure(joint, body=LOWER, supports={"BOTTOM": {"y": 0}, (0.0, -0.3): {"x": 0}}, eigenstrain=0.01)
+    found = estimate(solve(free.interface(ThinLayer(GLUE, EPS))), goals=[])
+    assert math.isnan(found.traction)  # both bodies expand alike, and the layer bears nothing
 
 
 def test_loads_that_one_of_both_laws_lacks():

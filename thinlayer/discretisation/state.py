@@ -114,6 +114,7 @@ class State(Configuration):
         model: the model; u is in model.V.
         report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
+        sudden: whether it answers to loads that are sudden, from rest.
         dissipated: name of a seam -> energy that its layer dissipated in this step, without what is lost in a snap, if
             there are several seams; "bodies" -> energy that bodies dissipated, if their laws have memory or rate.
     """
@@ -121,6 +122,7 @@ class State(Configuration):
     model: Model
     report: Report
     audit: Audit = Audit()
+    sudden: bool = False
     dissipated: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from forms.base import InputError
 from forms.next_order import for_next_order
+from geometry.seam import LAYER
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
@@ -14,7 +15,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
 from thinlayer.parallel.agreement import on_all
 
-WITHOUT_ENDS = "without edge terms: up to 30 % off"
+WITHOUT_ENDS = "without edge terms: off by up to a half"
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,14 @@ def _better(one: SeamLayer) -> ThinLayer:
     if thin is None:
         raise ModelError(
             f"estimate: {one} has a law on S, {type(law).__name__}, without a thickness: there is no mesh that it replaces"
+        )
+    places = [str(place) for place in one.structure.supports]
+    if held := [
+        place for place in places if place.endswith(f"/{LAYER}") and place.removesuffix(f"/{LAYER}") not in places
+    ]:
+        raise ModelError(
+            f"estimate: the support on {held[0]!r} holds the side of the layer alone, of which no law on S knows: mesh the "
+            "layer (structure.full, structure.mixed)"
         )
     if thin.order == 1:
         raise ModelError(f"estimate: {one} has order=1 already, and an estimate needs a better law; give it order=0")

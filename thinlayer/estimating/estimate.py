@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from petsc4py import PETSc
 
 from forms.kinematics import Expr
 from geometry.seam import LAYER
@@ -28,6 +29,7 @@ from thinlayer.files.table import Table
 from thinlayer.output.surface import Surface
 from thinlayer.output.surface_density import SurfaceDensity
 from thinlayer.parallel.agreement import on_all
+from thinlayer.ranges.sublayers import stiffness_of_jumps
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import solve
@@ -35,6 +37,7 @@ from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 Array = npt.NDArray[np.float64]
+NOTHING = 1e-11  # traction over the layer's stiffness times displacements, and jump over these, that count as rounding
 SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
 ROUNDING = 1e-6  # of a goal that is zero but for rounding and the mesh, over its scale
 
@@ -251,6 +254,8 @@ def estimate(
         raise ModelError(f"estimate takes a state or a history, as solve and march return them, not {given!r:.80}")
     with on_all(given.model.comm):
         checked = _checked_goals(goals)
+        if isinstance(state, State) and not state.sudden:
+            _require_no_memory(state)
     model, laws = _with_better_laws(given, layer)
     with on_all(model.comm):
         for goal in checked.values():
@@ -278,6 +283,16 @@ def estimate(
     return Estimate(
         given, better, layers, found, traction, jump, unknown, time.perf_counter() - start, checked, before, options
     )
+
+
+def _require_no_memory(state: State) -> None:
+    """Raise ModelError if a state that steps in time led to cannot be found again by one solve."""
+    for law in (term.law for term in state.model.terms):
+        if law.traits.remembers or law.traits.rate:
+            raise ModelError(
+                f"estimate: {type(law).__name__} remembers, and steps in time have led to this state; give the history, "
+                "which is marched again"
+            )
 
 
 def _has_side_loads(model: InterfaceModel) -> bool:
@@ -328,6 +343,10 @@ class _Norms:
         if isinstance(before.model, InterfaceModel):
             fields += [surface.jump(better) - w, w]
         found = np.array([surface.norm(f, part) ** 2 for f in fields])
+        moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(part)
+        for k, size in ((1, max(stiffness_of_jumps(one.samples[0])) ** 2), (3, 1.0)):
+            if k < len(found) and found[k] <= NOTHING**2 * size * moved:
+                found[k] = 0.0  # rounding of bodies that bear nothing there
         return cls(np.append(found, np.zeros(4 - len(found))))
 
     def __add__(self, other: _Norms) -> _Norms:

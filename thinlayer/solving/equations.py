@@ -362,7 +362,8 @@ class Equations(PartSum):
             sum(one.after for one in every),
         )
         dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
-        return State(**vars(end), model=self.model, report=report, audit=audit, dissipated=dissipated)
+        sudden = self.interval.dt == 0 and self.interval.old.at_rest
+        return State(**vars(end), model=self.model, report=report, audit=audit, sudden=sudden, dissipated=dissipated)
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""
