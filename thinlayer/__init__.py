@@ -30,7 +30,8 @@ if TYPE_CHECKING:  # for editors and mypy alone
         ThinlayerError,
         TurningPoint,
     )
-    from thinlayer.estimating.estimate import Estimate, estimate
+    from thinlayer.estimating.estimate import estimate
+    from thinlayer.estimating.result import Estimate
     from thinlayer.estimating.thickness import ThinEnough, thin_enough
     from thinlayer.files.table import Table
     from thinlayer.output.comparison import compare
@@ -69,7 +70,8 @@ _NAMES = {
     "discretisation.state": ["State"],
     "discretisation.structure": ["Structure"],
     "errors": ["LimitLoad", "LooseBody", "ModelError", "RangeWarning", "SolveError", "ThinlayerError", "TurningPoint"],
-    "estimating.estimate": ["Estimate", "estimate"],
+    "estimating.estimate": ["estimate"],
+    "estimating.result": ["Estimate"],
     "estimating.thickness": ["ThinEnough", "thin_enough"],
     "files.table": ["Table"],
     "output.comparison": ["compare"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -24,6 +23,7 @@ from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
+from thinlayer.estimating.goal import Goal, unit, written
 from thinlayer.estimating.places import nodes_of_sides
 from thinlayer.output.locating import Located
 from thinlayer.output.probe import Probe
@@ -32,58 +32,6 @@ from thinlayer.ranges.areas import Areas
 from thinlayer.solving.adjoint import Adjoint
 
 Array = npt.NDArray[np.float64]
-
-
-class Goal(ABC):
-    """A number Q of the displacements of a structure, the same for all of its models.
-
-    Attributes:
-        name: of the goal, in tables and sentences.
-    """
-
-    name: str
-
-    def check(self, model: InterfaceModel) -> None:
-        """Raise ModelError unless the goal suits the model. Not collective."""
-
-    @abstractmethod
-    def value(self, state: State, model: InterfaceModel) -> float:
-        """Q in a state; of another model its displacements are taken to the interface model. Collective."""
-
-    @abstractmethod
-    def scale(self, state: State, model: InterfaceModel) -> float:
-        """What Q is zero beside where it is only rounding, >= 0. Collective."""
-
-    @abstractmethod
-    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Nodal weights q and motions g of supports for which Q = q . u - g . r, see `Adjoint`. Collective.
-
-        Raises:
-            ModelError: there are none.
-        """
-
-
-def unit(direction: Sequence[float], dim: int, goal: str) -> Array:
-    """A direction (d,) of unit length.
-
-    Raises:
-        ModelError: it is none.
-    """
-    try:
-        found = np.array(direction, float)
-    except (TypeError, ValueError):
-        found = np.empty(0)
-    if found.shape != (dim,) or not np.isfinite(found).all() or not found.any():
-        raise ModelError(f"{goal}: the direction is {direction!r}; give {dim} numbers, not all zero")
-    return np.asarray(found / np.linalg.norm(found))
-
-
-def _written(vector: Any) -> str:
-    """A vector in the name of a goal; as it is if it is none, which `check` refuses."""
-    try:
-        return f"({', '.join(f'{c:.4g}' for c in vector)})"
-    except (TypeError, ValueError):
-        return repr(vector)
 
 
 @dataclass(frozen=True)
@@ -141,7 +89,7 @@ class Reaction(Goal):
     @property
     def name(self) -> str:  # type: ignore[override]
         """Of the goal."""
-        return f"reaction {self.place} along {_written(self.direction)}"
+        return f"reaction {self.place} along {written(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         unit(self.direction, model.joint.dim, self.name)
@@ -178,7 +126,7 @@ class MeanTraction(Goal):
     def name(self) -> str:  # type: ignore[override]
         """Of the goal."""
         of = "" if self.seam == S else f" {self.seam}"
-        return f"mean traction{of} along {_written(self.direction)}"
+        return f"mean traction{of} along {written(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         unit(self.direction, model.joint.dim, self.name)
@@ -246,7 +194,7 @@ class Displacement(Goal):
     def name(self) -> str:  # type: ignore[override]
         """Of the goal."""
         side = f" {self.side}" if self.side else ""
-        return f"displacement at {_written(self.x)}{side} along {_written(self.direction)}"
+        return f"displacement at {written(self.x)}{side} along {written(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         unit(self.direction, model.joint.dim, self.name)

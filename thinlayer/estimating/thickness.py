@@ -13,9 +13,11 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import ModelError
-from thinlayer.estimating.estimate import Estimate, estimate
-from thinlayer.estimating.goals import Compliance, Goal
+from thinlayer.estimating.estimate import estimate
+from thinlayer.estimating.goal import Goal
+from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.places import NEAR_ENDS
+from thinlayer.estimating.result import Estimate
 from thinlayer.files.table import Table
 from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.options import OptionValue

@@ -12,7 +12,8 @@ from thinlayer.describing.case import Case
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.estimating.estimate import Estimate, estimate
+from thinlayer.estimating.estimate import estimate
+from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
 from thinlayer.files.table import Table, hash_of
 from thinlayer.output import plotting

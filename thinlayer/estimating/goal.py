@@ -1,0 +1,70 @@
+"""Goal: a number that a user wants of a structure; the base of all goals."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.solving.adjoint import Adjoint
+
+Array = npt.NDArray[np.float64]
+
+
+class Goal(ABC):
+    """A number Q of the displacements of a structure, the same for all of its models.
+
+    Attributes:
+        name: of the goal, in tables and sentences.
+    """
+
+    name: str
+
+    def check(self, model: InterfaceModel) -> None:
+        """Raise ModelError unless the goal suits the model. Not collective."""
+
+    @abstractmethod
+    def value(self, state: State, model: InterfaceModel) -> float:
+        """Q in a state; of another model its displacements are taken to the interface model. Collective."""
+
+    @abstractmethod
+    def scale(self, state: State, model: InterfaceModel) -> float:
+        """What Q is zero beside where it is only rounding, >= 0. Collective."""
+
+    @abstractmethod
+    def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """Nodal weights q and motions g of supports for which Q = q . u - g . r, see `Adjoint`. Collective.
+
+        Raises:
+            ModelError: there are none.
+        """
+
+
+def unit(direction: Sequence[float], dim: int, goal: str) -> Array:
+    """A direction (d,) of unit length.
+
+    Raises:
+        ModelError: it is none.
+    """
+    try:
+        found = np.array(direction, float)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (dim,) or not np.isfinite(found).all() or not found.any():
+        raise ModelError(f"{goal}: the direction is {direction!r}; give {dim} numbers, not all zero")
+    return np.asarray(found / np.linalg.norm(found))
+
+
+def written(vector: Any) -> str:
+    """A vector in the name of a goal; as it is if it is none, which `check` refuses."""
+    try:
+        return f"({', '.join(f'{c:.4g}' for c in vector)})"
+    except (TypeError, ValueError):
+        return repr(vector)

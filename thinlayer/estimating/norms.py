@@ -1,0 +1,54 @@
+"""Norms on S, away from its free ends, of what a layer bears and how far it opens."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.seams import SeamLayer
+from thinlayer.discretisation.state import State
+from thinlayer.estimating.places import NEAR_ENDS, away_from_ends
+from thinlayer.output.surface import Surface
+from thinlayer.ranges.sublayers import stiffness_of_jumps
+
+Array = npt.NDArray[np.float64]
+NOTHING = 1e-11  # traction over the layer's stiffness times displacements, and jump over these, that count as rounding
+
+
+@dataclass(frozen=True)
+class Norms:
+    """Squares of norms on S: of the changes of t and of [u], of t(u_0) and of [u_0]; zero where they are not known."""
+
+    squares: Array
+
+    @classmethod
+    def on(cls, before: State, better: State, one: SeamLayer) -> Norms:
+        """Those on a seam, away from its free ends. Collective."""
+        model = better.model
+        surface = Surface(model, one.name)
+        assert one.thin
+        part = away_from_ends(surface.model, one, NEAR_ENDS * float(one.thin.eps))
+        t, w = surface.traction(before), surface.jump(before)
+        fields = [surface.traction(better) - t, t]
+        if isinstance(before.model, InterfaceModel):
+            fields += [surface.jump(better) - w, w]
+        found = np.array([surface.norm(f, part) ** 2 for f in fields])
+        moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(part)
+        for k, size in ((1, max(stiffness_of_jumps(one.samples[0])) ** 2), (3, 1.0)):
+            if k < len(found) and found[k] <= NOTHING**2 * size * moved:
+                found[k] = 0.0  # rounding of bodies that bear nothing there
+        return cls(np.append(found, np.zeros(4 - len(found))))
+
+    def __add__(self, other: Norms) -> Norms:
+        return Norms(self.squares + other.squares)
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Relative errors of traction and jump; nan: not known."""
+        of_t, t, of_w, w = (float(root) for root in np.sqrt(self.squares))
+        return of_t / t if t else math.nan, of_w / w if w else math.nan

@@ -1,0 +1,204 @@
+"""Estimate: what an estimate of the error of interface laws says, in numbers, places and words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from forms.kinematics import Expr
+from thinlayer.discretisation.bonded_model import BondedModel
+from thinlayer.discretisation.state import State
+from thinlayer.errors import ModelError
+from thinlayer.estimating.better import BetterLaw
+from thinlayer.estimating.goals import Goal
+from thinlayer.estimating.places import density_of
+from thinlayer.files.table import Table
+from thinlayer.output.surface_density import SurfaceDensity
+from thinlayer.solving.adjoint import Adjoint
+from thinlayer.solving.options import OptionValue
+
+SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
+ROUNDING = 1e-6  # of a goal that is zero but for rounding and the mesh, over its scale
+
+
+@dataclass(frozen=True)
+class GoalError:
+    """The estimated error of a goal.
+
+    Attributes:
+        value: Q(u_0), of the given state.
+        better: Q(u_1), of the better law.
+        scale: what both are compared with to see whether they are only rounding.
+        known: whether what both laws leave out of Q is of a higher order.
+        least: product of the errors of traction and jump, each at most 1. Leading terms cancel in an error below it, and
+            the estimate is none.
+    """
+
+    value: float
+    better: float
+    scale: float
+    least: float
+    known: bool = True
+
+    @property
+    def change(self) -> float:
+        """Q(u_1) - Q(u_0)."""
+        return self.better - self.value
+
+    @property
+    def relative(self) -> float:
+        """|Q(u_1) - Q(u_0)|/|Q(u_1)|; nan: the goal is zero, or its error is not known."""
+        return math.nan if self.zero or not self.known else abs(self.change / self.better) if self.better else math.inf
+
+    @property
+    def zero(self) -> bool:
+        """Whether the goal is zero, but for rounding."""
+        return max(abs(self.value), abs(self.better)) <= ROUNDING * self.scale
+
+    @property
+    def told(self) -> bool:
+        """Whether `relative` is an estimate."""
+        return self.known and not self.zero and not self.relative < self.least
+
+
+@dataclass(frozen=True)
+class LayerError:
+    """The estimated errors of the traction and of the jump of a layer.
+
+    Attributes:
+        law: the better law.
+        near: distance from free ends within which they are not known; 0: there are no free ends.
+        traction: |t(u_1) - t(u_0)|/|t(u_0)| in L2 farther away; nan: not known.
+        jump: likewise; nan beside bonded bodies.
+    """
+
+    law: BetterLaw
+    near: float
+    traction: float
+    jump: float
+
+
+@dataclass(frozen=True, repr=False)
+class Estimate:
+    """What dropping the mesh of a layer costs, see `estimate`.
+
+    Attributes:
+        state: u_0, as given.
+        better: u_1, of the better laws.
+        layers: name of a seam -> its errors.
+        goals: name of a goal -> its error.
+        traction, jump: as of `LayerError`, over all layers.
+        unknown: why no number can be told; "": it can.
+        seconds: wall time of the estimate.
+    """
+
+    state: State
+    better: State
+    layers: Mapping[str, LayerError]
+    goals: Mapping[str, GoalError]
+    traction: float
+    jump: float
+    unknown: str
+    seconds: float
+    _goals: Mapping[str, Goal] = field(default_factory=dict)
+    _before: tuple[State | None, State | None] = (None, None)
+    _options: Mapping[str, OptionValue] | None = None
+
+    @property
+    def cost(self) -> float:
+        """Time of the solve of the better laws over that of the given state."""
+        return self.better.report.seconds / self.state.report.seconds
+
+    @property
+    def laws(self) -> dict[str, str]:
+        """Name of a seam -> what its better law is, and what it lacks."""
+        return {name: str(one.law) for name, one in self.layers.items()}
+
+    @property
+    def dropped(self) -> str:
+        """What the given state has in place of the layers, in words."""
+        return "perfect bond" if isinstance(self.state.model, BondedModel) else "order 0"
+
+    # ---------------------------------------------------------------- where
+    def density(self, goal: str = "compliance") -> SurfaceDensity:
+        """Where on S the change of a goal comes from: a density whose integral is Q(u_1) - Q(u_0). Collective.
+
+        For linear models with symmetric laws the integral is exact, otherwise it is so to first order in the change. It is
+        large where a mesh of the layer is needed.
+
+        Raises:
+            ModelError: no such goal; one without a dual; loads that act in one of both models alone.
+        """
+        if goal not in self._goals:
+            known = ", ".join(map(repr, self._goals)) or "none"
+            raise ModelError(f"estimate: there is no goal {goal!r}; there are: {known}")
+        before, theirs = self._before
+        with Adjoint(self.better, before, self._options) as adjoint:
+            z = adjoint.weights(*self._goals[goal].dual(adjoint))
+            found = density_of(adjoint, adjoint.summands(z, self.state, theirs))
+        self._require_same_loads(found, self.goals[goal])
+        return found
+
+    def _require_same_loads(self, density: SurfaceDensity, goal: GoalError) -> None:
+        """Raise ModelError if the identity does not hold, as loads act in one of both models alone."""
+        model, size = self.better.model, max(abs(goal.value), abs(goal.better))
+        if model.linear and model.symmetric and abs(density.total - goal.change) > SAME * max(size, goal.scale):
+            raise ModelError(
+                "estimate: loads act in one of both models alone, such as tractions on the layer's side or its weight, so "
+                f"that the change {goal.change:.4g} has no density on S (it would add up to {density.total:.4g})"
+            )
+
+    def map(self, goal: str = "compliance") -> Expr:
+        """`density` as a scalar UFL expression on S of the model of `better`. Collective."""
+        return self.density(goal).expression
+
+    # ---------------------------------------------------------------- words
+    @property
+    def table(self) -> Table:
+        """A row for each quantity: its value with the given law, with the better one, and the relative error."""
+        nan, rows = math.nan, []
+        for name, one in self.layers.items():
+            of = f" {name}" if len(self.layers) > 1 else ""
+            rows.append({"quantity": f"traction{of}", "value": nan, "better": nan, "error": one.traction})
+            rows.append({"quantity": f"jump{of}", "value": nan, "better": nan, "error": one.jump})
+        for name, goal in self.goals.items():
+            error = goal.relative if not self.unknown else nan
+            rows.append({"quantity": name, "value": goal.value, "better": goal.better, "error": error})
+        return Table(rows)
+
+    @cached_property
+    def sentences(self) -> list[str]:
+        """What the estimate says."""
+        if self.unknown:
+            return [f"{self.dropped}: {self.unknown}"]
+        found = []
+        errors = [f"{_percent(self.traction)} in traction"] if math.isfinite(self.traction) else []
+        errors += [f"{_percent(self.jump)} in jump"] if math.isfinite(self.jump) else []
+        for name, goal in self.goals.items():
+            error = _percent(goal.relative) if goal.told else f"below {_percent(goal.least)}"
+            error = error if goal.known else "not known"
+            errors.append(f"{name} is zero" if goal.zero else f"{error} in {name}")
+        found.append(f"{self.dropped}: {', '.join(errors)}")
+        for name, one in self.layers.items():
+            where = f" of {name}" if len(self.layers) > 1 else ""
+            if one.near:
+                found.append(f"within {one.near:.3g} of free ends{where}: not known")
+            if math.isnan(one.traction):
+                found.append(f"the layer{where} is nowhere farther from its free ends, or bears no traction there")
+            if one.law.lacks:
+                found.append(one.law.lacks)
+        if not all(goal.known for goal in self.goals.values()):
+            found.append("what tractions on the layer's own side do inside it is left out: their work is not known")
+        return found
+
+    def __str__(self) -> str:
+        return "; ".join(self.sentences)
+
+    def __repr__(self) -> str:
+        return f"Estimate({self})"
+
+
+def _percent(x: float) -> str:
+    return f"{100 * x:.2g} %" if x < 0.995 else f"{100 * x:.0f} %"
