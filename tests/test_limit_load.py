@@ -21,9 +21,9 @@ from tests.ranks import mpirun
 from thinlayer import Adaptive, SolveError, Surface, march, solve
 from thinlayer.errors import LimitLoad
 from thinlayer.parts.compiled import CompiledPart
-from thinlayer.running.cli import OK, SOLVE_FAILED
 from thinlayer.running.cli import main as command
 from thinlayer.running.record import Record
+from thinlayer.running.recorded import OK, SOLVE_FAILED
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.solvers import Solver
 

@@ -115,6 +115,8 @@ class State(Configuration):
         report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
         sudden: whether it answers to loads that are sudden, from rest.
+        prescribed_work: work of the reactions at the end of the step in the displacements and motions that supports and
+            plates prescribe; nan: not known.
         dissipated: name of a seam -> energy that its layer dissipated in this step, without what is lost in a snap, if
             there are several seams; "bodies" -> energy that bodies dissipated, if their laws have memory or rate.
     """
@@ -123,6 +125,7 @@ class State(Configuration):
     report: Report
     audit: Audit = Audit()
     sudden: bool = False
+    prescribed_work: float = math.nan
     dissipated: Mapping[str, float] = field(default_factory=dict)
 
     @property

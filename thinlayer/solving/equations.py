@@ -347,6 +347,7 @@ class Equations(PartSum):
         old = self.vector()
         self.put_state(self.interval.old, old)
         moved = x.array_r[self.held] - old.array_r[self.held]
+        prescribed_work = self.comm.allreduce(float(out.array_r[self.held] @ x.array_r[self.held]))
         supplied = float(self.loads.dot(change)) + self.comm.allreduce(float(out.array_r[self.held] @ moved))
         old.destroy()
         out.destroy()
@@ -363,7 +364,8 @@ class Equations(PartSum):
         )
         dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
         sudden = self.interval.dt == 0 and self.interval.old.at_rest
-        return State(**vars(end), model=self.model, report=report, audit=audit, sudden=sudden, dissipated=dissipated)
+        more = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
+        return State(**vars(end), model=self.model, report=report, audit=audit, **more)
 
     def squares_of_strains(self, x: PETSc.Vec) -> dict[str, float]:
         """Integrals of the squares of strains or jumps that unknowns x cause, by the keys of parts that measure them."""
