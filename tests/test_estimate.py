@@ -57,6 +57,14 @@ def test_in_three_dimensions_too():
         assert found.density(name).total == pytest.approx(goal.change, abs=1e-11 * abs(goal.value)), name
 
 
+def test_a_goal_that_is_not_linear_has_a_density_to_first_order():
+    square = goals.Functional("square", lambda u, model: ufl.inner(u, u) * model.dx)
+    found = estimate(solve(structure("between").interface(ThinLayer(GLUE, EPS))), goals=[square])
+    change, relative = found.goals["square"].change, found.goals["square"].relative
+    assert found.density("square").total == pytest.approx(change, rel=relative)
+    assert found.density("square").total != pytest.approx(change, rel=0.01 * relative)
+
+
 def test_weights_of_the_law_of_order_0_are_not_exact(every):
     """What u_0 itself gives instead of u_1, for the compliance: the first term of a series."""
     found = every["between"]

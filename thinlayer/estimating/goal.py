@@ -30,6 +30,10 @@ class Goal(ABC):
     def check(self, model: InterfaceModel) -> None:
         """Raise ModelError unless the goal suits the model. Not collective."""
 
+    def is_linear(self, model: InterfaceModel) -> bool:
+        """Whether Q is linear in the displacements and reactions."""
+        return True
+
     @abstractmethod
     def value(self, state: State, model: InterfaceModel) -> float:
         """Q in a state; of another model its displacements are taken to the interface model. Collective."""

@@ -253,6 +253,11 @@ class Functional(Goal):
         owned = model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs
         return float(model.comm.allreduce(float(np.abs(weights.array[:owned] * u.x.array[:owned]).sum())))
 
+    def is_linear(self, model: InterfaceModel) -> bool:
+        u = fem.Function(model.V)
+        slope = ufl.derivative(self._derivative(u, model), u, ufl.TrialFunction(model.V))
+        return bool(expand_derivatives(slope).empty())
+
     def _derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
         v = ufl.TestFunction(model.V)
         found = expand_derivatives(ufl.derivative(self._form(u, model), u, v))
