@@ -77,14 +77,11 @@ def _check(record: Record, table: Table, goals: Table, own: np.ndarray) -> None:
         ratio = float(np.median(distance[own & fine]) / np.median(distance[own & ~fine]))
         record.check(f"its median at eps = 1/64 over that at 1/16, {name}", ratio, high=0.5)
     known = table["from_known"]
-    record.check("largest distance from effectivities that another program found", np.nanmax(known), high=0.05)
-    record.check("share of them further away than .02", np.mean(known[~np.isnan(known)] > SAME), high=0.15)
-    told = goals["told"] > 0
-    record.check(
-        "median distance of a told goal's effectivity from 1",
-        np.median(np.abs(goals["effectivity"] - 1)[told]),
-        high=0.02,
-    )
+    record.check("largest distance from effectivities that another program found", np.nanmax(known), high=0.04)
+    record.check("share of them further away than .02", np.mean(known[~np.isnan(known)] > SAME), high=0.1)
+    told = np.abs(goals["effectivity"] - 1)[goals["told"] > 0]
+    record.check("median distance of a told goal's effectivity from 1", np.median(told), high=0.02)
+    record.check("largest distance of a told goal's effectivity from 1", told.max(), high=0.3)
 
 
 def _refusals(record: Record) -> None:

@@ -21,9 +21,7 @@ from thinlayer.discretisation.seams import SeamLayer
 
 LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
 LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
-BENDING = (
-    44.0  # (eps k)^3 E/mu where half-spaces give way to the pressure of a wave k as much as the layer: 48 (1 - nu^2)
-)
+BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
 
 
 @dataclass(frozen=True)

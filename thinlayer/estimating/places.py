@@ -12,7 +12,7 @@ from geometry.inflating.parting import points_on_middle
 from geometry.joint import Joint
 from geometry.sheet import Rim
 from geometry.topology import FloatArray, IntArray
-from thinlayer.compiling.compat import interpolation_points
+from thinlayer.compiling.compat import exterior_facet_entities, interpolation_points
 from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.joint_fields import cellwise
@@ -86,7 +86,7 @@ def nodes_of_sides(model: InterfaceModel, name: str) -> tuple[IntArray, IntArray
     """
     domain, d, dofmap = model.domain, model.joint.dim, model.V.dofmap
     if name in model.joint.base_seams:
-        entities = _on_boundary(model, domain.facets(name).astype(np.int64))
+        entities = exterior_facet_entities(domain.mesh, np.sort(domain.facets(name))).astype(np.int64)
     else:
         entities = seam_entities(domain, name).astype(np.int64)
     sides = np.split(entities, entities.shape[1] // 2, axis=1)
@@ -95,14 +95,3 @@ def nodes_of_sides(model: InterfaceModel, name: str) -> tuple[IntArray, IntArray
         for side in sides
     ]
     return found[0].astype(np.int64), (found[1] if len(found) > 1 else np.empty(0)).astype(np.int64)
-
-
-def _on_boundary(model: InterfaceModel, facets: IntArray) -> IntArray:
-    """(cell, local facet) of local facets on the boundary, (n, 2)."""
-    topology, d = model.domain.mesh.topology, model.joint.dim
-    topology.create_connectivity(d - 1, d)
-    topology.create_connectivity(d, d - 1)
-    to_cell, to_facet = topology.connectivity(d - 1, d), topology.connectivity(d, d - 1)
-    cells = [to_cell.links(facet)[0] for facet in facets]
-    local = [np.flatnonzero(to_facet.links(cell) == facet)[0] for cell, facet in zip(cells, facets, strict=True)]
-    return np.column_stack([cells, local]).astype(np.int64).reshape(-1, 2)
