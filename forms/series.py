@@ -26,12 +26,19 @@ def _fraction(a: Any) -> float:
     return float(a)
 
 
+def folded(law: BulkLaw) -> BulkLaw:
+    """The law of the sublayers of a Stack if they are linear and all equal, else the law itself."""
+    first = law.sublayers[0][1]
+    return first if first.traits.linear and all(one == first for _, one in law.sublayers) else law
+
+
 @dataclass(frozen=True)
 class Stack(BulkLaw):
     """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.
 
     The meshed layer has cells for each sublayer. On S each point solves for strains e + sym(g_i (x) n) of the
-    sublayers with equal tractions and sum a_i g_i = 0, with the history of each law.
+    sublayers with equal tractions and sum a_i g_i = 0, with the history of each law. A layer of equal linear sublayers has
+    their law.
 
     Between linear elastic sublayers the compliances add, K = (sum_i a_i K_i^-1)^-1: for isotropic ones the harmonic means
     of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.

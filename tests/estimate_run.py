@@ -24,7 +24,7 @@ def structure(kind: str, dim: int = 2) -> Structure:
     load = LOADS[dim]
     if kind == "base":
         return Structure(block(1.3, 0.4, 0.3, h_ends=0.15, **sizes), body=UPPER, supports={}, tractions={"TOP": load})
-    joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.15, **sizes)
+    joint = sandwich(1.3, 0.3, 0.4, 0.3, h_ends=0.05 if kind == "rubber" else 0.15, **sizes)
     given = {"body": {"LOWER": LOWER, "UPPER": UPPER}, "supports": {"BOTTOM": 0}, "tractions": {"TOP": load}}
     if kind == "moved":
         given["supports"] = {"BOTTOM": 0, "TOP": {"y": -0.013, "x": lambda x, t: 0.004 * x[0]}}

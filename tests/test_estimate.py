@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, Maxwell, MohrCoulomb, Norton, VonMises
+from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, Norton, Stack, VonMises
 from forms.contact import HolonomicCoulomb
 from geometry import sandwich
 from tests.estimate_run import EPS, GLUE, KINDS, LOWER, estimated, numbers, structure
@@ -107,7 +107,6 @@ def test_the_estimate_is_the_error():
 
 def test_one_more_solve_is_all(every):
     assert every["between"].better.report.iterations == every["between"].state.report.iterations
-    assert 0 < every["between"].cost < 20  # a time: of the machine, too
 
 
 def test_a_history_is_marched_again():
@@ -137,12 +136,74 @@ def test_newton_begins_at_the_given_state():
     assert found.unknown == ""  # it yields, but has no free ends
 
 
+# ---------------------------------------------------------------- laws whose free ends are not known
+@pytest.mark.parametrize(
+    "law",
+    [Stack((0.4, GLUE), (0.6, LinearElastic.shear(1.3, 0.4))), Anisotropic.springs(3.1, 1.2)],
+    ids=["stack", "springs"],
+)
+def test_sublayers_and_anisotropic_layers_with_free_ends_have_no_estimate(law):
+    """Without edge terms it was found to be a tenth of the true error, and to have the wrong sign."""
+    found = estimate(solve(graded().interface(ThinLayer(law, EPS)), 1.0))
+    assert "no estimate without edge terms" in found.unknown
+    assert np.isnan([found.traction, found.jump, found.goals["compliance"].relative]).all()
+    assert not found.goals["compliance"].told
+    with pytest.raises(ModelError, match="no estimate without edge terms"):
+        thin_enough(graded(), ThinLayer(law, EPS), 0.05, t=1.0)
+
+
+def test_equal_sublayers_are_one_law():
+    one, two = (
+        estimate(solve(graded().interface(ThinLayer(law, EPS)), 1.0))
+        for law in (GLUE, Stack((0.4, GLUE), (0.6, LinearElastic.shear(3.0, 0.35))))
+    )
+    assert two.laws == one.laws == {"S": "order 1 of LinearElastic, with its free ends"}
+    assert two.traction == pytest.approx(one.traction, rel=1e-12)
+    assert two.goals["compliance"].change == pytest.approx(one.goals["compliance"].change, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", [LinearElastic.shear(50.0, 0.4), Norton(lmbda=20.0, mu=50.0, eta=9.0, p=1.5)])
+def test_between_soft_bodies_half_the_true_error_is_found_without_edge_terms(law):
+    layer = ThinLayer(law, EPS)
+    limit, full = (march(model, [0.5, 1.0]) for model in (graded().interface(layer), graded().full(layer)))
+    found = estimate(limit)
+    true = full.last.energies()["loads"] - limit.last.energies()["loads"]
+    assert "without edge terms: off by up to a half" in str(found)
+    assert 0.5 * true < found.goals["compliance"].change < 1.02 * true
+
+
+def test_bodies_of_less_than_two_thicknesses_have_a_caveat():
+    """Where goals were found to be told 4 times too large; of 2.5 thicknesses nothing is said."""
+    joint, load = sandwich(1.3, 0.5, 0.125, 0.3, h_S=0.1, h_ends=0.02), {"TOP": (0.1, -1.0)}
+    plates = Structure(joint, body=LinearElastic.young(150.0, 0.3), supports={"BOTTOM": 0}, tractions=load)
+    thin, known = (estimate(solve(plates.interface(ThinLayer(GLUE, eps)))) for eps in (0.075, 0.05))
+    assert "a body is 1.7 thicknesses high" in str(thin)
+    assert thin.layers["S"].law.off == 0.5
+    assert known.layers["S"].law.lacks == ""
+    widest = thin_enough(plates, ThinLayer(GLUE, 0.05), 0.9)
+    assert not widest.found
+    assert widest.eps == pytest.approx(0.125 / 2)  # half of the thinner body
+
+
+def test_an_error_that_free_ends_alone_bring_about_is_only_bounded():
+    """Between rigid plates tractions are those of the law but for the field of the ends, which neither law knows."""
+    layer, plates = ThinLayer(LinearElastic.shear(1.0, 0.38), 0.05), {"BOTTOM": 0, "TOP": {"x": 0, "y": -0.01}}
+    made = Structure(graded().joint, body=LinearElastic.young(1e6, 0.3), supports=plates)
+    limit, full = solve(made.interface(layer)), solve(made.full(layer))
+    found, surface = estimate(limit), Surface(limit.model)
+    part = away_from_ends(limit.model, limit.model.layers["S"], 3 * layer.eps)
+    t = surface.traction(limit)
+    true = surface.norm(surface.traction(full) - t, part) / surface.norm(t, part)
+    assert found.traction < 0.3 * true < true < found.floors[0] < 4 * true
+    assert found.sentences[0].startswith("order 0: below ")
+
+
 # ---------------------------------------------------------------- words
 def test_sentences(every):
     said = every["between"].sentences
     assert said[0].startswith("order 0: ")
     assert "% in traction" in said[0]
-    assert "below" in next(one for one in said[0].split(", ") if "reaction" in one)  # equilibrium gives it
+    assert "no change in reaction BOTTOM" in said[0]  # equilibrium gives it
     assert said[1] == "within 0.15 of free ends: not known"
     assert every["bonded"].sentences[0].startswith("perfect bond: ")
     assert math.isnan(every["bonded"].jump)
@@ -163,7 +224,7 @@ def test_a_layer_that_yields_at_its_ends_has_no_estimate(law, words):
     assert found.sentences == [f"order 0: {found.unknown}"]
     assert words in found.unknown
     assert np.isnan(found.table["error"]).all()
-    assert estimate(solve(graded().interface(ThinLayer(law, EPS)), 0.01)).unknown == ""  # it stays elastic
+    assert words not in estimate(solve(graded().interface(ThinLayer(law, EPS)), 0.01)).unknown  # it stays elastic
 
 
 def test_goals_that_are_zero(every):
@@ -198,7 +259,7 @@ def test_thin_enough_is_where_the_estimate_is_the_tolerance():
     error = estimate(solve(made.interface(layer))).goals["compliance"].relative
     assert 0.98 * 0.01 < error <= 0.01
     assert f"thinner than {found.eps:.3g}" in str(found)
-    assert len(found.table) <= 10
+    assert len(found.table) <= 15
 
 
 def test_thin_enough_does_not_depend_on_where_it_begins():

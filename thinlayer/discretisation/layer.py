@@ -19,6 +19,7 @@ from forms.contact import ContactLaw
 from forms.declarations import require_declarations
 from forms.law import BulkLaw, LawError
 from forms.planes import Kinematics
+from forms.series import folded
 from forms.traction import TractionLaw
 from geometry.errors import unknown
 from geometry.joint import Joint, Profile
@@ -76,6 +77,7 @@ class ThinLayer:
         if not isinstance(self.law, BulkLaw):
             raise LawError(f"the layer's law is {self.law!r}; it must be a law of strains, such as forms.LinearElastic")
         require_declarations(self.law)
+        object.__setattr__(self, "law", folded(self.law))
         _check_thickness("layer's thickness", self.eps)
         if self.order not in (0, 1) or not is_number(self.order):
             raise LawError(f"the order of the interface law is {self.order!r}; allowed: 0, 1")

@@ -18,7 +18,7 @@ from thinlayer.errors import ModelError
 from thinlayer.estimating.better import BetterLaw, better_model
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
-from thinlayer.estimating.norms import Norms
+from thinlayer.estimating.norms import Norms, field_of_ends
 from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
 from thinlayer.estimating.yielding import why_not
@@ -73,19 +73,21 @@ def estimate(
     else:
         like = given if isinstance(given.model, InterfaceModel) and not model.linear else None
         better, before = solve(model, given.t, options=options, like=like), (None, None)
-    unknown = why_not(better)
+    unknown = why_not(better) or next((law.lacks for law in laws.values() if math.isnan(law.off)), "")
     total, layers = Norms(np.zeros(4)), {}
     for name, law in laws.items():
         norms = Norms(np.zeros(4)) if unknown else Norms.on(given, better, model.layers[name])
         near = NEAR_ENDS * float(law.layer.eps) if law.ends else 0.0
-        total, layers[name] = total + norms, LayerError(law, near, *norms.errors)
+        total, layers[name] = (
+            total + norms,
+            LayerError(law, near, *norms.errors, field_of_ends(model, model.layers[name])),
+        )
     traction, jump = total.errors
-    least = min(traction, 1.0) * min(jump if math.isfinite(jump) else traction, 1.0)
     found = {}
     for name, goal in checked.items():
         scale = max(goal.scale(given, model), goal.scale(better, model))
-        known = not (isinstance(goal, Compliance) and _has_side_loads(model))
-        found[name] = GoalError(goal.value(given, model), goal.value(better, model), scale, least, known)
+        known = not unknown and not (isinstance(goal, Compliance) and _has_side_loads(model))
+        found[name] = GoalError(goal.value(given, model), goal.value(better, model), scale, traction, known)
     return Estimate(
         given, better, layers, found, traction, jump, unknown, time.perf_counter() - start, checked, before, options
     )

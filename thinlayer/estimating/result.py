@@ -20,7 +20,10 @@ from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.options import OptionValue
 
 SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
-ROUNDING = 1e-6  # of a goal that is zero but for rounding and the mesh, over its scale
+ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale
+FIXED = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal
+NOISE = 0.05  # what changes of goals, over their scale, were found to be wrong by at most, over the error in traction
+OF_JUMPS = 0.1  # the same of errors in jump
 
 
 @dataclass(frozen=True)
@@ -31,16 +34,21 @@ class GoalError:
         value: Q(u_0), of the given state.
         better: Q(u_1), of the better law.
         scale: what both are compared with to see whether they are only rounding.
+        traction: the error of the traction.
         known: whether what both laws leave out of Q is of a higher order.
-        least: product of the errors of traction and jump, each at most 1. Leading terms cancel in an error below it, and
-            the estimate is none.
     """
 
     value: float
     better: float
     scale: float
-    least: float
+    traction: float
     known: bool = True
+
+    @property
+    def least(self) -> float:
+        """The noise of `relative`: leading terms cancel in an error below it, and the estimate is none."""
+        noise = NOISE * min(self.traction, 1.0) * self.scale
+        return noise / abs(self.better) if self.better else math.inf
 
     @property
     def change(self) -> float:
@@ -60,7 +68,12 @@ class GoalError:
     @property
     def told(self) -> bool:
         """Whether `relative` is an estimate."""
-        return self.known and not self.zero and not self.relative < self.least
+        return self.known and not self.zero and (self.fixed or not self.relative < self.least)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the goal does not change, as equilibrium gives it."""
+        return abs(self.change) <= FIXED * self.scale
 
 
 @dataclass(frozen=True)
@@ -72,12 +85,15 @@ class LayerError:
         near: distance from free ends within which they are not known; 0: there are no free ends.
         traction: |t(u_1) - t(u_0)|/|t(u_0)| in L2 farther away; nan: not known.
         jump: likewise; nan beside bonded bodies.
+        ends: the part of the tractions there that free ends bring about, of which neither law knows; an error below it is
+            not told.
     """
 
     law: BetterLaw
     near: float
     traction: float
     jump: float
+    ends: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,6 +121,11 @@ class Estimate:
     _goals: Mapping[str, Goal] = field(default_factory=dict)
     _before: tuple[State | None, State | None] = (None, None)
     _options: Mapping[str, OptionValue] | None = None
+
+    @property
+    def floors(self) -> tuple[float, float]:
+        """Errors of traction and jump below which they are not told: the field of free ends, and where changes cancel."""
+        return max(one.ends for one in self.layers.values()), OF_JUMPS * min(self.traction, 1.0)
 
     @property
     def cost(self) -> float:
@@ -175,12 +196,9 @@ class Estimate:
         if self.unknown:
             return [f"{self.dropped}: {self.unknown}"]
         found = []
-        errors = [f"{_percent(self.traction)} in traction"] if math.isfinite(self.traction) else []
-        errors += [f"{_percent(self.jump)} in jump"] if math.isfinite(self.jump) else []
-        for name, goal in self.goals.items():
-            error = _percent(goal.relative) if goal.told else f"below {_percent(goal.least)}"
-            error = error if goal.known else "not known"
-            errors.append(f"{name} is zero" if goal.zero else f"{error} in {name}")
+        pairs = zip(("traction", "jump"), (self.traction, self.jump), self.floors, strict=True)
+        errors = [f"{_or_below(error, least)} in {name}" for name, error, least in pairs if math.isfinite(error)]
+        errors += [_said(name, goal) for name, goal in self.goals.items()]
         found.append(f"{self.dropped}: {', '.join(errors)}")
         for name, one in self.layers.items():
             where = f" of {name}" if len(self.layers) > 1 else ""
@@ -199,6 +217,19 @@ class Estimate:
 
     def __repr__(self) -> str:
         return f"Estimate({self})"
+
+
+def _said(name: str, goal: GoalError) -> str:
+    if goal.zero or not goal.known:
+        return f"{name} is zero" if goal.zero else f"not known in {name}"
+    if goal.fixed:
+        return f"no change in {name}"
+    return f"{_or_below(goal.relative, goal.least)} in {name}"
+
+
+def _or_below(error: float, least: float) -> str:
+    """An error, or what it is below: its noise."""
+    return f"below {_percent(least)}" if error < least else _percent(error)
 
 
 def _percent(x: float) -> str:

@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from forms.base import is_number
+from thinlayer.discretisation.free_rim import free_rim
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import ModelError
+from thinlayer.estimating.better import LEAST_HEIGHT
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
@@ -20,6 +22,7 @@ from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.estimating.result import Estimate
 from thinlayer.files.table import Table
 from thinlayer.parallel.agreement import on_all
+from thinlayer.ranges.areas import Areas
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import solve
 from thinlayer.time.history import History
@@ -27,11 +30,12 @@ from thinlayer.time.marching import march
 
 FIELDS = ("traction", "jump")
 ACCURACY = 0.01  # of the thickness, relative
-SURE = 3  # thicknesses in turn, each half of the one before, at which the error is allowed
-FEW = 4  # halvings over which an error should fall
-STALLED = 0.92  # error over that before so many halvings from which on it hardly falls
-HALVINGS = 20  # of the thickness, at most, in search of one that is thin enough
-THICKEST = 0.5  # thickness over the height of the thinner body up to which the search goes
+STEP = math.sqrt(2)  # ratio of thicknesses that are tried in turn, from the largest one
+SURE = 5  # of them in turn at which the error is allowed
+FEW = 8  # steps over which an error should fall
+STALLED = 0.92  # error over that before so many steps from which on it hardly falls
+STEPS = 40  # at most, in search of a thickness that is thin enough
+INSIDE = 0.5  # least share of S that must be away from its free ends
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,10 @@ class ThinEnough:
         eps: the thickness; where the error stays below the tolerance, the largest that was tried.
         tolerance: the relative error that is allowed.
         quantity: "traction", "jump", or the name of a goal.
-        table: a row for each thickness that was tried: eps, error.
+        table: a row for each thickness that was tried: eps, error (with what the estimate may be off).
         found: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
+        lacks: what the estimate leaves out, in words, and by how much it may be off, which the errors contain; "": nothing.
+        bonded: whether the layer is ignored altogether.
     """
 
     eps: float
@@ -51,12 +57,16 @@ class ThinEnough:
     quantity: str
     table: Table
     found: bool
+    lacks: str = ""
+    bonded: bool = False
 
     def __str__(self) -> str:
-        allowed = f"{100 * self.tolerance:.3g} % in {self.quantity}"
+        allowed = f"{100 * self.tolerance:.3g} % in {self.quantity}, at the {len(self.table)} thicknesses tried"
+        allowed += f" ({self.lacks}; counted in)" if self.lacks else ""
+        layer = "the layer may be ignored" if self.bonded else "the layer's mesh may be dropped"
         if self.found:
-            return f"thinner than {self.eps:.3g} the layer's mesh may be dropped: at most {allowed}"
-        return f"up to {self.eps:.3g} the layer's mesh may be dropped: at most {allowed}; thicker ones were not tried"
+            return f"thinner than {self.eps:.3g} {layer}: at most {allowed}"
+        return f"up to {self.eps:.3g} {layer}: at most {allowed}; thicker ones were not tried"
 
 
 def thin_enough(
@@ -74,11 +84,12 @@ def thin_enough(
     """The thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 
     The layer's material stays the same: its real moduli are those of the thickness that is given. Each thickness is two
-    solves on one mesh; it takes eight to twelve thicknesses.
+    solves on one mesh; it takes ten to twenty thicknesses, from the largest one for which estimates hold down to five in
+    turn with a smaller error.
 
     Args:
         structure: bodies, supports and loads.
-        layer: the layer, with the thickness at which the search begins; its law per thickness, as always.
+        layer: the layer, with a thickness; its law per thickness, as always.
         tolerance: relative error that is allowed, between 0 and 1.
         goal: "traction" or "jump", on S away from its free ends; or a goal.
         t: time of the loads and supports, as in `solve`.
@@ -105,16 +116,23 @@ def thin_enough(
     begun = structure.interface(layer, bodies=bodies)
     alone = solved(structure.bonded()) if bonded else None
 
+    lacking: dict[float, str] = {}
+
     def error(eps: float) -> float:
         if alone is not None:
-            return _error(estimate(alone, scaled(eps), goals, options=options), quantity)
-        model = begun.with_layer(scaled(eps)) if bodies == "kept" else structure.interface(scaled(eps), bodies=bodies)
-        return _error(estimate(solved(model), goals=goals, options=options), quantity)
+            found = estimate(alone, scaled(eps), goals, options=options)
+        else:
+            model = (
+                begun.with_layer(scaled(eps)) if bodies == "kept" else structure.interface(scaled(eps), bodies=bodies)
+            )
+            found = estimate(solved(model), goals=goals, options=options)
+        lacking[eps] = "; ".join(dict.fromkeys(one.law.lacks for one in found.layers.values() if one.law.lacks))
+        return _error(found, quantity)
 
     rows: dict[float, float] = {}
-    eps, found = _search(error, float(layer.eps), _thickest(begun), tolerance, rows)
+    eps, found = _search(error, _thickest(begun, quantity), tolerance, rows)
     table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
-    return ThinEnough(eps, tolerance, quantity, table, found)
+    return ThinEnough(eps, tolerance, quantity, table, found, lacking[eps], bonded)
 
 
 def _check(
@@ -137,31 +155,39 @@ def _check(
             raise ModelError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
 
 
-def _thickest(model: InterfaceModel) -> float:
+def _thickest(model: InterfaceModel, quantity: str) -> float:
     """The largest thickness for which an interface law is tried."""
-    return THICKEST * min(height for one in model.layers.values() for height in one.sheet.heights)
+    found = [min(one.sheet.heights) / LEAST_HEIGHT for one in model.layers.values()]
+    for one in model.layers.values() if quantity in FIELDS else ():
+        areas = Areas(one.sheet, model.kinematics)
+        length = areas.length(free_rim(model, one.sheet))
+        found += [(1 - INSIDE) * areas.total / length / NEAR_ENDS] if length else []
+    return min(found)
 
 
 def _error(found: Estimate, quantity: str) -> float:
-    """The estimated error of a quantity; infinite where S is nowhere farther from its free ends."""
+    """The largest error of a quantity that the estimate allows; infinite where the layer bears nothing."""
     if found.unknown:
         raise ModelError(f"thin_enough: {found.unknown}")
+    shown = 1 - max(one.law.off for one in found.layers.values())
     if quantity in FIELDS:
-        error = found.traction if quantity == "traction" else found.jump
-        return error if math.isfinite(error) else math.inf
+        error, least = (found.traction, found.floors[0]) if quantity == "traction" else (found.jump, found.floors[1])
+        return max(error, least) / shown if math.isfinite(error) else math.inf
     goal = found.goals[quantity]
     if goal.zero:
         raise ModelError(f"thin_enough: {quantity} is zero, and so has no relative error")
-    return goal.relative if goal.told else goal.least
+    if not goal.known:
+        raise ModelError(f"thin_enough: the error of {quantity} is not known: {found}")
+    return (goal.relative if goal.told else goal.least) / shown
 
 
 def _search(
-    error: Callable[[float], float], start: float, thickest: float, tolerance: float, rows: dict[float, float]
+    error: Callable[[float], float], thickest: float, tolerance: float, rows: dict[float, float]
 ) -> tuple[float, bool]:
     """The thickness below which errors are at most `tolerance`, and whether there is one above; fills rows.
 
-    Errors may change their sign, and so be small at a thickness and large at smaller ones: the search goes down until they
-    are allowed at a thickness, half of it, and a quarter, and then up to the first one that is not.
+    Errors may change their sign, and so be small at a thickness and large at smaller ones: the search goes down from the
+    thickest until they are allowed at `SURE` of them in turn.
     """
 
     def excess(eps: float) -> float:
@@ -170,20 +196,16 @@ def _search(
             rows[eps] = error(eps)
         return math.log(max(rows[eps], 1e-300) / tolerance)
 
-    low = top = min(start, thickest)
-    passed = 0
+    low, passed, tried = thickest, 0, []
     while passed < SURE:
         passed = passed + 1 if excess(low) <= 0 else 0
-        _require_falling(rows, top, low, passed)
-        low /= 2
-    low *= 2**passed
-    high = 2 * low
-    while high <= thickest * (1 + ACCURACY) and excess(high) <= 0:
-        low, high = high, 2 * high
-    if high > thickest * (1 + ACCURACY):
-        if low >= thickest or excess(thickest) <= 0:
-            return max(low, thickest), False
-        high = thickest
+        tried.append(low)
+        _require_falling([rows[one] for one in tried], low, passed)
+        low /= STEP
+    low = tried[-SURE]
+    if low == thickest:
+        return low, False
+    high = tried[-SURE - 1]
     while high > (1 + ACCURACY) * low:
         above, below = excess(high), excess(low)
         share = -below / (above - below) if math.isfinite(above) else 0.5
@@ -192,19 +214,17 @@ def _search(
     return low, True
 
 
-def _require_falling(rows: Mapping[float, float], top: float, low: float, passed: int) -> None:
+def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     """Raise ModelError if errors do not fall with the thickness any more, and are not allowed."""
-    before = low * 2**FEW
-    if passed or before > top:
+    if passed or len(errors) <= FEW:
         return
-    if math.isinf(rows[low]):
+    if math.isinf(errors[-1]):
         raise ModelError(
             f"thin_enough: even at {low:.3g} the layer bears nothing farther than {NEAR_ENDS:g} thicknesses from its free "
             "ends; are there loads at this time?"
         )
-    largest = max(error for eps, error in rows.items() if low < eps <= before)
-    if rows[low] > STALLED * largest or low < top / 2**HALVINGS:
+    if errors[-1] > STALLED * max(errors[-1 - FEW : -1]) or len(errors) > STEPS:
         raise ModelError(
-            f"thin_enough: no thickness is thin enough: the error is {rows[low]:.3g} at {low:.3g}, and hardly falls with "
+            f"thin_enough: no thickness is thin enough: the error is {errors[-1]:.3g} at {low:.3g}, and hardly falls with "
             "the thickness; is the layer much softer than the bodies?"
         )
