@@ -119,7 +119,7 @@ def test_loads_that_grow(lap, tmp_path):
     """A layer with a memory that stays elastic: at the end of a history the numbers are those of the elastic layer."""
     grown = lap.read_text().replace("[-60, 5]", "{times = [0, 3], values = [[0, 0], [-60, 5]]}").replace("0.001", "0")
     (tmp_path / "lap.toml").write_text(f"times = [1, 3]\n{grown}")
-    law = "VonMises E=3e3 nu=0.35 eps=0.4 strength=1e3"
+    law = "VonMises E=9e3 nu=0.35 eps=0.4 strength=1e4"
     mesh = lap.with_suffix(".msh")
     done = thinlayer("estimate", mesh, tmp_path / "lap.toml", "--layer", law, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
@@ -206,6 +206,8 @@ def test_python_descriptions_refused(tmp_path, text, message):
         (("--upper", "UPPR"), "unknown region 'UPPR', did you mean 'UPPER'?"),
         (("--units", "mm"), "--units: 'mm' are not two units"),
         (("other.msh",), "other.msh: there is no such file"),
+        (("tests",), "tests: this is a folder, not a file"),
+        (("--layer", "eps=1e-300"), "1e-300; allowed beside bodies of "),
         (("--fast",), "unrecognized argument '--fast'; PETSc options start with -thinlayer_"),
         (("-thinlayer_ksp_typ", "cg"), "not read by the linear solver: -thinlayer_ksp_typ"),
     ],
@@ -216,6 +218,21 @@ def test_bad_input_writes_nothing(lap, tmp_path, given, message):
     assert not (tmp_path / "out").exists()
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_folder_in_a_description_is_no_mesh(lap, tmp_path):
+    (tmp_path / "lap.msh").mkdir()
+    (tmp_path / "lap.toml").write_text(lap.read_text())
+    done = thinlayer("estimate", tmp_path / "lap.toml", "--out", tmp_path / "out")
+    assert (done.returncode, (tmp_path / "out").exists()) == (2, False)
+    assert "this is a folder, not a file" in done.stderr
+
+
+def test_a_layer_that_relaxes_without_times_is_told_at_once(lap, tmp_path):
+    given = ("--layer", "Maxwell E=3e3 nu=0.35 eps=0.4 t1=2.0")
+    at_once = thinlayer("estimate", lap, *given, "--out", tmp_path / "out")
+    assert at_once.returncode == 0, at_once.stderr
+    assert "at t = 0+" in at_once.stdout
 
 
 def test_solve_that_fails(lap, tmp_path):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from forms.base import unknown
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
@@ -12,12 +14,15 @@ from geometry.topology import is_tensor
 from thinlayer.describing.description import Description
 from thinlayer.describing.section import History, Section
 
+LEAST_EPS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
+
 
 def require_fit(given: Description, joint: Joint) -> None:
     """Raise DescriptionError for a name that the mesh does not have, or a vector of another dimension, with its place."""
     fit = _Fit(given.section, joint)
     fit.laws("body", "region", given.body, joint.bodies)
     fit.laws("layer", "seam", given.layer, [*joint.seams])
+    _thicknesses(fit, given)
     _supports(fit, given)
     _loads(fit, given)
     _goals(fit, given)
@@ -30,6 +35,17 @@ def require_fit(given: Description, joint: Joint) -> None:
         fit.section.refuse(
             f"{given.element} is not for {joint.cell_type} cells; allowed: {', '.join(allowed)}", "element"
         )
+
+
+def _thicknesses(fit: _Fit, given: Description) -> None:
+    """Refuse thicknesses that are nothing beside the bodies, or larger than these."""
+    size = float(np.ptp(fit.joint.points, axis=0).max())
+    for name, one in given.layer.items():
+        if one.eps is not None and not LEAST_EPS * size <= one.eps <= size:
+            where = ("layer", *([name] if name else []), "eps")
+            fit.section.refuse(
+                f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}", *where
+            )
 
 
 @dataclass(frozen=True)

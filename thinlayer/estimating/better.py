@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from forms.base import InputError
+from forms.law import BulkLaw
 from forms.next_order import for_next_order
 from forms.tangent import average_lame
 from geometry.seam import LAYER
@@ -47,6 +48,16 @@ class BetterLaw:
 
     def __str__(self) -> str:
         return f"{self.name}, {self.lacks}" if self.lacks else self.name
+
+
+def relaxes(law: BulkLaw) -> bool:
+    """Whether stresses of a law fall in time at a constant strain, or strains grow, without a bound of the stress."""
+    return law.traits.remembers and not law.traits.bounded
+
+
+def creeps(law: BulkLaw) -> bool:
+    """Whether answers of a law to sudden loads change afterwards."""
+    return law.traits.rate or relaxes(law)
 
 
 def better_layers(layers: Mapping[str, SeamLayer]) -> dict[str, ThinLayer]:
@@ -124,7 +135,7 @@ def _is_told_without_ends(one: SeamLayer) -> bool:
     """Whether a layer has one isotropic law that does not relax, and bodies so soft that its free ends do not dominate."""
     for sample in one.samples:
         (_, law, C), *others = sample.at_rest.sublayers
-        if others or C is None or (law.traits.remembers and not law.traits.bounded):
+        if others or C is None or relaxes(law):
             return False
         lmbda, mu = average_lame(C)
         if np.abs(C - lmbda * np.outer(VOLUME, VOLUME) - 2 * mu * np.eye(6)).max() > SAME * np.abs(C).max():

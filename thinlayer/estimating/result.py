@@ -11,7 +11,7 @@ from forms.kinematics import Expr
 from thinlayer.discretisation.bonded_model import BondedModel
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
-from thinlayer.estimating.better import BetterLaw
+from thinlayer.estimating.better import BetterLaw, creeps
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.places import density_of
 from thinlayer.files.table import Table
@@ -22,8 +22,8 @@ from thinlayer.solving.options import OptionValue
 SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
 ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale
 FIXED = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal
-NOISE = 0.05  # what changes of goals, over their scale, were found to be wrong by at most, over the error in traction
-OF_JUMPS = 0.1  # the same of errors in jump
+NOISE = 0.08  # what changes of goals, over their scale, were found to be wrong by at most, over the error in traction
+OF_JUMPS = 0.15  # the same of errors in jump
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,9 @@ class GoalError:
     @property
     def relative(self) -> float:
         """|Q(u_1) - Q(u_0)|/|Q(u_1)|; nan: the goal is zero, or its error is not known."""
-        return math.nan if self.zero or not self.known else abs(self.change / self.better) if self.better else math.inf
+        if self.zero or not self.known:
+            return math.nan
+        return 0.0 if self.fixed else abs(self.change / self.better) if self.better else math.inf
 
     @property
     def zero(self) -> bool:
@@ -193,13 +195,15 @@ class Estimate:
     @cached_property
     def sentences(self) -> list[str]:
         """What the estimate says."""
+        at = ["at t = 0+, just after sudden loads; for later times march, and give the history"]
+        creeping = any(creeps(term.law) for term in self.better.model.terms)
+        found = at if self.state.sudden and creeping else []
         if self.unknown:
-            return [f"{self.dropped}: {self.unknown}"]
-        found = []
+            return [f"{self.dropped}: {self.unknown}", *found]
         pairs = zip(("traction", "jump"), (self.traction, self.jump), self.floors, strict=True)
         errors = [f"{_or_below(error, least)} in {name}" for name, error, least in pairs if math.isfinite(error)]
         errors += [_said(name, goal) for name, goal in self.goals.items()]
-        found.append(f"{self.dropped}: {', '.join(errors)}")
+        found = [f"{self.dropped}: {', '.join(errors)}", *found]
         for name, one in self.layers.items():
             where = f" of {name}" if len(self.layers) > 1 else ""
             if one.near:

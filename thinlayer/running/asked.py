@@ -58,7 +58,10 @@ class Asked:
         if chosen.bonded:
             source.values["bonded"] = True
         description = Description.of(source.section())
-        return cls(tuple(one for one in (description.mesh.path, file) if one), options, description)
+        files = tuple(one for one in (description.mesh.path, file) if one)
+        if folders := [one for one in files if one.is_dir()]:
+            raise DescriptionError(f"{folders[0]}: this is a folder, not a file")
+        return cls(files, options, description)
 
     @property
     def name(self) -> str:
