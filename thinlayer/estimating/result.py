@@ -22,7 +22,7 @@ from thinlayer.solving.options import OptionValue
 SAME = 1e-7  # difference of a change from the integral of its density, over the goal, that counts as none
 ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale
 FIXED = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal
-NOISE = 0.08  # what changes of goals, over their scale, were found to be wrong by at most, over the error in traction
+NOISE = 0.1  # what changes of goals, over their scale, were found to be wrong by at most, over the error in traction
 OF_JUMPS = 0.15  # the same of errors in jump
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
-from thinlayer.errors import ModelError
+from thinlayer.errors import ModelError, RangeWarning
 from thinlayer.estimating.better import LEAST_HEIGHT
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goal import Goal
@@ -130,7 +131,8 @@ def thin_enough(
         return _error(found, quantity)
 
     rows: dict[float, float] = {}
-    eps, found = _search(error, _thickest(begun, quantity), tolerance, rows)
+    with warnings.catch_warnings(action="ignore", category=RangeWarning):  # of thicknesses that are only tried
+        eps, found = _search(error, _thickest(begun, quantity), tolerance, rows)
     table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
     return ThinEnough(eps, tolerance, quantity, table, found, lacking[eps], bonded)
 
