@@ -10,10 +10,22 @@ import pytest
 import ufl
 from scipy.optimize import brentq
 
-from forms.laws import BulkLaw, KernelLaw, Norton
+from forms.contact import HolonomicCoulomb, IncrementalCoulomb
+from forms.laws import BulkLaw, KernelLaw, LinearElastic, MohrCoulomb, Norton
 from geometry import sandwich
 from tests.viscous_joints import BODY, G_N, K_N, SLOW, SUDDEN, interface, opening
-from thinlayer import Adaptive, ModelError, SolveError, Structure, Surface, ThinLayer, march, piecewise, solve
+from thinlayer import (
+    Adaptive,
+    ModelError,
+    RangeWarning,
+    SolveError,
+    Structure,
+    Surface,
+    ThinLayer,
+    march,
+    piecewise,
+    solve,
+)
 
 
 @pytest.mark.parametrize(("theta", "order"), [(1.0, 1), (0.5, 2)])
@@ -166,3 +178,41 @@ def test_a_linear_law_may_change_with_its_memory(options):
     assert len(history) == 11
     age = np.array([0.0, *(0.1 * k for k in range(10))])
     assert history.table["opening"] == pytest.approx(1 / (50.0 * (1 + 0.5 * age)), rel=1e-7)
+
+
+def pushed(law, push=1.0, **kind):
+    """Two stones, pressed and pushed along a joint with this law; t = 1 is 95 % of what `MORTAR` carries."""
+    supports, loads = {"BOTTOM": 0, "TOP": {"y": -0.02}}, {"TOP": lambda x, t: (push * t, 0)}
+    stones, stone = sandwich(200, 60, 60, h=20, h_ends=8), LinearElastic.young(E=20e3, nu=0.2)
+    return Structure(stones, body=stone, supports=supports, tractions=loads, **kind).interface(law)
+
+
+MORTAR = ThinLayer(MohrCoulomb(55.6, 83.3, cohesion=0.2, friction_angle=35), 10)
+
+
+def test_a_march_that_yields_tells_the_error_of_its_steps_within_a_factor_two():
+    """Against the slip of 32 and 64 steps, extrapolated to steps of no length."""
+    model = pushed(MORTAR)
+    surface, slips, told = Surface(model), {}, {}
+    for n in (1, 2, 3, 4, 8, 32, 64):
+        with pytest.warns(RangeWarning, match=rf"the {n} steps of this march .* in jumps.*Adaptive"):
+            history = march(model, [(k + 1) / n for k in range(n)], keep="last")
+        slips[n], told[n] = surface.integral(surface.jump(history.last)[0]), history.step_errors
+    exact = 2 * slips[64] - slips[32]
+    for n in (1, 2, 3, 4, 8, 32):
+        assert 0.5 < told[n]["jumps"] / (1 - exact / slips[n]) < 1.1, n
+        assert told[n]["forces"] < 0.02  # forces hardly feel the steps
+
+
+@pytest.mark.parametrize("law", [LinearElastic(55.6, 83.3), HolonomicCoulomb(1e3, 1e3, friction=0.3)], ids=str)
+def test_laws_without_a_history_have_no_error_of_steps(law):
+    contact = isinstance(law, HolonomicCoulomb)
+    model = pushed(law, 0.8, element="P1") if contact else pushed(ThinLayer(law, 10))
+    assert march(model, [0.5, 1.0]).step_errors == {}
+
+
+def test_errors_of_steps_are_zero_where_nothing_is_dissipated_and_rounding_where_slip_is_in_proportion():
+    assert march(pushed(MORTAR, 0.1), [0.5, 1.0]).step_errors == {"displacements": 0.0, "jumps": 0.0, "forces": 0.0}
+    assert march(pushed(MORTAR), Adaptive(1.0, 0.5, 0.1), keep="last").step_errors == {}
+    friction = pushed(IncrementalCoulomb(1e3, 1e3, friction=0.3), 0.8, element="P1")  # slides; slip grows in proportion
+    assert 0 < march(friction, [0.5, 1.0]).step_errors["jumps"] < 1e-9

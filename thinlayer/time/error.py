@@ -1,6 +1,8 @@
-"""Estimated error of a step of adaptive length: of its displacements, jumps and forces."""
+"""Estimated errors of steps: of displacements, jumps and forces."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +14,7 @@ from thinlayer.solving.equations import Equations
 Array = npt.NDArray[np.float64]
 # Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
 LEAST_JUMP = 1e-6
+QUANTITIES = ("displacements", "jumps", "forces")
 
 
 class ErrorEstimate:
@@ -43,14 +46,17 @@ class ErrorEstimate:
             order: order of the time scheme.
             largest: norms of the three quantities to which errors are relative, at least.
         """
-        ends = [self._quantities(state) for state in (whole, halves)]
+        return float(self.shares(whole, halves, largest).max()) / (2**order - 1)
+
+    def shares(self, other: State, state: State, largest: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
+        """Differences of two states in the three quantities, over their norms in the second one, or over `largest`."""
+        ends = [self._quantities(one) for one in (other, state)]
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
-        moved = float(halves.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
+        moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
         least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale.forces])
         sizes = np.maximum(sizes, least)
-        share = np.divide(apart, sizes, out=np.zeros(3), where=sizes > 0)
-        return float(share.max()) / (2**order - 1)
+        return np.divide(apart, sizes, out=np.zeros(3), where=sizes > 0)
 
     def sizes(self, state: State) -> Array:
         """Norms of the three quantities in a state."""

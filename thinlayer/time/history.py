@@ -63,12 +63,16 @@ class History:
         table: a row for each accepted state: t, dt, iterations, residual, energy balance (`Audit`), observed values.
         states: row -> state, for the states that are kept.
         theta: forces balance at t + theta dt of each step.
+        step_errors: "displacements", "jumps", "forces" -> estimated relative error of the last state by the planned steps;
+            0 if nothing was dissipated, NaN if it is not known, empty for laws that are linear or have no history, for
+            adaptive steps and for paths.
     """
 
     model: Model
     table: Table = field(default_factory=Table)
     states: dict[int, State] = field(default_factory=dict)
     theta: float = 1.0
+    step_errors: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         span = f", t = {self.t[0]:g} to {self.t[-1]:g}" if self.table.rows else ""

@@ -26,6 +26,7 @@ from thinlayer.time.history import History
 from thinlayer.time.journal import Journal, Observe, columns
 from thinlayer.time.plan import Adaptive, Plan
 from thinlayer.time.scheme import remembers, require_ends, require_time_scale
+from thinlayer.time.step_error import tell_steps
 from thinlayer.time.stepping import TimeStepping
 
 
@@ -81,8 +82,9 @@ def march(
 
     Warns:
         RangeWarning: as in `solve`; for the states that are kept, once, at the end, of strains of bodies also where the
-            march fails. Or a resumed march has passed one of
-            the times without a step that ended there.
+            march fails. A resumed march has passed one of the times without a step that ended there. Planned steps leave an
+            estimated error above 2 % (`History.step_errors`) under a law that is not linear and has a history (yield,
+            friction, damage): such marches are made again with half as many steps, of less than eight as 8 to 14.
 
     Raises:
         ModelError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or a
@@ -117,6 +119,7 @@ def march(
         except SolveError as error:
             warn_of_strains(list(error.history or ()))
             raise
+        tell_steps(solver, history, plan, start, theta)
     warn_of_states(list(history), start)
     return history
 
