@@ -73,7 +73,7 @@ class Creeping(TractionLaw):
 @pytest.mark.parametrize(
     ("law", "message"),
     [
-        (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on the strain rate, and t is no time on a path"),
+        (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on rates, and t is no time on a path"),
         (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
         (

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import ufl
 
-from forms.laws import BulkLaw, Norton
+from forms.laws import BulkLaw, LinearElastic, Norton
 from tests.viscous_joints import G_N, JOINT, K_N, PULL, SETUP, SLOW, SUDDEN, interface, opening
-from thinlayer import ModelError, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import ArcLength, ModelError, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer.discretisation.addition import Addition
+from thinlayer.parts.forms import matrix
+from thinlayer.parts.part import Block, Outcome, Part, PartTraits
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,67 @@ def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
     assert history.t == pytest.approx([1.0, 1.1, 1.2])
     assert history.table["opening"] == pytest.approx((1 + np.array([0.0, 0.1, 0.2]) / 0.7) / K_N, rel=1e-9)
     assert solve(model, 1.0).u.x.array == pytest.approx(history.at(1.0).u.x.array, abs=1e-12)
-    with pytest.raises(ModelError, match="KelvinVoigt depends on the strain rate"):
+    with pytest.raises(ModelError, match="KelvinVoigt depends on rates: no equilibrium"):
         solve(interface())
+
+
+@dataclass(frozen=True)
+class Dashpots(Addition):
+    """Forces c du/dt per area of a side, as users write them; `counts`: the part also remembers its steps."""
+
+    c: float
+    counts: bool = False
+    key: str = "dashpots"
+
+    def check(self, model):
+        pass
+
+    def work(self, model, u, v):
+        return self.c * ufl.inner(u, v) * model.ds(model.domain.values("TOP"))
+
+    def part(self, model):
+        return DashpotPart(self, model)
+
+
+class DashpotPart(Part):
+    traits = PartTraits(uses_dt=True)
+
+    def __init__(self, given, model):
+        self.key, self.counts = given.key, given.counts
+        self.C = matrix(given.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
+
+    def rest(self):
+        return np.zeros((1, 1)) if self.counts else None
+
+    def evaluate(self, u, mid):
+        self.moved = u.x.petsc_vec - self.interval.old.u.x.petsc_vec
+
+    def add_forces(self, out):
+        out.axpy(1.0 / self.interval.dt, self.C * self.moved)
+        return 0.0
+
+    def tangents(self, relative_residual):
+        return [Block(self.C, 1 / self.interval.dt, kept=True)]
+
+    def commit(self):
+        return Outcome(dissipated=self.moved.dot(self.C * self.moved) / self.interval.dt)
+
+
+def test_a_part_of_ones_own_with_a_rate_starts_at_rest(tmp_path):
+    """Dashpots beside a column under a sudden load: w_n = w (1 - (1 + dt/(c w))^-n), w that of the column alone."""
+    law, dt, c = LinearElastic(60.0, 40.0), 0.03, 3.0
+    make = lambda *parts: Structure(JOINT, tractions=PULL, parts=parts, **SETUP).interface(ThinLayer(law, 0.1))
+    top = lambda state: float(state.u.x.array.max())  # of a column pulled along y, with sides on rollers
+    w = top(solve(make()))
+    model = make(Dashpots(c))
+    found = march(model, [dt, 2 * dt, 3 * dt], observe={"top": top}).table["top"]
+    assert found == pytest.approx(w * (1 - (1 + dt / (c * w)) ** -np.arange(4.0)), rel=1e-9, abs=1e-14)
+    with pytest.raises(ModelError, match="the part 'dashpots' depends on rates: no equilibrium without time"):
+        solve(model)
+    with pytest.raises(ModelError, match="the part 'dashpots' depends on rates, and t is no time on a path"):
+        march(model, ArcLength(end=1.0, first=0.1))
+    with pytest.raises(ModelError, match="the part 'dashpots' remembers values that have no order in files"):
+        march(make(Dashpots(c, counts=True)), [dt], out=tmp_path / "run")
 
 
 def test_loads_are_taken_between_the_ends_of_a_midpoint_step():

@@ -40,7 +40,8 @@ class PartTraits:
     """Properties of a part. Several parts together have a flag if one of them has it.
 
     Attributes:
-        uses_dt: the tangent depends on the length of the step.
+        uses_dt: the tangent depends on the length of the step. An own part (`Addition`) that says so, such as dashpots, has
+            a rate: `march` begins at rest with it, and `solve` refuses it.
         weakens: the part may resist less than its tangent does: it flows, yields or softens, or its tangent may vanish.
         releases: the part may resist a body in one step and release it in the next, as contact does.
         singular: the tangent may be singular for some strains although there is an energy.

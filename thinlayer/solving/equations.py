@@ -44,6 +44,7 @@ class Equations(PartSum):
     Attributes:
         parts, traits, failed: as in `PartSum`.
         layers: the parts of the layers.
+        late: names of laws and own parts that have a rate: they do not answer a sudden load at once.
         history: the loads and supports over time.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
@@ -64,7 +65,10 @@ class Equations(PartSum):
         self._kept = kept = Kept.of(model)
         kept.bodies = kept.bodies or body_parts(model)
         self.layers = layer_parts(model, self.history.held, kept.bodies)
-        self._own_parts = [*self.layers, *(addition.part(model) for addition in model.parts)]
+        added = [addition.part(model) for addition in model.parts]
+        self._own_parts = [*self.layers, *added]
+        laws = [type(term.law).__name__ for term in model.terms if term.law.traits.rate]
+        self.late = [*laws, *(f"the part {part.key!r}" for part in added if part.traits.uses_dt)]
         super().__init__([*kept.bodies, *self._own_parts])
         self._with_own = [part for part in self.parts if part.field is not None]
         fields = {part.key: part.field for part in self._with_own if part.field is not None}

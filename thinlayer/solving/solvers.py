@@ -75,16 +75,13 @@ def solve(
     """
     with on_all(comm_of(model)):
         _require_model(model)
-        slow = [type(p.law).__name__ for p in model.terms if p.law.traits.rate]
-        if slow:
-            raise ModelError(
-                f"{slow[0]} depends on the strain rate: no equilibrium without time; use march(model, times)"
-            )
         if not is_number(t) or not math.isfinite(t):
             raise ModelError(f"t is {t!r}; it must be a finite number")
         require_hardening(model, "solve")
     require_same(model.comm, t=t)
     with Solver(model, options=options, method=method, like=like) as solver:
+        for late in solver.equations.late[:1]:
+            raise ModelError(f"{late} depends on rates: no equilibrium without time; use march(model, times)")
         warn_of_model(model)
         try:
             state = solver.step(solver.rest(t), t)

@@ -87,8 +87,6 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
         raise ModelError(f"{type(model.contact).__name__} is a contact law: march in time instead of ArcLength")
     for law in (p.law for p in model.terms):
         name = type(law).__name__
-        if law.traits.rate:
-            raise ModelError(f"{name} depends on the strain rate, and t is no time on a path: march in time")
         if law.traits.constrained:
             raise ModelError(f"{name} is incompressible: paths have displacements alone, no pressures; march in time")
         if law.traits.bounded:
@@ -102,7 +100,9 @@ def require_path(model: Model, theta: float, method: str | None) -> None:
 
 
 def require_no_time(equations: Equations) -> None:
-    """Raise ModelError if the response of a law depends on the length of the step. Collective."""
+    """Raise ModelError if the response of a law or part depends on the length of the step. Collective."""
+    for late in equations.late:
+        raise ModelError(f"{late} depends on rates, and t is no time on a path: march in time")
     for part in equations.parts:
         if name := part.takes_time():
             raise ModelError(f"{name} creeps or relaxes, and t is no time on a path: march in time")

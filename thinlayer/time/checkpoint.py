@@ -79,6 +79,11 @@ class Checkpoint:
         self._rest = {part.key: rest for part in equations.parts if (rest := part.rest()) is not None}
         self._unstressed = equations.stresses_at_rest
         self._orders = {part.key: part.file_order for part in equations.parts if part.file_order is not None}
+        if unknown := sorted(self._rest.keys() - self._orders.keys()):
+            raise ModelError(
+                f"the part {unknown[0]!r} remembers values that have no order in files: march without out=, or give "
+                "its class file_order, a FileOrder of the rows of its memory"
+            )
         self._fields = {
             part.key: (part.field.function_space, order)
             for part in equations.parts

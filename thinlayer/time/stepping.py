@@ -55,8 +55,8 @@ class TimeStepping:
 
     @property
     def _sudden(self) -> bool:
-        """Whether the layer answers to a sudden load at once."""
-        return not any(p.law.traits.rate for p in self.solver.model.terms)
+        """Whether the laws and own parts answer to a sudden load at once."""
+        return not self.solver.equations.late
 
     def run(self, resume: bool) -> History:
         """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
