@@ -190,6 +190,11 @@ class Law(OfPlaces):
         )
 
     @property
+    def own_times(self) -> tuple[float, ...]:
+        """Times over which the law creeps or relaxes, for numbers as parameters; () if it has none that are known."""
+        return ()
+
+    @property
     def sublayers(self) -> tuple[tuple[float, Law], ...]:
         """(fraction of the thickness, law) from the lower to the upper face; a law that is no Stack is its only one."""
         return ((1.0, self),)

@@ -11,7 +11,7 @@ from forms.rubber import Rubber
 from forms.series import Stack
 from forms.temperature import Tabulated
 from forms.traction import JumpStep, TractionLaw
-from forms.viscous import KelvinVoigt, Maxwell, Norton
+from forms.viscous import KelvinVoigt, Maxwell, Norton, NortonCreep
 from forms.von_mises import VonMises
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "NonMonotone",
     "NonMonotoneUnrelaxed",
     "Norton",
+    "NortonCreep",
     "Rubber",
     "Stack",
     "Step",

@@ -146,6 +146,31 @@ def norton_creep(traction: float, K: float, eta: float, p: float, t: Array, *, s
     return (traction - np.maximum(left, 0.0) ** (1 / (1 - q))) / K
 
 
+def power_creep(mu: float, A: float, n: float, traction: float, t: Array) -> Array:
+    """Tangential jump of `NortonCreep` under a traction > 0 held from t = 0 on: it grows for ever, at a steady rate."""
+    return np.asarray(traction / mu + 3 ** ((n + 1) / 2) * A * traction**n * np.asarray(t, float))
+
+
+def power_relaxation(compliance: float, A: float, n: float, traction: float, t: Array) -> Array:
+    """Tangential traction > 0 of `NortonCreep`, n > 1, where layer and bodies of this compliance, 1/mu + C, are held.
+
+    compliance dt_T/dt = -3^((n + 1)/2) A t_T^n.
+    """
+    return np.asarray(
+        (traction ** (1 - n) + (n - 1) * 3 ** ((n + 1) / 2) * A / compliance * np.asarray(t)) ** (1 / (1 - n))
+    )
+
+
+def power_creep_normal(lmbda: float, mu: float, A: float, n: float, traction: float, t: Array) -> Array:
+    """Normal jump of `NortonCreep`, n > 1, under a traction > 0 held from t = 0 on, which ends as k w_N = t_N.
+
+    With k = lmbda + 2 mu/3 the deviator s = t_N - k w_N has ds/dt (1 + 4 mu/(3 k)) = -3 mu A (3/2)^(n - 1) s^n.
+    """
+    k, first = lmbda + 2 * mu / 3, 4 / 3 * mu * traction / (lmbda + 2 * mu)
+    rate = 3 * mu * A * 1.5 ** (n - 1) / (1 + 4 * mu / (3 * k))
+    return np.asarray((traction - (first ** (1 - n) + (n - 1) * rate * np.asarray(t)) ** (1 / (1 - n))) / k)
+
+
 def stack_creep(fractions: Sequence[float], jumps: Sequence[Array]) -> Array:
     """Jump of sublayers in series under a common traction, sum a_i w_i; w_i: jump if the whole layer were sublayer i.
 

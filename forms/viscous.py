@@ -1,4 +1,4 @@
-"""Laws with rate or memory: Kelvin-Voigt, Maxwell, Norton."""
+"""Laws with rate or memory: Kelvin-Voigt, Maxwell, Norton, and creep by Norton's power law."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from forms.law import BulkLaw, Step, positive, require
 
 # Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
 MOST_STIFFNESS = 1e6
+NEWTON_STEPS = 6  # for the stress at the end of a step of creep; the rest is 1e-14 of it for n = 20, 1e-10 for 50
+NO_RATE = 1e-12  # rate of relaxation of the mean stress, over that of the deviator, that is rounding
 REST_STRAIN = 1e-12  # largest strain of a step below which the dashpot may be linear
 
 
@@ -74,12 +76,64 @@ class KelvinVoigt(SpringBesideDashpot):
         allowed = "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0"
         require(math.isfinite(bulk) and bulk >= 0, self, "theta_lmbda", self.theta_lmbda, allowed)
 
+    @property
+    def own_times(self) -> tuple[float, ...]:
+        """Retardation times of the deviator and, where it has one, of the mean strain."""
+        bulk = self.lmbda * self.theta_lmbda + 2 * self.mu * self.theta_mu / 3
+        return self.theta_mu, *((bulk / (self.lmbda + 2 * self.mu / 3),) if bulk > 0 else ())
+
     def _viscous(self, step: Step) -> Expr:
         return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
 
 
+class SpringBeforeDashpot(BulkLaw):
+    """An elastic spring and dashpots in series; subclasses have lmbda, mu and give the rates of relaxation in a step."""
+
+    lmbda: float
+    mu: float
+    internal: ClassVar = {"stress": (3, 3)}
+    quadratic = True
+    stiffness = isotropic_stiffness
+
+    @property
+    def _bulk(self) -> Expr:
+        return self.lmbda + 2 * self.mu / 3
+
+    def _rates(self, step: Step) -> tuple[Expr, Expr]:
+        """Rates at which the deviator and the mean of the stress at t + theta dt relax."""
+        raise NotImplementedError
+
+    def advance(self, step: Step) -> dict[str, Expr]:
+        old, increment = step.q["stress"], step.e - step.e_old
+        shear, volumetric = self._rates(step)
+        deviator = self._relaxed(step, ufl.dev(old), 2 * self.mu * ufl.dev(increment), shear)
+        mean = self._relaxed(step, ufl.tr(old) / 3, self._bulk * ufl.tr(increment), volumetric)
+        return {"stress": deviator + mean * ufl.Identity(3)}
+
+    @staticmethod
+    def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
+        """New value of x from x_new - x_old = elastic - dt rate x(t + theta dt)."""
+        x = step.dt * rate
+        return ((1 - (1 - step.theta) * x) * old + elastic) / (1 + step.theta * x)
+
+    def stress(self, step: Step) -> Expr:
+        return step.between(step.q["stress"], self.advance(step)["stress"])
+
+    def _complementary(self, stress: Expr) -> tuple[Expr, Expr]:
+        """Elastic energy of the deviator and of the mean part of a stress."""
+        s, mean = ufl.dev(stress), ufl.tr(stress) / 3
+        return ufl.inner(s, s) / (4 * self.mu), mean**2 / (2 * self._bulk)
+
+    def energy(self, step: Step) -> Expr:
+        return sum(self._complementary(step.q["stress"]))
+
+    def dissipation(self, step: Step) -> Expr:
+        energies = self._complementary(self.stress(step))
+        return sum(2 * energy * rate for energy, rate in zip(energies, self._rates(step), strict=True))
+
+
 @dataclass(frozen=True)
-class Maxwell(BulkLaw):
+class Maxwell(SpringBeforeDashpot):
     """Elastic spring and viscous dashpot in series, E rate = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
 
     Equation (18) prints strains on the left for strain rates; s is the three-dimensional stress, s_33 included. The
@@ -104,9 +158,6 @@ class Maxwell(BulkLaw):
     t2: float | None = None
     powers: ClassVar = {"lmbda": 1, "mu": 1}
     linear: ClassVar = True
-    internal: ClassVar = {"stress": (3, 3)}
-    quadratic: ClassVar = True
-    stiffness = isotropic_stiffness
 
     def __post_init__(self) -> None:
         if self.t2 is None:
@@ -123,46 +174,27 @@ class Maxwell(BulkLaw):
         require(t2 is not None and math.isfinite(t2) and t2 > 0 and t2 >= bound, self, "t2", t2, allowed)
 
     @property
-    def _bulk(self) -> Expr:
-        return self.lmbda + 2 * self.mu / 3
-
-    @property
     def _volumetric_rate(self) -> Expr:
         """1/t_v, with (1 + nu)/(1 - 2 nu) = (3 lmbda + 2 mu)/(2 mu) and nu/(1 - 2 nu) = lmbda/(2 mu)."""
         t2: Expr = self.t2
         return ((3 * self.lmbda + 2 * self.mu) / self.t1 - 3 * self.lmbda / t2) / (2 * self.mu)
 
-    def advance(self, step: Step) -> dict[str, Expr]:
-        old, increment = step.q["stress"], step.e - step.e_old
-        deviator = self._relaxed(step, ufl.dev(old), 2 * self.mu * ufl.dev(increment), 1 / self.t1)
-        mean = self._relaxed(step, ufl.tr(old) / 3, self._bulk * ufl.tr(increment), self._volumetric_rate)
-        return {"stress": deviator + mean * ufl.Identity(3)}
+    @property
+    def own_times(self) -> tuple[float, ...]:
+        """Relaxation times of the deviator and, where it relaxes, of the mean stress."""
+        rate = self._volumetric_rate
+        return self.t1, *((1 / rate,) if rate > NO_RATE / self.t1 else ())
 
-    @staticmethod
-    def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
-        """New value of x from x_new - x_old = elastic - dt rate x(t + theta dt)."""
-        x = step.dt * rate
-        return ((1 - (1 - step.theta) * x) * old + elastic) / (1 + step.theta * x)
-
-    def stress(self, step: Step) -> Expr:
-        return step.between(step.q["stress"], self.advance(step)["stress"])
-
-    def _complementary(self, stress: Expr) -> tuple[Expr, Expr]:
-        """Elastic energy of the deviator and of the mean part of a stress."""
-        s, mean = ufl.dev(stress), ufl.tr(stress) / 3
-        return ufl.inner(s, s) / (4 * self.mu), mean**2 / (2 * self._bulk)
-
-    def energy(self, step: Step) -> Expr:
-        return sum(self._complementary(step.q["stress"]))
-
-    def dissipation(self, step: Step) -> Expr:
-        shear, volumetric = self._complementary(self.stress(step))
-        return 2 * shear / self.t1 + 2 * volumetric * self._volumetric_rate
+    def _rates(self, step: Step) -> tuple[Expr, Expr]:
+        return 1 / self.t1, self._volumetric_rate
 
 
 @dataclass(frozen=True)
 class Norton(SpringBesideDashpot):
-    """Elastic spring parallel to a power-law dashpot, stress = C(lmbda, mu) : e + eta |rate|^(p - 2) rate.
+    """Elastic spring parallel to a power-law dashpot, stress = C(lmbda, mu) : e + eta |rate|^(p - 2) rate, Eq. (21).
+
+    Its creep stops where the spring carries the load; the creep of data sheets, of steady rate A s^n, is `NortonCreep`.
+    The dashpot alone has that rate, without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
 
     As a layer's law, t = K_L [u] + eta q^(p/2 - 1) (v_N n + v_T/2) with v = d[u]/dt and q = v_N^2 + |v_T|^2/2, the square
     of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for eta ~ eps^(p - 1).
@@ -204,3 +236,45 @@ class Norton(SpringBesideDashpot):
         least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST_STRAIN / dt), 0)
         q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # powers have no derivative at 0
         return self.eta * q ** (self.p / 2 - 1) * step.rate
+
+
+@dataclass(frozen=True)
+class NortonCreep(SpringBeforeDashpot):
+    """Norton's creep: elastic spring and power-law dashpot in series, E rate = C^-1 : ds/dt + 3/2 A q^(n - 1) dev s.
+
+    q = sqrt(3/2) |dev s| is the equivalent stress. In uniaxial tension creep goes on with the steady rate A s^n of data
+    sheets, without a change of volume. `Norton`, the paper's law, has the dashpot beside the spring: its creep stops.
+
+    As a layer's law: under a held shear traction dw_T/dt = 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic jump.
+
+    Attributes:
+        lmbda, mu: moduli, stress (in a layer: stress per thickness); mu > 0, lmbda + 2 mu/3 > 0.
+        A: rate of strain under unit stress, 1/(time stress^n) (in a layer: length/(time stress^n)); > 0.
+        n: exponent >= 1; 1 is Maxwell's dashpot, t1 = 1/(3 mu A), of the deviator alone.
+
+    Raises:
+        LawError: a parameter out of range.
+    """
+
+    lmbda: float
+    mu: float
+    A: float
+    n: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "A": -1}
+
+    def check(self) -> None:
+        require_moduli(self, self.lmbda, self.mu)
+        positive(self, "A")
+        require(math.isfinite(self.n) and self.n >= 1, self, "n", self.n, ">= 1")
+
+    def _rates(self, step: Step) -> tuple[Expr, Expr]:
+        """With q of the trial stress and x = q/q_trial at t + theta dt: x + c x^n = 1, a convex function of x."""
+        n: Expr = self.n
+        trial = ufl.dev(step.q["stress"]) + 2 * step.theta * self.mu * ufl.dev(step.e - step.e_old)
+        q = ufl.sqrt(1.5 * ufl.inner(trial, trial) + 1e-300)  # roots have no derivative at 0
+        rate = 3 * self.mu * self.A * q ** (n - 1)
+        c = step.theta * step.dt * rate
+        x: Expr = (1 + c) ** (-1 / n)  # not less than the root, so that Newton's method falls to it
+        for _ in range(NEWTON_STEPS):
+            x = (1 + (n - 1) * c * x**n) / (1 + n * c * x ** (n - 1))
+        return rate * x ** (n - 1), 0

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack
+from forms import BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, NortonCreep, Stack
 from geometry import block, sandwich
 from tests.own_laws import StandardSolid
 from thinlayer import History, Structure, Surface, ThinLayer, march
@@ -27,7 +27,9 @@ ELASTIC = LinearElastic(20.0, 90.0)
 KELVIN = KelvinVoigt(LMBDA, MU, 0.3, 0.5)
 MAXWELL, MAXWELL_2 = Maxwell(LMBDA, MU, T1), Maxwell(LMBDA, MU, T1, T2)
 NORTON_15, NORTON_3 = Norton(LMBDA, MU, 5.0, 1.5), Norton(LMBDA, MU, 5.0, 3.0)
+CREEP = NortonCreep(LMBDA, MU, A=0.02, n=3.5)
 LAWS = {
+    "Norton's creep": CREEP,
     "Kelvin-Voigt": KELVIN,
     "Maxwell": MAXWELL,
     "Maxwell t1 != t2": MAXWELL_2,

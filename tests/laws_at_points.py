@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
+from forms import BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Norton, NortonCreep, Stack, TractionLaw
 from tests.own_laws import Hardening, Mises, Slipping, StandardSolid
 
 EXACT = 1e-12  # relative: a few operations, and of a stack the last Newton step of its local problem
@@ -33,6 +33,7 @@ LAWS: dict[str, BulkLaw] = {
     "Maxwell t1 != t2": MAXWELL_2,
     "Norton 1.5": NORTON_15,
     "Norton 3": NORTON_3,
+    "Norton's creep": NortonCreep(LMBDA, MU, A=0.02, n=3.5),
     "user": SOLID,
     "user, not quadratic": Hardening(LMBDA, MU),
     "point": MISES,

@@ -8,6 +8,7 @@ import pytest
 from forms import LinearElastic, Stack, limits
 from tests.columns_in_time import (
     AXIS,
+    CREEP,
     KELVIN,
     LAWS,
     LMBDA,
@@ -67,6 +68,15 @@ def norton_creep(p):
     return lambda mode, t: limits.norton_creep(LOAD[mode], K[mode], 5.0, p, t, shear=mode == "shear")
 
 
+def power_creep_normal(mode, t):
+    return limits.power_creep_normal(LMBDA, MU, CREEP.A, CREEP.n, LOAD[mode], t)
+
+
+def power_moved(mode, t):
+    compliance = 1 / MU + C[mode]
+    return MOVE[mode] - C[mode] * limits.power_relaxation(compliance, CREEP.A, CREEP.n, MOVE[mode] / compliance, t)
+
+
 CLOSED = {  # law, mode, whether the end is moved, end of time, jump(mode, t), number at t = 1 from independent code
     "Kelvin-Voigt creep N": (KELVIN, "normal", False, 1.0, kelvin_creep, 0.00650374813452),
     "Kelvin-Voigt creep T": (KELVIN, "shear", False, 1.0, kelvin_creep, 0.0108083089595),
@@ -78,6 +88,8 @@ CLOSED = {  # law, mode, whether the end is moved, end of time, jump(mode, t), n
     "Norton 1.5 creep T": (NORTON_15, "shear", False, 1.0, norton_creep(1.5), 0.00866886620207),
     "Norton 3 creep N": (NORTON_3, "normal", False, 0.01, norton_creep(3.0), None),
     "Norton 3 creep T": (NORTON_3, "shear", False, 0.01, norton_creep(3.0), None),
+    "Norton's creep N": (CREEP, "normal", False, 0.5, power_creep_normal, None),
+    "Norton's creep moved T": (CREEP, "shear", True, 1.0, power_moved, None),
     "stack creep N": (SERIES, "normal", False, 1.0, series_creep, None),
     "stack creep T": (SERIES, "shear", False, 1.0, series_creep, None),
 }
@@ -110,6 +122,20 @@ def test_maxwell_creep_is_exact(mode):
         for state in history:
             expected = limits.maxwell_creep(LOAD[mode], K[mode], T1, state.t)
             assert jump_of(history, mode, state) == pytest.approx(expected, rel=1e-11)
+
+
+def test_creep_by_nortons_power_law_goes_on_and_that_of_the_papers_law_stops():
+    """A held shear traction: steady rate A s^n of the equivalent stress, exact in any steps; `Norton` ends at t/mu."""
+    eta, p = (2 / 3) ** ((CREEP.n + 1) / (2 * CREEP.n)) * CREEP.A ** (-1 / CREEP.n), 1 + 1 / CREEP.n
+    for theta in (1.0, 0.5):
+        history = marched(CREEP, "shear", theta, [0.1, 0.5, 2.0], load=LOAD["shear"])
+        for state in history:
+            expected = limits.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], state.t)
+            assert jump_of(history, "shear", state) == pytest.approx(expected, rel=1e-9)
+    dashpot = limits.norton(0.0, 0.0, eta, p, np.zeros(2), np.array([3 ** ((CREEP.n + 1) / 2) * CREEP.A, 0.0]), [0, 1])
+    assert dashpot == pytest.approx([1.0, 0.0], rel=1e-12)  # its dashpot alone, from the numbers of a data sheet
+    stopped = limits.norton_creep(LOAD["shear"], MU, eta, p, 1e3, shear=True)
+    assert stopped < 0.1 * limits.power_creep(MU, CREEP.A, CREEP.n, LOAD["shear"], 1e3)
 
 
 def test_incompressible_column():

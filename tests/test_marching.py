@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import ufl
 
-from forms.laws import BulkLaw, LinearElastic, Norton
+from forms.laws import BulkLaw, LinearElastic, Norton, Stack
 from tests.viscous_joints import G_N, JOINT, K_N, PULL, SETUP, SLOW, SUDDEN, interface, opening
-from thinlayer import ArcLength, ModelError, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import ArcLength, ModelError, RangeWarning, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.addition import Addition
 from thinlayer.parts.forms import matrix
 from thinlayer.parts.part import Block, Outcome, Part, PartTraits
@@ -54,6 +54,25 @@ def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
     assert solve(model, 1.0).u.x.array == pytest.approx(history.at(1.0).u.x.array, abs=1e-12)
     with pytest.raises(ModelError, match="KelvinVoigt depends on rates: no equilibrium"):
         solve(interface())
+
+
+@pytest.mark.parametrize("law", [SLOW, SUDDEN, Stack((0.4, LinearElastic(6.0, 4.0)), (0.6, SLOW))], ids=str)
+def test_steps_that_are_not_well_below_a_laws_own_time_are_told_before_the_march(law, recwarn):
+    """Backward Euler in one step of x own times is wrong by 1/(1 + x) - exp(-x): 16 % for x = 5."""
+    model, own = interface(law), law.sublayers[-1][1].own_times
+    steps = np.arange(1.0, 9.5 * max(own) / min(own)) * min(own) / 8
+    march(model, [*steps, 4 * steps[-1]])  # longer when nearly all has crept
+    assert not [one for one in recwarn if "well below" in str(one.message)]
+    end = 5 * min(own)
+    with pytest.warns(
+        RangeWarning, match=rf"the step of {end:.3g} at t = 0 is not well below .* about (16|19)% of what"
+    ):
+        march(model, [end])
+
+
+def test_a_solve_of_a_law_that_relaxes_says_that_it_knows_no_time():
+    with pytest.warns(RangeWarning, match=r"Maxwell relaxes with the time 0\.7, and a solve knows no time"):
+        solve(interface(SUDDEN))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from forms import (
     NonMonotone,
     NonMonotoneUnrelaxed,
     Norton,
+    NortonCreep,
     Stack,
     VonMises,
 )
@@ -77,6 +78,7 @@ LAWS = {
     "springs": lambda u: Anisotropic.springs(90.0 * u.P / u.L, 20.0 * u.P / u.L),
     "Kelvin-Voigt": lambda u: KelvinVoigt(**moduli(u), theta_lmbda=0.3 * u.T, theta_mu=0.7 * u.T),
     "Maxwell": lambda u: Maxwell(**moduli(u), t1=0.6 * u.T, t2=1.1 * u.T),
+    "Norton's creep": lambda u: NortonCreep(**moduli(u), A=3.0 * u.L * u.size / u.T / (u.P * u.size) ** 3.5, n=3.5),
     "Norton 1.5": lambda u: norton(u, 1.5),
     "Norton 3": lambda u: norton(u, 3.0),
     "Norton 1.2, rest": lambda u: norton(u, 1.2, rest=1e-4 * u.L / u.T * u.size),

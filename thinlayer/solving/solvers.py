@@ -20,6 +20,7 @@ from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.parallel.log import logger
 from thinlayer.parts.part import Interval
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
+from thinlayer.ranges.times import warn_of_no_time
 from thinlayer.solving.contact.solver import METHODS, check_method, contact_finder, default_method
 from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.equations import Equations
@@ -65,7 +66,8 @@ def solve(
             status. Where that fails they begin at rest.
 
     Warns:
-        RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not small.
+        RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not small;
+            a law relaxes (Maxwell), of which this is the answer to sudden loads just after they have come.
 
     Raises:
         SolveError: no convergence, or no unique solution; LooseBody if a body can be named that nothing holds.
@@ -83,6 +85,7 @@ def solve(
         for late in solver.equations.late[:1]:
             raise ModelError(f"{late} depends on rates: no equilibrium without time; use march(model, times)")
         warn_of_model(model)
+        warn_of_no_time(model)
         try:
             state = solver.step(solver.rest(t), t)
         except SolveError as error:

@@ -16,6 +16,7 @@ from thinlayer.files.folder import owned
 from thinlayer.parallel.agreement import on_all, require_same
 from thinlayer.ranges.checks import warn_of_model, warn_of_states
 from thinlayer.ranges.strains import warn_of_strains
+from thinlayer.ranges.times import warn_of_steps
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import Solver, comm_of, require_hardening
 from thinlayer.time.arc_length import ArcLength, require_no_time, require_path
@@ -85,6 +86,7 @@ def march(
             march fails. A resumed march has passed one of the times without a step that ended there. Planned steps leave an
             estimated error above 2 % (`History.step_errors`) under a law that is not linear and has a history (yield,
             friction, damage): such marches are made again with half as many steps, of less than eight as 8 to 14.
+            Before the march: planned steps are not well below a relaxation or retardation time of a law.
 
     Raises:
         ModelError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or a
@@ -114,6 +116,8 @@ def march(
         require_time_scale(solver.equations, theta, [start, *plan.targets])
         journal = Journal(solver.equations, pace, dict(observe or {}), keep, folder, choices)
         warn_of_model(model, plan.lasting(start))
+        if not adaptive:
+            warn_of_steps(model, start, plan.targets, theta)
         try:
             history = TimeStepping(solver, journal, plan, start, theta).run(resume)
         except SolveError as error:
