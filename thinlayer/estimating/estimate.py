@@ -22,6 +22,7 @@ from thinlayer.estimating.norms import Norms, field_of_ends
 from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.estimating.result import Estimate, GoalError, LayerError
 from thinlayer.estimating.yielding import why_not
+from thinlayer.files.progress import telling
 from thinlayer.parallel.agreement import on_all
 from thinlayer.solving.options import OptionValue
 from thinlayer.solving.solvers import solve
@@ -29,6 +30,7 @@ from thinlayer.time.history import History
 from thinlayer.time.marching import march
 
 
+@telling("estimate")
 def estimate(
     state: State | History,
     layer: Layers | None = None,

@@ -21,6 +21,7 @@ from thinlayer.estimating.goal import Goal
 from thinlayer.estimating.goals import Compliance
 from thinlayer.estimating.places import NEAR_ENDS
 from thinlayer.estimating.result import Estimate
+from thinlayer.files.progress import telling
 from thinlayer.files.table import Table
 from thinlayer.parallel.agreement import on_all
 from thinlayer.ranges.areas import Areas
@@ -70,6 +71,7 @@ class ThinEnough:
         return f"up to {self.eps:.3g} {layer}: at most {allowed}; thicker ones were not tried"
 
 
+@telling("thin_enough")
 def thin_enough(
     structure: Structure,
     layer: ThinLayer,

@@ -1,27 +1,113 @@
-"""Progress of long work: a bar on a terminal, on rank 0 only, gone when the work is done."""
+"""Progress of long work on standard error: what is done, what is left, and the time it takes. One rank tells for all.
+
+On a terminal one line that changes, from 5 s on, gone when the work is done; elsewhere a line a minute. Work within work
+is told in one line. `logging.getLogger("thinlayer").setLevel("ERROR")` silences it.
+"""
 
 from __future__ import annotations
 
+import logging
 import sys
-from collections.abc import Iterator, Sequence
-from typing import TypeVar
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TextIO, TypeVar
 
 from mpi4py import MPI
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 T = TypeVar("T")
+AFTER, AGAIN = (
+    {True: 5.0, False: 60.0},
+    {True: 0.2, False: 60.0},
+)  # s before the first line and the next: on a terminal, else
 
 
-def track(items: Sequence[T], what: str, label: str = "{}") -> Iterator[T]:
-    """The items one after the other, with a bar that names the present one: label.format(item)."""
-    if MPI.COMM_WORLD.rank or not sys.stderr.isatty():
-        yield from items
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=len(items))
-        for item in items:
-            bar.update(task, description=f"{what}: {label.format(item)}")
-            yield item
-            bar.advance(task)
+@dataclass(eq=False)
+class _Work:
+    """Some work: its share that is done, None if that is not known, the share of what is being done, and pieces done."""
+
+    what: str
+    share: float | None = None
+    piece: float = 0.0
+    now: str = ""
+    pieces: int = 0
+
+
+class Teller:
+    """Tells of the work in progress, one within the other; `stream` and `clock` as sys.stderr and time.monotonic."""
+
+    def __init__(self, stream: Callable[[], TextIO], clock: Callable[[], float]) -> None:
+        self._stream, self._clock = stream, clock
+        self._open: list[_Work] = []
+        self._begun = self._due = 0.0
+        self._shown = False
+
+    @contextmanager
+    def telling(self, what: str) -> Iterator[Callable[..., None]]:
+        """A context, or decorator, of some work; it gives a function of the share that is done and of words for it."""
+        work = _Work(what)
+        if not self._open:
+            self._begun, self._shown = self._clock(), False
+            self._due = self._begun + AFTER[self._stream().isatty()]
+        self._open.append(work)
+
+        def tell(share: float, now: str = "", piece: float = 0.0) -> None:
+            work.share, work.now, work.piece = share, now, piece
+            self._tell()
+
+        try:
+            self._tell()
+            yield tell
+        finally:
+            if work in self._open:  # else a generator that was left alone, after the work around it
+                del self._open[self._open.index(work) :]
+            if self._open:
+                self._open[-1].pieces += 1
+            elif self._shown and self._stream().isatty():
+                self._stream().write("\r\x1b[K")
+
+    def track(self, items: Sequence[T], what: str, label: str = "{}") -> Iterator[T]:
+        """The items one after the other; words for the present one are label.format(item)."""
+        with self.telling(what) as tell:
+            for k, item in enumerate(items):
+                tell(k / len(items), f"{k + 1} of {len(items)}, {label.format(item)}", 1 / len(items))
+                yield item
+
+    def _tell(self) -> None:
+        now, stream = self._clock(), self._stream()
+        if now < self._due or MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING):
+            return
+        self._due, self._shown = now + AGAIN[stream.isatty()], True
+        line = ", ".join(
+            filter(None, (*map(_words, self._open), f"{_time(now - self._begun)} so far", self._left(now)))
+        )
+        stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")
+        stream.flush()
+
+    def _left(self, now: float) -> str:
+        """The time left, if the work goes on as it did: the share of the whole, with those of the work within it."""
+        share, width = 0.0, 1.0
+        for work in self._open:
+            share += width * (work.share or 0.0)
+            width *= work.piece
+        return f"about {_time((now - self._begun) * (1 - share) / share)} left" if share > 0 else ""
+
+
+def _words(work: _Work) -> str:
+    done = f"{work.pieces} done" if work.share is None and work.pieces else work.now
+    return f"{work.what}: {done}" if done else work.what
+
+
+def _time(seconds: float) -> str:
+    return (
+        f"{seconds:.0f} s"
+        if seconds < 100
+        else f"{seconds / 60:.0f} min"
+        if seconds < 6000
+        else f"{seconds / 3600:.1f} h"
+    )
+
+
+_teller = Teller(lambda: sys.stderr, time.monotonic)
+track, telling = _teller.track, _teller.telling

@@ -10,7 +10,7 @@ import numpy as np
 from thinlayer.discretisation.rigid import rigid_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, ModelError, NoEquilibrium, SolveError, warn
-from thinlayer.files.progress import track
+from thinlayer.files.progress import telling
 from thinlayer.parallel.log import logger
 from thinlayer.solving.solvers import Solver
 from thinlayer.time.error import ErrorEstimate
@@ -60,20 +60,21 @@ class TimeStepping:
 
     def run(self, resume: bool) -> History:
         """Run the march, or the rest of the march in its folder. Collective; errors as in `march`."""
-        if self._journal.read(resume):
-            last, end = self._history.last.t, self.plan.targets[-1]
-            if last > end + SAME_TIME * max(abs(end), abs(self.start)):
-                raise ModelError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
-            if passed := self._passed():
-                warn(
-                    f"the march in {self._journal.out} is at t = {last:g} and has no step that ended at t = "
-                    f"{', '.join(f'{t:g}' for t in passed)}, which times ask for: there is no row for it",
-                    self.solver.model.comm,
-                )
-        else:
-            self._begin()
-        for target in track(self.plan.after(self._history.last.t), "march", "t = {:g}"):
-            self._reach(target)
+        with telling("march") as self._tell:
+            if self._journal.read(resume):
+                last, end = self._history.last.t, self.plan.targets[-1]
+                if last > end + SAME_TIME * max(abs(end), abs(self.start)):
+                    raise ModelError(f"the march in {self._journal.out} is at t = {last:g}; times end before")
+                if passed := self._passed():
+                    warn(
+                        f"the march in {self._journal.out} is at t = {last:g} and has no step that ended at t = "
+                        f"{', '.join(f'{t:g}' for t in passed)}, which times ask for: there is no row for it",
+                        self.solver.model.comm,
+                    )
+            else:
+                self._begin()
+            for target in self.plan.after(self._history.last.t):
+                self._reach(target)
         return self._history
 
     def _passed(self) -> list[float]:
@@ -137,6 +138,8 @@ class TimeStepping:
             for state in states:
                 pace.largest = [*map(float, np.maximum(pace.largest, self._estimate.sizes(state)))]
         self._journal.accept(states)
+        t, end = self._history.last.t, self.plan.targets[-1]
+        self._tell((t - self.start) / (end - self.start), f"t = {t:.4g} of {end:.4g}")
 
     @property
     def _smallest(self) -> float:

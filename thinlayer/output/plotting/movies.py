@@ -15,6 +15,7 @@ from forms.base import is_number
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.errors import ModelError
+from thinlayer.files.progress import track
 from thinlayer.output.grid import gather
 from thinlayer.output.plotting.scene import Look, Scene
 from thinlayer.time.history import History
@@ -65,7 +66,7 @@ def movie(
         raise ModelError(f"per_second is {per_second!r}; allowed: whole numbers from 1 to {FASTEST}")
     path, comm = Path(save), states[0].model.comm
     ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4 else ""
-    grids = [gather(state) for state in states]
+    grids = [gather(state) for state in track(states, "movie", "{0.t:.4g}")]
 
     def draw() -> None:
         scene = Scene.of(grids, look)
@@ -81,7 +82,7 @@ def movie(
         partial = path.with_name(f".{path.stem}.part{path.suffix}")
         try:
             with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(partial), DPI):
-                for state, grid in zip(states, grids, strict=True):
+                for state, grid in track([*zip(states, grids, strict=True)], "movie", "a frame"):
                     shown.set_data(scene.image(grid))
                     clock.set_text(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}")
                     writer.grab_frame()

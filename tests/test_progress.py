@@ -1,0 +1,75 @@
+"""Long work tells on standard error what is done, what is left and the time it takes; short and silenced work nothing."""
+
+from __future__ import annotations
+
+import io
+import logging
+
+import pytest
+
+from thinlayer.files.progress import Teller
+
+
+class Pipe(io.StringIO):
+    def __init__(self, terminal: bool) -> None:
+        super().__init__()
+        self.terminal = terminal
+
+    def isatty(self) -> bool:
+        return self.terminal
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def three_runs(terminal: bool, seconds: float) -> str:
+    """What is told of a sweep of three marches of four steps each, which take `seconds` per step."""
+    stream, clock = Pipe(terminal), Clock()
+    teller = Teller(lambda: stream, clock)
+    for _ in teller.track([0.4, 0.2, 0.1], "sweep", "eps = {:g}"):
+        with teller.telling("march") as tell:
+            for k in range(4):
+                clock.now += seconds
+                tell((k + 1) / 4, f"t = {k + 1} of 4")
+    return stream.getvalue()
+
+
+def test_a_pipe_gets_a_line_a_minute():
+    """Steps of 25 s: 12 of them are 300 s."""
+    lines = three_runs(False, 25.0).splitlines()
+    assert lines[0] == "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 75 s so far, about 4 min left"
+    assert [line.split(", ")[1] for line in lines] == ["eps = 0.4", "eps = 0.2", "eps = 0.1", "eps = 0.1"]
+
+
+def test_a_terminal_gets_one_line_that_changes_and_goes():
+    told = three_runs(True, 2.0)
+    assert "\n" not in told
+    assert told.endswith("\r\x1b[K")
+    assert "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 6 s so far, about 18 s left" in told
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_short_and_silenced_work_tells_nothing(terminal, caplog):
+    assert three_runs(terminal, 0.4) == ""
+    with caplog.at_level(logging.ERROR, "thinlayer"):
+        assert three_runs(terminal, 100.0) == ""
+
+
+def test_work_of_unknown_length_counts_what_is_done():
+    stream, clock = Pipe(False), Clock()
+    teller = Teller(lambda: stream, clock)
+
+    @teller.telling("estimate")
+    def estimate() -> None:
+        clock.now += 40.0
+
+    with teller.telling("thin_enough"):
+        for _ in range(4):
+            estimate()
+    assert stream.getvalue().splitlines() == [
+        "thin_enough: 2 done, estimate, 80 s so far",
+    ]
