@@ -119,7 +119,7 @@ def test_results_script(printed_by):
     for name in ("wall.pvd", "wall.gif", "along.png"):
         assert Path(name).stat().st_size > 300, name
     state = pyvista.get_reader("wall.pvd")
-    assert state.time_values == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert (state.time_values[0], state.time_values[-1]) == (0, 1)  # of adaptive steps
     assert state.read()[0].keys() == ["bodies", "S"]
 
 
