@@ -49,6 +49,7 @@ class ContactLaw(Law):
     K_T: float
     gap: float | Callable[[Array], Array] = field(default=0.0, kw_only=True)
     symmetric = False
+    bounded = True
     functions = ("gap",)
     memory: ClassVar[bool] = False
 

@@ -14,7 +14,7 @@ from geometry import block, sandwich
 from studies.problems import sliding_bar
 from tests.contact_bars import SOLVERS, bar, coulomb, lift, solved, stacked
 from tests.contact_run import to_and_fro
-from thinlayer import SolveError, Structure, ThinLayer, compare, march, piecewise, solve
+from thinlayer import LimitLoad, SolveError, Structure, ThinLayer, compare, march, piecewise, solve
 from thinlayer.output.contact_report import ContactReport
 
 
@@ -106,6 +106,41 @@ def test_more_shear_than_friction_carries_raises(method):
         solved(joint, law, data, method=method)
     assert "support" in str(error.value) or "load" in str(error.value)
     assert len(error.value.residuals) > 1
+
+
+@pytest.mark.parametrize(
+    ("load", "limit"), [(lambda x, t: (t, -2.0), 0.9), (lambda x, t: (0.1, 1.5 * t - 2.0), 1.9 / 1.5)]
+)
+@pytest.mark.parametrize("method", [*SOLVERS, "relaxation"])
+def test_a_march_ends_at_the_limit_of_contact(method, load, limit):
+    """Pushed, the block slides at f p + C; pulled off, it tips where the mean pressure is the shear, at half its width."""
+    few = {"options": {"relaxation_max_sweeps": 20000}} if method == "relaxation" else {}
+    joint = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral", structured=True)
+    setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}, "element": "Q1"}
+    model = Structure(joint, body=LinearElastic.young(1e3, 0.2), **setup).interface(
+        IncrementalCoulomb(300.0, 80.0, 0.35, 0.2)
+    )
+    with pytest.raises(LimitLoad) as error:
+        march(model, [0.5, limit, 2.0], method=method, **few)  # a step ends at the limit itself
+    found, longest = error.value, max(limit - 0.5, 2.0 - limit)
+    assert found.t == found.history.last.t > 0.5
+    assert found.t <= limit * (1 + 1e-9)
+    assert found.failed_at >= limit * (1 - 1e-9)
+    assert found.failed_at - found.t < (0.02 if few else 1.01 / 1024) * longest
+    assert found.growth > 1e3
+    report = ContactReport(found.history.last)
+    assert abs(report.friction_force[0]) == pytest.approx(load(0, found.t)[0], rel=1e-6)
+
+
+def test_a_solver_that_fails_is_no_limit():
+    joint = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral", structured=True)
+    setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": lambda x, t: (t, -2.0 * t)}, "element": "Q1"}
+    model = Structure(joint, body=LinearElastic.young(1e3, 0.2), **setup).interface(
+        IncrementalCoulomb(300.0, 80.0, 0.6)
+    )
+    with pytest.raises(SolveError, match="need not be a limit") as error:
+        march(model, [0.5, 1.0], method="relaxation", options={"relaxation_max_sweeps": 20})
+    assert not isinstance(error.value, LimitLoad)
 
 
 @pytest.mark.parametrize("method", SOLVERS)

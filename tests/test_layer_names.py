@@ -160,7 +160,7 @@ def test_a_limit_load_tells_which_layer_gives_way():
     strong, weak = (MohrCoulomb(3.0, 2.0, cohesion=c, friction_angle=0.0) for c in (0.9, 0.4))
     data = {"supports": {"BOTTOM": 0.0, "TOP": {"y": 0.0}}, "tractions": {"TOP": lambda x, t: (t, 0.0)}}
     layers = {"LOW": ThinLayer(strong, 0.1), "HIGH": ThinLayer(weak, 0.1)}
-    with pytest.raises(LimitLoad, match=r"with strains in the layers 'HIGH' 100%\. The states before") as limit:
+    with pytest.raises(LimitLoad, match=r"with jumps at the seams 'HIGH' 100%\. The states before") as limit:
         march(pulled(body=50.0, **data).interface(layers), [0.3, 0.6])
     assert limit.value.t == pytest.approx(0.4, rel=1e-3)
     assert list(limit.value.shares) == ["HIGH", "LOW"]

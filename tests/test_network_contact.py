@@ -15,7 +15,7 @@ from tests.dry_walls import PUSHES, dry_wall, forth_and_back, imbalance, pair_va
 from tests.network_cases import BED, HEAD, springs, three_bricks
 from tests.ranks import mpirun
 from thinlayer import ContactReport, ModelError, Structure, ThinLayer, march, solve
-from thinlayer.errors import LooseBody
+from thinlayer.errors import LimitLoad, LooseBody
 from thinlayer.parts.part import Interval
 from thinlayer.solving.contact.pieces import Condensation
 from thinlayer.solving.solvers import Solver
@@ -242,6 +242,18 @@ def test_a_course_that_slides_away_is_named(method):
     """More shear than friction carries: 0.5 of the pressure."""
     with pytest.raises(LooseBody, match=r"body 'COURSE [234]' at \(.*\) can move along \(1, 0\)"):
         solve(dry_wall(h=0.25), 0.55, method=method)
+
+
+@pytest.mark.parametrize("method", ["condensed", "newton"])
+def test_a_wall_ends_at_its_limit_and_names_the_seams_that_slide(method):
+    """All beds carry 0.5 of the pressure above them, least the uppermost one, which carries a course of weight 0.035."""
+    with pytest.raises(LimitLoad, match=r"jumps at the seams 'BED' 9\d%, 'HEAD' \d%\. ") as error:
+        march(dry_wall(h=0.25, weight=0.07, kind=IncrementalCoulomb), [0.3, 0.6], method=method)
+    found = error.value
+    assert found.t < 0.5 * 1.035 < found.failed_at == pytest.approx(found.t + 0.3 / 1024)
+    beds = ContactReport(found.history.last, "BED")
+    assert found.history.last.t == found.t
+    assert beds.friction_force == pytest.approx(3 * 3.0 * found.t, rel=1e-9)
 
 
 # ---------------------------------------------------------------- friction that remembers

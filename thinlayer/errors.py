@@ -13,7 +13,7 @@ from forms.base import ThinlayerError as ThinlayerError
 from forms.declarations import RangeWarning as RangeWarning
 from forms.declarations import show_warnings, warn_of_range
 
-LEAST_SHARE = 0.005  # of a layer's strains, to be named in a message
+LEAST_SHARE = 0.005  # of a seam's squares of jumps, to be named in a message
 
 
 def warn(message: str, comm: MPI.Intracomm) -> None:
@@ -84,8 +84,8 @@ class NoEquilibrium(SolveError):
 
     Attributes:
         growth: norm of these displacements over that of an elastic layer under the same change of loads.
-        shares: name of a seam -> its share of the squares of the strains that they cause in layers that yield, the largest
-            first; empty if there is one seam only.
+        shares: name of a seam -> its share of the squares of the jumps that they cause at seams whose law bounds tractions,
+            the largest first; empty if there is one seam only.
     """
 
     def __init__(self, growth: float, shares: Mapping[str, float]) -> None:
@@ -94,7 +94,7 @@ class NoEquilibrium(SolveError):
 
 
 class LimitLoad(SolveError):
-    """The loads of a march exceed the strength of a yielding layer: even the shortest step has no equilibrium.
+    """The loads of a march exceed what a yielding layer, or contact, bears: even the shortest step has no equilibrium.
 
     This is tested with weak springs at all nodes. With them an equilibrium exists; if its displacements grow without bound
     as the springs soften, there is none without springs. A step that fails for another reason raises a plain SolveError.
@@ -105,8 +105,8 @@ class LimitLoad(SolveError):
         resultant: (d,) sum of the tractions and body forces on the bodies at t, a force.
         growth: norm of the displacements with the weakest springs from t to `failed_at`, over that of an elastic layer; if
             the layer's flow is associated, an equilibrium is at least this far away.
-        shares: of several seams, name -> share of the squares of the strains that these displacements cause in layers that
-            yield, over the layers' volumes; the largest first. They tell which layers give way.
+        shares: of several seams, name -> share of the squares of the jumps that these displacements cause, over the areas
+            of layers that yield and of contact; the largest first. They tell which seams give way.
         history: the accepted steps.
     """
 
@@ -124,14 +124,14 @@ class LimitLoad(SolveError):
         super().__init__(
             f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
             f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}): displacements run away, "
-            f"{growth:.3g} times as far as with an elastic layer{_strained(shares)}. The states before it are kept",
+            f"{growth:.3g} times as far as with an elastic layer{_parted(shares)}. The states before it are kept",
             history,
         )
         self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth
         self.shares = dict(shares)
 
 
-def _strained(shares: Mapping[str, float]) -> str:
-    """Which layers are strained most; "" if there is one seam only."""
+def _parted(shares: Mapping[str, float]) -> str:
+    """Which seams part or slide most; "" if there is one seam only."""
     shown = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= LEAST_SHARE)
-    return f", with strains in the layers {shown}" if shown else ""
+    return f", with jumps at the seams {shown}" if shown else ""

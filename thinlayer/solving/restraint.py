@@ -142,12 +142,15 @@ class Restraint:
         return float(self._d.norm())
 
     def _shares(self) -> dict[str, float]:
-        """Shares of the seams in the squares of the strains since the beginning, in layers that yield."""
+        """Shares of the seams in the squares of the jumps since the beginning, of layers that yield and of contact."""
         self.x.copy(self._d)
         self._d.axpy(-1.0, self._begin)
         model = self.equations.model
         found = model.by_seam(self.equations.squares_of_strains(self._d))
-        squares = {name: value for name, value in found.items() if model.layers[name].law.traits.bounded}
+        given = [(name, model.layers[name]) for name in found if model.layers[name].law.traits.bounded]
+        squares = {
+            name: found[name] * (one.thin.eps if one.thin else 1.0) for name, one in given
+        }  # of strains to jumps
         whole = sum(squares.values())
         order = sorted(squares, key=lambda name: -squares[name])
         return {name: squares[name] / whole for name in order} if whole else {}

@@ -26,7 +26,7 @@ from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.finder import Attempt, Finder, Found
-from thinlayer.solving.linear_solvers import failed_in_petsc, linear_solvers
+from thinlayer.solving.linear_solvers import direct_solver, failed_in_petsc, linear_solvers
 from thinlayer.solving.newton import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING
 from thinlayer.solving.options import (
     PREFIX,
@@ -243,15 +243,23 @@ class Solver:
         start = time.perf_counter()
         near = [attempt for attempt in self._attempts() if not attempt.eased]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
-        restraint = Restraint(self.equations, {**self._linear[0], **self._given})
+        linear = self._linear[0] or direct_solver(self.model)  # finders for contact alone have no solver of the whole
+        restraint = Restraint(self.equations, {**linear, **self._given})
+
+        def follow(end: float) -> Found:
+            step = Interval(old, end, end - old.t, theta)
+            return restraint.follow(self.rest(end), step, lambda begin: self._work_through(near, begin))[0]
+
         try:
-            found, _ = restraint.follow(
-                self.rest(t), Interval(old, t, t - old.t, theta), lambda begin: self._work_through(near, begin)
-            )
+            found = follow(t)
+            seconds = time.perf_counter() - start
+            try:
+                return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
+            except LooseBody:  # the loads may be at their limit itself: then displacements run away a little beyond it
+                follow(2 * t - old.t)
+                raise
         finally:
             restraint.close()
-        seconds = time.perf_counter() - start
-        return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
 
     def _from_like(self, attempt: Attempt, old: State) -> tuple[Found, int] | None:
         """Result of Newton's method from the displacements of the state that is like this one; None: there is none."""
@@ -411,6 +419,11 @@ class Solver:
     def yields(self) -> bool:
         """Whether a law bounds stresses, so that loads may have a limit."""
         return any(p.law.traits.bounded for p in self.model.terms)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether loads may have a limit: a law yields, or seams in contact slide or open."""
+        return self.yields or self.model.contact is not None
 
     @property
     def _searches(self) -> tuple[str | None, ...]:

@@ -95,8 +95,8 @@ def march(
         OSError: a file could not be written; on all ranks.
         SolveError: the shortest step fails, too; accepted states are in `out` and in the error's `history`.
         TurningPoint: a layer softens, and the equilibria lead back in time.
-        LimitLoad: the same for a layer that yields, if loads change and displacements run away as weak springs at all
-            nodes are softened; the error has the last loads with an equilibrium.
+        LimitLoad: the same for a layer that yields, or for contact, if loads change and displacements run away as weak
+            springs at all nodes are softened; the error has the last loads with an equilibrium.
     """
     with on_all(comm_of(model)):
         start, theta = _number("start", start), _number("theta", theta)

@@ -25,8 +25,8 @@ LEAST_FACTOR, MOST_FACTOR = 0.2, 3.0  # bounds of the ratio of the lengths of tw
 NEARER = 8.0  # ratio of the lengths of two steps by weak springs
 SEEK_STEPS = 16  # longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
 NO_LIMIT = (
-    "no equilibrium was found, which need not be a limit of the loads: displacements did not run away. Try "
-    "an elastic fraction, other times, another mesh or number of cells through the layer, or more steps of Newton's method"
+    "no equilibrium was found, which need not be a limit of the loads: displacements did not run away. Try other times, "
+    "another mesh, more steps of Newton's method, or in a layer that yields an elastic fraction or other cells through it"
 )
 
 
@@ -125,7 +125,7 @@ class TimeStepping:
                     step = max(step, planned)
                 self._journal.pace.step = min(step, self.plan.adaptive.largest)
             elif self._journal.pace.step is not None:
-                self._journal.pace.step = None if end == target else 2 * dt if passed or not self.solver.yields else dt
+                self._journal.pace.step = None if end == target else 2 * dt if passed or not self.solver.bounded else dt
             if passed:
                 self._failed_at = None
             self._shortest = False
@@ -155,7 +155,7 @@ class TimeStepping:
         """Shorten a step whose solve failed; the shortest step is tried again with eased laws."""
         dt, thorough = (end - old.t) / 2, self._thorough
         self._failed_at = end if self._failed_at is None else min(end, self._failed_at)
-        if self.solver.yields and not thorough and dt < self._smallest:
+        if self.solver.bounded and not thorough and dt < self._smallest:
             self._shortest = True
         else:
             self._shorten(dt, old, end, error)
@@ -166,12 +166,12 @@ class TimeStepping:
             logger("march", self.solver.model.comm).info(message, old.t, end, dt, error)
             self._journal.pace.step = dt
             return
-        if self.solver.yields and self._seek(old, end, error):
+        if self.solver.bounded and self._seek(old, end, error):
             return
         raise SolveError(
             f"step {len(self._history)}, from t = {old.t:g} to {end:g}, failed, and so did longer ones: {error}",
             self._history,
-            advice=NO_LIMIT if self.solver.yields else None,
+            advice=NO_LIMIT if self.solver.bounded else None,
         ) from error
 
     def _farthest(self, t: float, end: float) -> float:
