@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from functools import partial
+from random import Random
 
 import numpy as np
 import pytest
@@ -95,6 +97,58 @@ def test_only_the_same_ensemble_is_resumed(tmp_path, monkeypatch):
     assert ensemble(scaled, CASES, out, resume=True)["scaled"][0] == 4.5
     assert ensemble(doubled, CASES[:2], out)["double"].tolist() == [3.0, 5.0]  # another one moves it away
     assert (tmp_path / "previous-1" / "t.csv").exists()
+
+
+class Drawing:
+    """Returns one function of a case, which draws from the generator that it holds."""
+
+    def __init__(self, random):
+        self.held = {"one": [random]}
+
+    def __call__(self):
+        return lambda case: {"u": float(self.held["one"][0].random())}
+
+
+def drawing(random):
+    return lambda case: {"u": float(random())}
+
+
+def only_the_run_draws(seed):
+    def make():
+        random = np.random.default_rng(3)
+        return lambda case: {"u": float(random.random())}
+
+    return make
+
+
+DRAWN = {
+    "attribute": lambda seed: Drawing(np.random.default_rng(seed)),
+    "legacy": lambda seed: Drawing(np.random.RandomState(seed)),
+    "method, argument": lambda seed: partial(drawing, np.random.default_rng(seed).random),
+    "Python's": lambda seed: partial(drawing, random=Random(seed).random),
+    "of the run": only_the_run_draws,
+}
+
+
+@pytest.mark.parametrize("make", DRAWN.values(), ids=DRAWN)
+def test_rows_drawn_from_a_generator_that_goes_on_are_not_resumed(tmp_path, make):
+    """Neither with another seed, nor with the same: what is left would be drawn from the beginning again."""
+    first = ensemble(make(1), CASES[:3], tmp_path / "t.csv")
+    assert len({*first["u"]}) == 3
+    for seed in (1, 5):
+        with pytest.raises(ModelError, match=r"generator of random numbers that goes on .* from a number of the case"):
+            ensemble(make(seed), CASES[:3], tmp_path / "t.csv", resume=True)
+    assert ensemble(make(1), CASES[:3], tmp_path / "t.csv").rows == first.rows
+
+
+def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path):
+    def make():
+        return lambda case: {"u": float(np.random.default_rng(int(case["E"])).random())}
+
+    first = ensemble(make, CASES[:2], tmp_path / "t.csv")
+    again = ensemble(make, CASES, tmp_path / "t.csv", resume=True)
+    assert again.rows[:2] == first.rows
+    assert len({*again["u"]}) == 5
 
 
 def test_the_script_of_the_page(tmp_path, monkeypatch):

@@ -44,6 +44,14 @@ def referred(function: Any) -> dict[str, Any]:
     return found if isinstance(found, dict) else {"(function)": found}
 
 
+def random_states(value: Any) -> list[str]:
+    """The states of the generators of random numbers that a value refers to, not those of whole modules."""
+    found = Describer()
+    with followed(name_of(type(value))):
+        found.of(value)
+    return found.random
+
+
 def _expanded(found: Any, seen: dict[int, str], path: str = "") -> Any:
     """A description with its parts; repeated parts refer to their first place, large containers are hashed."""
     if isinstance(found, Brief) and found.parts is not None:

@@ -26,7 +26,7 @@ from thinlayer.identity.functions import (
     passed_on,
     referred_to,
 )
-from thinlayer.identity.known import OPAQUE, known_as
+from thinlayer.identity.known import OPAQUE, RANDOM, known_as
 from thinlayer.identity.owners import is_ours, is_own, is_readable
 from thinlayer.identity.values import attributes, digest, name_of, place_of, plain, text_of
 
@@ -41,6 +41,7 @@ class Describer(Containers):
     def __init__(self, remembers: bool = True, whole: bool = False) -> None:
         super().__init__(whole)
         self._remembers = remembers
+        self.random: list[str] = []  # states of the generators of random numbers that it has met
         self._known: dict[Any, tuple[Any, Any]] = {}  # by id; the value is kept, so that its id stays its own
 
     def of(self, value: Any, home: str = "") -> Any:
@@ -151,9 +152,12 @@ class Describer(Containers):
             if isinstance(parts, str):
                 return f"{name_of(kind)} {parts}"
             shown = [list(one) if isinstance(one, Iterator) else one for one in parts]
-            return self.as_one(kind, lambda: [self.of(one, home) for one in shown])
+            found = self.as_one(kind, lambda: [self.of(one, home) for one in shown])
         except Exception:  # the object cannot be copied, or is nested too deeply
             return self.only_here(value)
+        if isinstance(value, RANDOM):
+            self.random.append(found)
+        return found
 
     def _parameters(self, value: Any) -> str:
         """A dataclass as text."""

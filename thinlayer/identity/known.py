@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import sys
 import types
 import uuid
@@ -18,6 +19,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 from thinlayer.identity.values import name_of
 
 OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
+RANDOM = (np.random.Generator, np.random.BitGenerator, np.random.RandomState, random.Random)
 LOCKS = ("_thread.lock", "_thread.RLock")
 STREAMS = (sys.__stdin__, sys.__stdout__, sys.__stderr__)
 PROCESS = uuid.uuid4().hex[:8]

@@ -49,7 +49,9 @@ def ensemble(
         cases: the inputs of each run, name -> number or text, the same names in all.
         out: csv file. Each row is on the disk, in the folder out.parts, before the next one is computed; `out` has all rows
             that are there. What rows were made from (`make`, and what it refers to) is kept beside them.
-        resume: keep the rows that are there, and compute the others, on any number of ranks, groups and parts.
+        resume: keep the rows that are there, and compute the others, on any number of ranks, groups and parts. Rows drawn
+            from a generator that goes on from run to run are refused: make one in each run, from a seed in the case. The
+            generators that `random` and `numpy.random` share with all are not looked at.
         ranks: number of ranks of a group (default: all ranks are one group); it divides the number of ranks.
         part: (k, n), this process does the k-th of n parts of the cases, k = 0, ..., n - 1: for n jobs that run at the same
             time or one after the other, with the same `out` and `resume=True`.
@@ -128,6 +130,8 @@ class _Rows:
                 run = make()
                 if not callable(run):
                     raise ModelError(f"make returns {run!r}; it must return a function of a case")
+                if file:
+                    file.watch((make, run))
             for k in track(left, "ensemble", "run {}"):
                 self.own[k] = self._row(run, k, comm, keep_failures)
                 if file and self._files:

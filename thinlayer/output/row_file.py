@@ -11,7 +11,7 @@ from typing import Any
 from thinlayer.errors import ModelError
 from thinlayer.files.folder import moved_away
 from thinlayer.files.table import Row, Table, hash_of, replaced
-from thinlayer.identity.described import referred
+from thinlayer.identity.described import random_states, referred
 from thinlayer.identity.describer import CODE, SAME
 from thinlayer.identity.differences import MISSING, differences
 
@@ -19,7 +19,8 @@ from thinlayer.identity.differences import MISSING, differences
 class RowFile:
     """A csv file of rows that a user's function gives, and beside it what they were made from; on one rank.
 
-    The description leaves out data that the function itself changes, such as a list of its results.
+    The description leaves out data that the function itself changes, such as a list of its results. Where rows are drawn
+    from a generator of random numbers that goes on from row to row, they cannot be resumed.
 
     Args:
         path: the csv file; the description is path.json.
@@ -33,6 +34,12 @@ class RowFile:
         self._kind, self._numbers = kind, numbers
         self._made_from = referred(run)
         self._changing: set[tuple[str, ...]] = set()
+        self._drawn = False  # whether rows have moved a generator of random numbers
+        self.watch(run)
+
+    def watch(self, run: Any) -> None:
+        """Look at the generators of this function from now on, or of several."""
+        self._watched, self._states = run, random_states(run)
 
     def begin(self, resume: bool) -> list[Row]:
         """The rows that are kept.
@@ -65,15 +72,21 @@ class RowFile:
             )
         try:
             content = json.loads(self.beside.read_text(encoding="utf-8"))
-            there, changing, hashes = (
+            there, changing, hashes, drawn = (
                 dict(content["made from"]),
                 {*map(tuple, content["changing"])},
                 [*content["sha256"]],
+                bool(content["drawn"]),
             )
         except (OSError, ValueError, LookupError, TypeError) as error:
             return f"{str(self.beside)!r} cannot be read ({error})"
         if hash_of(self.path) not in hashes:
             return f"{name!r} is not the table of {_a(self._kind)}: it has been changed since one wrote it"
+        if drawn:
+            return (
+                f"{name!r} cannot be resumed: its rows were drawn from a generator of random numbers that goes on from row "
+                "to row; make one in each run, from a number of the case, np.random.default_rng(int(case['seed']))"
+            )
         self._changing = changing
         found = [one for one in differences(there, self._made_from) if _changed(*one) not in changing]
         what = "; ".join(f"{'.'.join(path)}: {_short(one)} there, {_short(two)} here" for path, one, two in found)
@@ -83,8 +96,14 @@ class RowFile:
         """Replace the table. The file beside it names the old and the new one, and is written first."""
         changed = (_changed(*one) for one in differences(self._made_from, referred(self._run)))
         self._changing |= {path for path in changed if path}
+        self._drawn |= random_states(self._watched) != self._states
         hashes = [hash_of(self.path), hashlib.sha256(table.content()).hexdigest()]
-        content = {"made from": self._made_from, "changing": sorted(self._changing), "sha256": hashes}
+        content = {
+            "made from": self._made_from,
+            "changing": sorted(self._changing),
+            "sha256": hashes,
+            "drawn": self._drawn,
+        }
         with replaced(self.beside) as file:
             file.write(json.dumps(content, indent=1).encode() + b"\n")
         table.put(self.path)
