@@ -9,7 +9,7 @@ import pytest
 import ufl
 
 from forms import LinearElastic
-from geometry import GeometryError, Joint, disc, inflate, ring, sandwich
+from geometry import GeometryError, Joint, disc, faults, inflate, ring, sandwich
 from geometry.seam import Seam
 from geometry.topology import lagrange
 from thinlayer import Structure, ThinLayer
@@ -76,6 +76,16 @@ def test_a_cell_folded_at_some_corners():
     inflate(joint, 0.15, bodies="extended")
     with pytest.raises(GeometryError, match=r"1 cells turn inside out, the first at \(0\.5, 0\.275\)"):
         inflate(joint, 0.3, bodies="extended")
+
+
+def test_a_scarf_with_cells_too_small_for_the_layer():
+    """What the error asks for helps: larger cells at the sharp ends, a smaller eps, kept bodies."""
+    scarf = {h: faults(100.0, 10.0, {"A": ((20.0, 0.0), (80.0, 10.0))}, h=h) for h in (1.0, 4.0)}
+    with pytest.raises(GeometryError, match=r"smaller eps, larger cells there .*, or on planar seams bodies='kept'"):
+        inflate(scarf[1.0], 0.8, bodies="extended")
+    inflate(scarf[4.0], 0.8, bodies="extended")
+    inflate(scarf[1.0], 0.2, bodies="extended")
+    inflate(scarf[1.0], 0.8, bodies="kept")
 
 
 def test_an_outer_face_nearly_along_s():

@@ -277,7 +277,8 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
     if len(bad):
         x = joint.points[joint.cells[bad[0]]].mean(axis=0)
         raise GeometryError(
-            f"eps is too large for these bodies: {len(bad)} cells turn inside out, the first at {place(x)}"
+            f"eps is too large for these bodies: {len(bad)} cells turn inside out, the first at {place(x)}; take a smaller "
+            "eps, larger cells there (at sharp ends several times eps), or on planar seams bodies='kept', which keeps cells"
         )
     bad = np.flatnonzero(~((after[n:] > 0).all(axis=1) | (after[n:] < 0).all(axis=1)))
     if len(bad):
