@@ -67,6 +67,17 @@ def test_column_of_a_wave(order):
     assert "too_stiff" in str(Table([row]))
 
 
+@pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # cells at the ends are coarse
+@pytest.mark.parametrize("law", [Rubber(60.0, 40.0), Incompressible(40.0)])
+def test_a_pressure_that_flows_is_not_too_stiff(law):
+    joint = sandwich(1.0, 0.5, 0.5, 0.5)
+    structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -1.0)})
+    report = PressureReport(solve(structure.interface(ThinLayer(law, 0.1, order=1))))
+    assert report.too_stiff == {"S": 1.0}
+    assert report.table["lmbda/mu"] == pytest.approx([law.parameters().get("lmbda", np.inf) / 40.0])
+    assert str(report) == "the layer alone is 1 times too stiff against openings"
+
+
 def test_shear_does_not_hide_it(plates):
     """Slip that takes nearly all of the work leaves the factor, which is told until slip takes the traction, too."""
     eps, law = 1 / 16, LinearElastic.shear(1.0, 0.499).per_thickness(1 / 16)
@@ -123,7 +134,6 @@ def test_layers_without_a_number():
     structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -1.0)})
     eps, elastic = 0.1, LinearElastic(60.0, 40.0)
     for layer, reason in (
-        (ThinLayer(Rubber(60.0, 40.0), eps, order=1), "flows"),
         (ThinLayer(elastic, eps, eigenstrain=0.01), "eigenstrain"),
         (ThinLayer(LinearElastic(lambda x: 60 + x[0], 40.0), eps), "functions"),
         (ThinLayer(Stack((0.5, elastic), (0.5, elastic)), eps), "one linear elastic material"),

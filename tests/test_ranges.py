@@ -153,9 +153,6 @@ def test_told_once_on_all_ranks():
     done = [mpirun(ranks, "-c", ON_RANKS) for ranks in (1, 3)]
     for run in done:
         assert run.returncode == 0, run.stderr
-        assert [run.stderr.count("RangeWarning: the layer is nearly incompressible" + end) for end in (":", " (")] == [
-            1,
-            1,
-        ]
+        assert run.stderr.count("RangeWarning: the layer is nearly incompressible (") == 1
     one, three = (re.findall(r"RangeWarning: .*", run.stderr) for run in done)
     assert one == three

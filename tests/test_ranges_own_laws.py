@@ -143,7 +143,7 @@ def test_harder_than_a_body(kind):
 
 
 def test_nearly_incompressible():
-    """Before and after the solve, word for word as of the law that declares its stiffness."""
+    """Once, word for word as of the law that declares its stiffness."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     rubber = LinearElastic.shear(16.0, 0.499)
@@ -151,7 +151,7 @@ def test_nearly_incompressible():
         told(lambda law=law: solve(Structure(joint, **setup).interface(ThinLayer(law, 1 / 16))))
         for law in (rubber, Own(rubber.lmbda, rubber.mu))
     ]
-    assert len(messages[0]) == 2
+    assert len(messages[0]) == 1
     assert messages[0] == messages[1]
 
 

@@ -78,7 +78,8 @@ def test_disc_of_revolution():
     work, shear = law.lmbda * eps, law.mu / eps * R**2 / 2  # over pi R^2, of upper faces that move by r
     wanted = work * (1 - share) / (work * share + shear)
     assert excess(model, lambda x: (1e-3 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=3e-3)
-    assert "free ends (0.4)" in told(lambda: solve(model))[1][0]
+    halves = Structure(joint, **setup).interface(ThinLayer(Stack((0.5, law), (0.5, law)), eps))
+    assert "free ends (0.4)" in told(lambda: solve(halves))[1][0]
 
 
 def test_overlap_of_a_disc_is_weighted():
@@ -120,28 +121,19 @@ def test_ends():
     assert len(rim_of(closed).vertices) == 0
 
 
-def test_rubber_is_told_before_and_after():
+def test_rubber_is_told_once():
     """The measured factors of a layer 8 times as long as thick to either side, between bodies that are nearly rigid."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 16, h_S=1 / 64, h_ends=1 / 200)
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     eps = 1 / 16
-    for nu, before, after in (
-        (0.3, None, None),
-        (0.45, "1.12", "1.12"),
-        (0.49, "1.34", "1.34"),
-        (0.4999, "20.7", "20.6"),
-    ):
+    for nu, factor in ((0.3, None), (0.45, "1.12"), (0.49, "1.34"), (0.4999, "20.6")):
         layer = ThinLayer(LinearElastic.shear(1.0, nu).per_thickness(eps), eps)
         model = Structure(joint, **setup).interface(layer)
         _, found = told(lambda model=model: solve(model))
-        if before is None:
-            assert found == []
-            continue
-        assert len(found) == (2 if after else 1)
-        assert f"about {before} times too stiff" in found[0]
-        assert not after or f"the layer alone is {after} times too stiff" in found[1]
+        assert len(found) == (factor is not None)
+        assert not found or f"the layer alone is {factor} times too stiff" in found[0]
     _, found = told(lambda: march(model, [1.0, 2.0, 3.0]))
-    assert len(found) == 2
+    assert len(found) == 1
 
 
 def test_rubber_in_series():

@@ -30,7 +30,8 @@ class PressureReport:
 
     The layer alone is 1 + eta times too stiff against these openings, whatever it is sheared; the structure is off by less
     where its bodies are soft. Beyond 1.1 use `Rubber` with order=1, whose pressure flows, or mesh the layer. For a Fourier
-    mode of wave number k eta = (k delta)^2. Of a layer that nothing opens eta is zero.
+    mode of wave number k eta = (k delta)^2. Eta is zero of a layer that nothing opens, and of a law with a pressure that
+    flows (order 1 of `Rubber` and `Incompressible`).
 
     Args:
         state: state of an interface model.
@@ -38,8 +39,7 @@ class PressureReport:
 
     Raises:
         ModelError: a state of another model; an unknown seam, or one whose law has no such number: it is not one linear
-            elastic isotropic material with numbers for parameters and lmbda >= 0, it has an eigenstrain, or its law has a
-            pressure that flows (order 1 of `Rubber` and `Incompressible`).
+            elastic isotropic material with numbers for parameters and lmbda >= 0, or it has an eigenstrain.
     """
 
     state: State
@@ -55,7 +55,7 @@ class PressureReport:
         reasons = {name: why_unknown(one) for name, one in layers.items() if self.seam in (S, name)}
         if not self._layers:
             why = "; ".join(f"{layers[name]}: {reason}" for name, reason in reasons.items()) or "no layer is there"
-            raise ModelError(f"a pressure report is for linear elastic isotropic layers without flow along S ({why})")
+            raise ModelError(f"a pressure report is for linear elastic isotropic layers ({why})")
         _ = self.too_stiff
 
     @cached_property
@@ -95,6 +95,8 @@ class PressureReport:
         )
 
     def _excess(self, one: SeamLayer) -> float:
+        if one.flows:
+            return 0.0
         faces = Faces.of(self.state, one)
         return on_root(
             self.state.model.comm, lambda: pressure_excess(faces, sublayers_of(one)[0]).opening if faces else 0.0
@@ -104,7 +106,7 @@ class PressureReport:
 def columns_of_pressure(state: State, seam: str) -> dict[str, float]:
     """Column "too_stiff" of each layer that has one, "too_stiff NAME" if the joint has several seams. Collective."""
     layers = state.model.layers
-    names = [name for name, one in layers.items() if seam in (S, name) and why_unknown(one) is None]
+    names = [name for name, one in layers.items() if seam in (S, name) and why_unknown(one) is None and not one.flows]
     several = len(state.model.joint.seams) > 1
     found = PressureReport(state, seam).too_stiff if names else {}
     return {f"too_stiff {name}" if several else "too_stiff": factor for name, factor in found.items()}

@@ -37,7 +37,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         if not acts_on_jumps(sublayers):
             _warn_of_thickness(model, one)
             _warn_of_hard_layer(model, one, sublayers)
-        if one.flows:
+        if one.flows or _told_by_states(one, sublayers):
             continue
         at_once = [] if lasting and one.law.traits.rate else [sublayers]
         warn_of_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
@@ -68,8 +68,15 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
             _warn_of_overlap(one, max(found, key=lambda faces: faces.mean_closing))
         if one.flows or one.law.traits.phases:  # the strain of a phase brings about no pressure
             continue
-        if one.law.traits.linear:
-            warn_of_pressure(model, one, found, start)
+        told = one.law.traits.linear and warn_of_pressure(model, one, found, start)
+        if not told and _told_by_states(one, sublayers := sublayers_of(one)):
+            warn_of_free_ends(model, one, [sublayers])
+
+
+def _told_by_states(one: SeamLayer, sublayers: list[Sublayer]) -> bool:
+    """Whether jumps say more of the pressure than free ends do, so that one warning is enough."""
+    of_one = one.law.traits.linear and not one.remembers and len(sublayers) == 1
+    return of_one and sublayers[0].length < math.inf
 
 
 def _thin(model: Model) -> list[SeamLayer]:

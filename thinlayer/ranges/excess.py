@@ -23,12 +23,12 @@ def why_unknown(one: SeamLayer) -> str | None:
     """Why `pressure_excess` does not say how much too stiff the law of a layer is; None if it does."""
     if one.thin is None:
         return "it is a law on S, without a thickness"
-    if one.flows:
-        return "its law has a pressure that flows along S"
     if one.thin.eigenstrain is not None:
         return "it has an eigenstrain"
     if one.law.fields:
         return "its parameters are functions"
+    if one.flows:
+        return None
     tangents = [C for _, _, C in one.at_rest.sublayers]
     if not one.law.traits.linear or one.remembers or len(tangents) != 1 or tangents[0] is None:
         return "it is not one linear elastic material"

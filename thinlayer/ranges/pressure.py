@@ -105,11 +105,11 @@ def pressure_length(sublayers: list[Sublayer], width: float) -> float:
     return math.sqrt(flow / sum(one.compliance for one in sublayers))
 
 
-def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start: float | None) -> None:
+def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start: float | None) -> bool:
     """Warn if the law is too stiff for the openings found, compared with a layer whose pressure evens out along S.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
-    or relax become nearly incompressible with time.
+    or relax become nearly incompressible with time. True if there was a warning.
     """
     openings = [float(np.abs(faces.opening).max()) for faces in found]
     most = openings.index(max(openings))
@@ -131,6 +131,7 @@ def warn_of_pressure(model: Model, one: SeamLayer, found: Sequence[Faces], start
             f"flow along S; the structure is off by less where the bodies are soft; {_remedy(one)}",
             model.comm,
         )
+    return sublayer is not None
 
 
 def _remedy(one: SeamLayer) -> str:
