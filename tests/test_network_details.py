@@ -6,9 +6,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import ufl
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
 
 from forms import Incompressible, KelvinVoigt, LinearElastic, Maxwell, Norton, Stack, TractionLaw
 from geometry import Seam, bond_cell, periodic, sandwich, wall
+from tests.dry_walls import dry_wall
 from tests.meshes import renumbered
 from tests.network_cases import BED, HEAD, pushed, springs, three_bricks
 from thinlayer import (
@@ -24,6 +27,7 @@ from thinlayer import (
     plotting,
     solve,
 )
+from thinlayer.output.plotting.layers import STATES, WIDTH
 
 ROCK = LinearElastic.young(20.0, 0.2)
 
@@ -58,6 +62,49 @@ def test_zones_of_contact_part_at_a_junction_where_the_status_differs():
     head = ContactReport(state, "HEAD")
     assert {zone.status: zone.nodes for zone in head.zones} == {"pinned": 1, "sliding": 9}
     assert len(head.zones) == 2
+
+
+@pytest.fixture(scope="module")
+def pushed_wall():
+    """Two beds, one above the other, brick by brick; the upper one slides first where bricks have a weight."""
+    return solve(dry_wall(bricks=2, courses=3, h=0.25, weight=0.1), 0.5)
+
+
+def test_a_bed_of_several_bricks_is_one_way(pushed_wall):
+    bed = ContactReport(pushed_wall, "BED")
+    assert [len(piece) for piece in bed.pieces] == [3] * 8
+    assert bed.x[:, 1].tolist() == [0.5] * 12 + [1.0] * 12  # one bed after the other
+    assert np.diff(bed.x[:12, 0]).min() == np.diff(bed.x[12:, 0]).min() == 0.0
+    strip, tractions, *_ = plotting.contact(bed).axes
+    assert [text.get_text().strip() for text in strip.texts] == ["from (0, 0.5)", "from (0, 1)"]
+    starts = [line.get_xdata()[0] for line in tractions.lines[::2]]
+    assert starts == pytest.approx([0.5 * k + 0.16 * (k > 3) for k in range(8)])  # a short gap parts the beds
+    assert sum(patch.get_width() for patch in strip.patches) == pytest.approx(bed.weights.sum())
+
+
+@pytest.mark.parametrize("head", ["contact", "layer"])
+def test_the_picture_of_a_dry_wall_has_the_status_of_each_joint(pushed_wall, head):
+    """Lengths of the lines of a colour are those of the nodes of a status; other seams may have layers."""
+    state = pushed_wall
+    if head == "layer":
+        joint, bed = pushed_wall.model.joint, pushed_wall.model.contacts["BED"]
+        bricks = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.4, -1.0)}, element="Q1")
+        state = solve(bricks.interface({"BED": bed, "HEAD": springs(100.0, 40.0)}))
+    (axes,) = plotting.layers(state, scale=0.0).axes
+    drawn = {}
+    for lines in axes.collections:
+        if isinstance(lines, LineCollection) and lines.get_linewidth()[0] == WIDTH:
+            lengths = np.linalg.norm(np.diff(lines.get_segments(), axis=1), axis=2)
+            drawn[to_hex(lines.get_color()[0])] = lengths.sum()
+    wanted = {}
+    for name in state.model.contacts:
+        report = ContactReport(state, name)
+        for status in {*report.status.tolist()}:
+            wanted[STATES[status]] = wanted.get(STATES[status], 0.0) + report.weights[report.status == status].sum()
+    if head == "layer":
+        wanted[STATES["elastic"]] = 4 * 0.5
+    assert drawn == {colour: pytest.approx(length) for colour, length in wanted.items()}
+    assert len(drawn) > 1
 
 
 def test_maps_of_contact_are_of_one_plane():

@@ -74,6 +74,7 @@ class ContactReport:
         frames: (n, d, d), rows are the tangential axes and the normal of S.
         facets: (m, k) positions among the nodes of the corners of each facet of the seam, in the order of the facet's own
             element; without facets at tips, where a corner is no node.
+        corners: (m, k) the same of all its facets (`Joint.rows_of`); -1 at tips.
         force: (d,) resultant of S on the upper body, without the forces of supports at pinned nodes.
         equilibrium: sum of the forces on the free nodes, over the sum of the absolute values of all nodal forces.
         clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
@@ -133,8 +134,9 @@ class ContactReport:
         self.numbers = rows[order, 1].astype(np.int64)
         self._edges = edges_of(facets, of_pairs[order])
         place = np.argsort(of_pairs[order])
-        at = np.minimum(np.searchsorted(of_pairs[order][place], facets), len(place) - 1)
-        self.facets = place[at][(of_pairs[order][place][at] == facets).all(axis=1)]
+        at = place[np.minimum(np.searchsorted(of_pairs[order][place], facets), len(place) - 1)]
+        there = of_pairs[order][at] == facets
+        self.facets, self.corners = at[there.all(axis=1)], np.where(there, at, -1)
         self.u_T, self.u_N, self.p, self.t_T = jumps[:, :-1], -jumps[:, -1], pressure.ravel(), friction
         self.threshold, self.weights, self.frames = bound.ravel(), weights.ravel(), frames.reshape(-1, d, d)
         self.pairs, self.slip = of_pairs[order], slips

@@ -20,8 +20,11 @@ from thinlayer.output.contact_report import PINNED, ContactReport
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, finish
 
+GAP = 0.04  # way between parts of S that do not touch, over the length of S
+MOST_NAMED = 12  # number of parts of S that do not touch, up to which they are named
 STATUS = {"separated": "#d7d7d7", "sliding": "#f0a202", "stick": "#1b6ca8", "pinned": "#222222"}
 FLAT = 1e-6  # sine of the largest angle between normals of an S that counts as planar
+NAMED = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8}  # behind the names of parts of S
 ARROWS = 18  # number of arrows along each side of a map
 
 
@@ -63,19 +66,23 @@ def _curves(cases: Mapping[str, ContactReport], length: str, stress: str) -> Pic
     figure = Picture(figsize=(6.8, sum(heights) + 1.4), layout="constrained")
     axes: Sequence[Axes] = figure.subplots(4, 1, sharex=True, gridspec_kw={"height_ratios": heights})
     for row, (name, report) in enumerate(cases.items()):
-        for left, right, status in _cells(report):
+        ways, starts = _ways(report)
+        for left, right, status in _cells(report, ways):
             axes[0].barh(-row, right - left, left=left, height=0.8, color=STATUS[status], linewidth=0)
+        for k in starts if 1 < len(starts) <= MOST_NAMED else []:
+            x, y = report.x[k]
+            axes[0].text(ways[k], -row, f" from ({x:.3g}, {y:.3g})", fontsize=7, va="center", bbox=NAMED)
         colour = COLOURS[row % len(COLOURS)]
         known = np.where(report.status == PINNED, np.nan, 1.0)  # the force there is the support's
         for k, piece in enumerate(report.pieces):
-            s, style = report.along[piece], dict[str, Any](color=colour, label="" if k else name)
+            s, style = ways[piece], dict[str, Any](color=colour, label="" if k else name)
             axes[1].plot(s, (known * report.p)[piece], **style)
             axes[1].plot(s, (known * report.t_T[:, 0])[piece], "--", **style)
             axes[2].plot(s, report.u_T[piece, 0], **style)
             axes[3].plot(s, -report.u_N[piece], **style)
     axes[0].set_yticks(-np.arange(len(cases)), list(cases))
     axes[0].tick_params(left=False)
-    axes[0].set_xlim(0, max(float(report.along[-1]) for report in cases.values()))
+    axes[0].set_xlim(0, max(float(_ways(report)[0][-1]) for report in cases.values()))
     for side in ("top", "right", "left", "bottom"):
         axes[0].spines[side].set_visible(False)
     seen = {str(s) for report in cases.values() for s in report.status}
@@ -94,11 +101,21 @@ def _curves(cases: Mapping[str, ContactReport], length: str, stress: str) -> Pic
     return figure
 
 
-def _cells(report: ContactReport) -> list[tuple[float, float, str]]:
+def _ways(report: ContactReport) -> tuple[Array, list[int]]:
+    """(n,) way along S to each node, with short gaps between parts that do not touch; the first nodes of these."""
+    steps = np.diff(report.along)
+    last = [int(piece[-1]) for piece in report.pieces[:-1]]
+    length = steps.sum() - steps[last].sum()
+    parted = [k for k in last if steps[k] > FLAT * length]
+    steps[parted] = GAP * length
+    return np.concatenate([[0.0], np.cumsum(steps)]), [0, *(k + 1 for k in parted)]
+
+
+def _cells(report: ContactReport, ways: Array) -> list[tuple[float, float, str]]:
     """Start, end and status of the part of S around each node."""
     cells = []
     for piece in report.pieces:
-        s = report.along[piece]
+        s = ways[piece]
         edges = np.concatenate([s[:1], (s[1:] + s[:-1]) / 2, s[-1:]])
         cells += [(float(edges[k]), float(edges[k + 1]), str(report.status[node])) for k, node in enumerate(piece)]
     return cells
