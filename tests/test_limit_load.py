@@ -217,9 +217,7 @@ class Tearing(TractionLaw):
 @pytest.mark.filterwarnings("ignore:Value error in evaluation of function sqrt")
 def test_steps_that_fail_without_the_sign():
     model = sheared("S", Tearing(70.0), tractions={"TOP": lambda x, t: (0.0, t)})
-    with pytest.raises(
-        SolveError, match=r"which need not be a limit of the loads: .* Try an elastic fraction"
-    ) as caught:
+    with pytest.raises(SolveError, match=r"which need not be a limit of the loads: .* Try other times") as caught:
         march(model, TIMES)
     assert not isinstance(caught.value, LimitLoad)
     assert caught.value.history.t[-1] == pytest.approx(0.013 * 70.0, rel=2e-2)

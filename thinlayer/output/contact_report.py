@@ -88,7 +88,7 @@ class ContactReport:
         model = state.model
         if seam is None and len(model.contacts) == 1:
             (seam,) = model.contacts
-        if seam not in model.contacts:
+        if not isinstance(seam, str) or seam not in model.contacts:
             raise ModelError(f"seam is {seam!r}; name one with a contact law: {', '.join(model.contacts)}")
         law = model.contacts[seam]
         held = np.union1d(model.supports.held(model.V), model.held_in(model.V))

@@ -18,7 +18,7 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import LOCK, Lock, moved_away, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
-from thinlayer.output.row_file import RowFile
+from thinlayer.output.row_file import RowFile, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
 RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
@@ -67,6 +67,9 @@ def ensemble(
     """
     with on_all(None):
         comm = world()
+        if not callable(make):
+            raise ModelError(f"make is {make!r}; it must be a function that returns a function of a case")
+        require_csv(out)
         known = _checked(cases)
         ranks = comm.size if ranks is None else ranks
         _check_groups(ranks, comm.size, part, out, resume)
@@ -269,8 +272,6 @@ def _check_groups(ranks: Any, size: int, part: Any, out: Any, resume: bool) -> N
         raise ModelError(f"part is {part!r}; allowed: (k, n), the k-th of n parts, 0 <= k < n")
     if n > 1 and (out is None or not resume):
         raise ModelError("parts of an ensemble share a table: give out=... and resume=True")
-    if out is not None and Path(out).is_dir():
-        raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
 
 
 def _raise_together(comm: MPI.Intracomm, group: int, error: Exception | None) -> None:

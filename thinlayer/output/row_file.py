@@ -109,6 +109,14 @@ class RowFile:
         table.put(self.path)
 
 
+def require_csv(out: Any) -> None:
+    """Raise ModelError unless `out` may be the name of a csv file, or None."""
+    if not (out is None or isinstance(out, (str, Path))):
+        raise ModelError(f"out is {out!r}; it must be the name of a csv file, or None")
+    if out is not None and Path(out).is_dir():
+        raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
+
+
 def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
     """Path of a changed value, with "*" for values that only one description has; None for code."""
     if {CODE, SAME} & {*path}:

@@ -18,7 +18,7 @@ from thinlayer.errors import ModelError
 from thinlayer.files.folder import LOCK, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
-from thinlayer.output.row_file import RowFile
+from thinlayer.output.row_file import RowFile, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
 ERRORS = ("eps", "error_traction", "error_jump")
@@ -59,8 +59,7 @@ def sweep(
             is another sweep's. OSError: a row could not be written. All of them on all ranks.
     """
     with on_all(world()):
-        if out is not None and Path(out).is_dir():
-            raise ModelError(f"out: {str(out)!r} is a folder; give the name of a csv file")
+        require_csv(out)
         try:
             given = () if isinstance(eps, str) else tuple(eps)
             if not given or not all(map(is_number, given)):

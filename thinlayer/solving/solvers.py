@@ -26,7 +26,7 @@ from thinlayer.solving.continuation import Continuation
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import Equilibrium
 from thinlayer.solving.finder import Attempt, Finder, Found
-from thinlayer.solving.linear_solvers import direct_solver, failed_in_petsc, linear_solvers
+from thinlayer.solving.linear_solvers import failed_in_petsc, linear_solvers
 from thinlayer.solving.newton import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING
 from thinlayer.solving.options import (
     PREFIX,
@@ -243,7 +243,7 @@ class Solver:
         start = time.perf_counter()
         near = [attempt for attempt in self._attempts() if not attempt.eased]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
-        linear = self._linear[0] or direct_solver(self.model)  # finders for contact alone have no solver of the whole
+        linear = self._linear[0] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
         restraint = Restraint(self.equations, {**linear, **self._given})
 
         def follow(end: float) -> Found:
