@@ -121,7 +121,16 @@ def only_the_run_draws(seed):
     return make
 
 
+GENERATOR = None
+
+
+def of_the_module(seed):
+    globals()["GENERATOR"] = np.random.default_rng(seed)
+    return lambda: lambda case: {"u": float(GENERATOR.random())}
+
+
 DRAWN = {
+    "of the module": of_the_module,
     "attribute": lambda seed: Drawing(np.random.default_rng(seed)),
     "legacy": lambda seed: Drawing(np.random.RandomState(seed)),
     "method, argument": lambda seed: partial(drawing, np.random.default_rng(seed).random),
@@ -139,6 +148,13 @@ def test_rows_drawn_from_a_generator_that_goes_on_are_not_resumed(tmp_path, make
         with pytest.raises(ModelError, match=r"generator of random numbers that goes on .* from a number of the case"):
             ensemble(make(seed), CASES[:3], tmp_path / "t.csv", resume=True)
     assert ensemble(make(1), CASES[:3], tmp_path / "t.csv").rows == first.rows
+
+
+def test_parts_that_would_draw_the_same_are_told(tmp_path):
+    """So are groups: each part makes a generator of its own, from the same seed."""
+    for part in (0, 1):
+        with pytest.raises(ModelError, match="groups and parts of an ensemble draw the same numbers"):
+            ensemble(only_the_run_draws(1), CASES, tmp_path / "t.csv", resume=True, part=(part, 2))
 
 
 def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path):

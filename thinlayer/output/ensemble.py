@@ -18,7 +18,8 @@ from thinlayer.errors import ModelError, SolveError
 from thinlayer.files.folder import LOCK, Lock, moved_away, owned
 from thinlayer.files.progress import track
 from thinlayer.files.table import Row, Table, read_back
-from thinlayer.output.row_file import RowFile, require_csv
+from thinlayer.identity.described import random_states
+from thinlayer.output.row_file import GENERATOR, RowFile, require_csv
 from thinlayer.parallel.agreement import on_all, require_same
 
 RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
@@ -63,7 +64,8 @@ def ensemble(
 
     Raises:
         ModelError: cases or rows without numbers or texts, or with unlike names; ranks or part out of range; `out` is of
-            another ensemble. OSError: a file could not be written. Errors of runs.
+            another ensemble; several groups or parts draw from a generator that goes on from run to run. OSError: a file
+            could not be written. Errors of runs.
     """
     with on_all(None):
         comm = world()
@@ -135,8 +137,12 @@ class _Rows:
                     raise ModelError(f"make returns {run!r}; it must return a function of a case")
                 if file:
                     file.watch((make, run))
+            states = random_states((make, run))
             for k in track(left, "ensemble", "run {}"):
                 self.own[k] = self._row(run, k, comm, keep_failures)
+                with on_all(comm):
+                    if self._share.of > 1 and random_states((make, run)) != states:
+                        raise ModelError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
                 if file and self._files:
                     file.write(_table(self._cases, kept | self.own))
                     self._files.merge(0.0)

@@ -15,6 +15,11 @@ from thinlayer.identity.described import random_states, referred
 from thinlayer.identity.describer import CODE, SAME
 from thinlayer.identity.differences import MISSING, differences
 
+GENERATOR = (
+    "a generator of random numbers that goes on from row to row; make one in each run, from a number of the case, "
+    "np.random.default_rng(int(case['seed']))"
+)
+
 
 class RowFile:
     """A csv file of rows that a user's function gives, and beside it what they were made from; on one rank.
@@ -83,10 +88,7 @@ class RowFile:
         if hash_of(self.path) not in hashes:
             return f"{name!r} is not the table of {_a(self._kind)}: it has been changed since one wrote it"
         if drawn:
-            return (
-                f"{name!r} cannot be resumed: its rows were drawn from a generator of random numbers that goes on from row "
-                "to row; make one in each run, from a number of the case, np.random.default_rng(int(case['seed']))"
-            )
+            return f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}"
         self._changing = changing
         found = [one for one in differences(there, self._made_from) if _changed(*one) not in changing]
         what = "; ".join(f"{'.'.join(path)}: {_short(one)} there, {_short(two)} here" for path, one, two in found)
