@@ -130,9 +130,10 @@ class Condensed:
     def _failure(self, history: list[float]) -> SolveError:
         return SolveError(
             f"contact: no equilibrium found, residual {history[-1]:.1e} of the forces after {len(history) - 1} Newton "
-            "steps; is every body supported, or pressed against S rather than pulled off it? Else try smaller load "
-            "steps, or another solver",
+            "steps",
             residuals=tuple(history),
+            advice="is every body supported, or pressed against S rather than pulled off it? Else try smaller load steps, "
+            "or another solver",
         )
 
     def close(self) -> None:

@@ -111,9 +111,10 @@ class MultigridContact:
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         raise SolveError(
             f"Newton's method for contact failed after {max(len(history) - 2, 0)} steps: {names.get(reason, reason)}, "
-            f"residual {last:.1e} of the forces; a body that is pulled off S, or pushed harder than friction holds, needs "
-            f"supports; else try smaller steps of the load, or -{PREFIX}snes_monitor to watch it",
+            f"residual {last:.1e} of the forces",
             residuals=tuple(history),
+            advice="a body that is pulled off S, or pushed harder than friction holds, needs supports; else try smaller "
+            f"steps of the load, or -{PREFIX}snes_monitor to watch it",
         )
 
     def _take_load(self, start: Array | None) -> Array | None:

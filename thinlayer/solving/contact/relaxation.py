@@ -144,9 +144,10 @@ class ContactRelaxation:
             last = found.increments[-1] if len(found.increments) else np.nan
             raise SolveError(
                 f"the relaxation does not converge: after {found.sweeps} sweeps the increment is {last:.1e} and the "
-                f"residual {residual:.1e} of the forces; try -{PREFIX}relaxation_omega nearer to 1, "
-                f"-{PREFIX}relaxation_omega_contact 1, another solver, or smaller loads",
+                f"residual {residual:.1e} of the forces",
                 residuals=tuple(map(float, found.increments)),
+                advice=f"try -{PREFIX}relaxation_omega nearer to 1, -{PREFIX}relaxation_omega_contact 1, another solver, "
+                "or smaller loads",
             )
         return u, found.sweeps, [residual]
 
