@@ -83,7 +83,8 @@ class NoEquilibrium(SolveError):
     """A step without an equilibrium: its displacements run away as weak springs soften, see `thinlayer.solving.restraint`.
 
     Attributes:
-        growth: norm of these displacements over that of an elastic layer under the same change of loads.
+        growth: norm of these displacements over that of an elastic layer, or of seams in contact that neither open nor
+            slide, under the same change of loads.
         shares: name of a seam -> its share of the squares of the jumps that they cause at seams whose law bounds tractions,
             the largest first; empty if there is one seam only.
     """
