@@ -85,7 +85,7 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
 def _rise(state: State) -> float:
     model = state.model
     top = model.ds(model.domain.values("TOP"))
-    return state.integral(state.u[1] * model.kinematics.factor * top) / (math.pi * RADIUS**2)
+    return state.integral(state.u[1] * top) / (math.pi * RADIUS**2)
 
 
 def draw(record: Record) -> None:

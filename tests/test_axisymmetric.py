@@ -25,7 +25,9 @@ from thinlayer import (
     Structure,
     Surface,
     ThinLayer,
+    UflPart,
     compare,
+    goals,
     march,
     solve,
 )
@@ -76,6 +78,24 @@ def test_rods_in_uniform_tension(cell, element):
         assert surface.profile(f)[1] == pytest.approx(np.array([[0.0, value]] * 4), rel=EXACT, abs=EXACT * value)
         assert surface.norm(f) == pytest.approx(value * np.sqrt(area), rel=EXACT)
     assert np.diag(state.mean_stress()) == pytest.approx([0.0, P], abs=EXACT)
+
+
+def test_integrals_of_users_are_over_the_whole_revolution():
+    """Springs as a form are the part `Springs`; integrals and goals are the work of the loads."""
+    on = lambda model, name: model.ds(model.domain.values(name))
+    springs = UflPart(energy=lambda u, model: 15.0 * u[0] ** 2 * on(model, "RIGHT"))
+    supports, loads = {"BOTTOM": {"y": 0.0}}, {"TOP": (0.0, P)}
+    by_part, state = (
+        solve(structure(rods(), supports, tractions=loads, parts=[part]).interface(ThinLayer(GLUE, EPS)))
+        for part in (Springs("RIGHT", normal=30.0), springs)
+    )
+    assert state.u.x.array == pytest.approx(by_part.u.x.array, abs=EXACT * abs(by_part.u.x.array).max())
+    work = lambda u, model: P * u[1] * on(model, "TOP")
+    loads = by_part.energies()["loads"]
+    assert state.integral(work(state.u, state.model)) == pytest.approx(loads, rel=EXACT)
+    assert goals.Functional("work", work).value(state, state.model) == pytest.approx(loads, rel=EXACT)
+    with pytest.raises(ModelError, match="nothing in the mesh has this tag"):
+        state.integral(state.u[1] * state.model.ds(999))
 
 
 @pytest.mark.parametrize("order", [0, 1])

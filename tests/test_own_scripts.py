@@ -24,6 +24,8 @@ from forms import (
     Norton,
     Stack,
 )
+from forms.elastic import lame
+from forms.kinematics import lift
 from forms.law import LawError
 from forms.work import body, energy, work
 from geometry import Joint
@@ -280,6 +282,30 @@ def test_relaxing_body(kind):
         stored = problem.energies["body 1"][0] + problem.energies["body 2"][0]
         assert stored == pytest.approx(2 * stress**2 / (2 * law.mu), rel=1e-10)
     assert problem.t == 3 * dt
+
+
+def test_stresses_of_heat_that_balance_themselves():
+    """Of two blocks that nothing loads and nothing hinders the upper one is hot; a second step finds nothing changed."""
+    blocks = Blocks("triangle", 2)
+    V, grid, origin = blocks.V, blocks.grid, lambda x: np.isclose(x[0], 0) & np.isclose(x[1], 0)
+    right = fem.locate_dofs_geometrical(
+        (V.sub(1), V.sub(1).collapse()[0]), lambda x: np.isclose(x[0], 2) & np.isclose(x[1], 0)
+    )
+    blocks.bcs = [
+        fem.dirichletbc(np.zeros(2), fem.locate_dofs_geometrical(V, origin), V),
+        fem.dirichletbc(0.0, right[0], V.sub(1)),
+    ]
+    hot = fem.Function(fem.functionspace(grid, ("DG", 0)))
+    hot.x.array[blocks.cells.find(UPPER)] = 1e-3
+    stress = lame(STONE.lmbda, STONE.mu, lift(ufl.sym(ufl.grad(blocks.u)) - hot * ufl.Identity(2)))
+    form = ufl.inner(stress, lift(ufl.sym(ufl.grad(blocks.v)))) * ufl.dx
+    terms = blocks.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.01))
+    problem = blocks.solve(terms, 2 * [np.zeros(2)], 0.5, form)
+    assert np.ptp(blocks.u.x.array) > 1e-4
+    problem.begin(0.5)
+    blocks.u.x.array[-5:] += 1e-7
+    with pytest.raises(SolveError, match="out of balance"):
+        problem.accept()
 
 
 def test_wall_in_running_bond():

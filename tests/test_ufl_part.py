@@ -171,6 +171,10 @@ OTHER = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
         (lambda: UflPart(lambda u, v, model: math.nan * ufl.inner(u, v) * model.dx), "not finite"),
         (lambda: UflPart(lambda u, v, model: model.coordinates.t * ufl.inner(u, v) * model.dx), "depends on the time"),
         (lambda: UflPart(lambda u, v, model: fem.Constant(OTHER, 1.0) * ufl.dx(OTHER)), "another mesh"),
+        (lambda: UflPart(lambda u, v, model: u[0] * v[0] * model.ds((1, 999))), "nothing in the mesh has this tag"),
+        (lambda: UflPart(energy=lambda u, model: u[0] * model.dx), "do not depend on u"),
+        (lambda: UflPart(energy=lambda u, model: 1.0 * model.dx), "do not depend on u"),
+        (lambda: UflPart(lambda u, v, model: v[0] * model.dx), "do not depend on u"),
         (lambda: UflPart(dashed, key="layer"), "called 'layer'"),
         (lambda: 3.0, "one of parts is 3.0"),
     ],
@@ -178,6 +182,11 @@ OTHER = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
 def test_what_is_no_form(part, message):
     with pytest.raises(ModelError, match=message):
         column(part())
+
+
+def test_negative_stiffness():
+    with pytest.raises(ModelError, match="negative stiffness"):
+        solve(column(UflPart(energy=lambda u, model: -1e4 * u[1] ** 2 * model.dx), supports={"BOTTOM": 0.0}))
 
 
 def test_two_forms_need_two_keys():

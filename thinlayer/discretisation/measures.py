@@ -32,6 +32,27 @@ def compiled(form: Expr) -> fem.Form:
     return fem.form(first)
 
 
+def whole(form: ufl.Form, model: Any) -> ufl.Form:
+    """A form that a user writes on a model's mesh, over the whole structure: in axisymmetry with the factor 2 pi r.
+
+    Raises:
+        ModelError: a tag that no cell or facet has. Collective.
+    """
+    for integral in form.integrals():
+        kind = integral.integral_type()
+        asked = {tag for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)) if not isinstance(tag, str)}
+        tags = [data for data in form.subdomain_data()[integral.ufl_domain()][kind] if data is not None]
+        present = {int(tag) for data in tags for tag in (data.values if hasattr(data, "values") else dict(data))}
+        missing = sorted(asked.difference(*model.comm.allgather(present)))
+        if missing:
+            raise ModelError(
+                f"a form integrates over {SHORT.get(kind, kind)}({', '.join(map(str, missing))}): nothing in the mesh has "
+                f"this tag; model.domain.values(name) and cell_values(name) are the tags of names"
+            )
+    factor = model.kinematics.factor
+    return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
+
+
 def compiled_summands(form: Expr) -> list[fem.Form]:
     """Compiled forms whose sum is a form, in which measures of one kind may have any sets of tags."""
     return [fem.form(one) for one in _with_one_set_of_tags(form)]

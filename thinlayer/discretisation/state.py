@@ -18,7 +18,7 @@ from thinlayer.discretisation.given import added, at_time
 from thinlayer.discretisation.layer import BODIES, LAYER, PRESSURE
 from thinlayer.discretisation.loads import has_finite_numbers
 from thinlayer.discretisation.mean_strain import MEAN_STRAIN, PAIRS
-from thinlayer.discretisation.measures import compiled, compiled_scalars
+from thinlayer.discretisation.measures import compiled, compiled_scalars, whole
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reactions import Resultant, all_reactions, applied_to, reaction_of
 from thinlayer.discretisation.stresses import stressed
@@ -148,13 +148,17 @@ class State(Configuration):
         return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: Any) -> float:
-        """Value of a UFL form without arguments, summed over the ranks. Collective.
+        """Value of a UFL form without arguments, in axisymmetry with the factor 2 pi r of the whole revolution. Collective.
 
         Raises:
-            ModelError: a number in it is not finite; measures of one kind with two sets of tags.
+            ModelError: a number in it is not finite; a tag that the mesh has nowhere; measures of one kind with two sets
+                of tags.
         """
         if isinstance(form, ufl.Form) and not all(has_finite_numbers(part.integrand()) for part in form.integrals()):
             raise ModelError(f"a form has a number that is not finite, or not real: {str(form)[:80]}")
+        return self._sum(whole(form, self.model))
+
+    def _sum(self, form: Any) -> float:
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
@@ -185,7 +189,7 @@ class State(Configuration):
     def load_work(self) -> float:
         """The loads' work in the displacements. Collective."""
         given = sum(part.load_work(self.model, self) for part in self.model.parts)
-        return self.integral(self.model.external_work(self.u, self.t)) + given
+        return self._sum(self.model.external_work(self.u, self.t)) + given
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
         """What a place gives to the structure: its supports and springs, or the rigid base below a layer. Collective.
@@ -270,7 +274,7 @@ class State(Configuration):
         chosen = fem.Constant(model.domain.mesh, np.zeros((d, d)))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
         part = compiled(sum(ufl.inner(s, lift(chosen)) * p.weight * measure for p, s, measure in self._stressed(terms)))
-        volume = self.integral(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
+        volume = self._sum(sum(fem.Constant(model.domain.mesh, 1.0) * p.weight * p.measure for p in terms))
         out = np.zeros((d, d))
         for i, j in zip(*np.triu_indices(d), strict=True):
             chosen.value[:] = 0.0
@@ -281,7 +285,7 @@ class State(Configuration):
     def _stored(self, points: Sequence[Term]) -> float:
         if not all(p.law.traits.has_energy for p in points):
             return math.nan
-        return self.integral(energy(points, self.u)) if points else 0.0
+        return self._sum(energy(points, self.u)) if points else 0.0
 
 
 def cell_values(f: fem.Function, cells: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from forms.kinematics import Expr
 from geometry.errors import unknown
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.measures import compiled, whole
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import ModelError
@@ -150,7 +150,7 @@ class MeanTraction(Goal):
         """Displacements in which the reactions of the bodies on the seam do the mean traction's work."""
         e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
         names = [self.seam] if self.seam in model.layers else [*model.layers]
-        area = sum(Areas(model.layers[name].sheet, model.kinematics).total for name in names)
+        area = sum(Areas(model.layers[name].sheet, model).total for name in names)
         v, count = fem.Function(model.V), fem.Function(model.V)
         for name in names:
             base = name in model.joint.base_seams
@@ -222,7 +222,8 @@ class Functional(Goal):
     Attributes:
         name: of the goal.
         of: function (u, model) of the displacements and the interface model that returns a form without arguments, on the
-            model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`, ...
+            model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`, ... In
+            axisymmetry the goal is that of the whole revolution, with the factor 2 pi r.
     """
 
     name: str
@@ -240,7 +241,7 @@ class Functional(Goal):
             raise ModelError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
         if not isinstance(form, ufl.Form) or form.arguments():
             raise ModelError(f"the goal {self.name!r} is {form!r:.80}; it must be a UFL form without test functions")
-        return form
+        return whole(form, model)
 
     def value(self, state: State, model: InterfaceModel) -> float:
         form = self._form(displacements_of(state, model), model)

@@ -16,6 +16,7 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from forms.kinematics import Expr
 from thinlayer.discretisation.addition import Addition, Host
 from thinlayer.discretisation.loads import has_finite_numbers
+from thinlayer.discretisation.measures import whole
 from thinlayer.errors import ModelError
 from thinlayer.parts.forms import FormPart, matrix
 from thinlayer.parts.part import Outcome, PartTraits
@@ -33,7 +34,8 @@ class UflPart(Addition):
 
     Attributes:
         virtual_work: function (u, v, model) -> the virtual work at displacements u, a form linear in v; `model.dx` and
-            `model.ds` are measures, and `model.domain.values(name)` the tags of a boundary.
+            `model.ds` are measures, and `model.domain.values(name)` the tags of a boundary. In axisymmetry the model adds
+            the factor 2 pi r.
         energy: function (u, model) -> the stored energy, a form without v. Give either `virtual_work` or `energy`.
         key: name of the part in `State.energies`.
 
@@ -70,6 +72,10 @@ class UflPart(Addition):
             raise ModelError(f"{what} depends on the time; only loads and supports may")
         if form.arguments() != arguments or not _has_arity(form):
             raise ModelError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
+        forces = ufl.derivative(form, u, v) if self.energy else form
+        if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
+            raise ModelError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
+        whole(form, model)
 
     def _given(self, model: Host, u: Expr, v: Expr) -> Any:
         return self.virtual_work(u, v, model) if self.virtual_work else self.energy(u, model)  # type: ignore[misc]
@@ -77,10 +83,10 @@ class UflPart(Addition):
     def work(self, model: Host, u: Expr, v: Expr) -> Any:
         """Virtual work at displacements u, a form linear in v."""
         if self.virtual_work:
-            return self.virtual_work(u, v, model)
-        assert self.energy is not None
+            return whole(self._given(model, u, v), model)
         unknown = fem.Function(model.V)
-        return ufl.replace(expand_derivatives(ufl.derivative(self.energy(unknown, model), unknown, v)), {unknown: u})
+        energy = whole(self._given(model, unknown, v), model)
+        return ufl.replace(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
 
     def is_linear(self, model: Host) -> bool:
         return _has_arity(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
@@ -103,9 +109,13 @@ class _OwnForms(FormPart):
         if linear:
             super().__init__(given.key, u, matrix(given.work(model, ufl.TrialFunction(model.V), v)), kept=True)
         else:
-            energy = given.energy(u, model) if given.energy else None
+            energy = whole(given.energy(u, model), model) if given.energy else None
             super().__init__(given.key, u, None, given.work(model, u, v), energy, kept=True)
         K = self.K
+        if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
+            raise ModelError(
+                f"the part {given.key!r} has a negative stiffness, with which no equilibrium need be stable"
+            )
         self._has_energy = K is None or _is_symmetric(K)
         if not self._has_energy or not linear:
             self.traits = replace(self.traits, weakens=True)

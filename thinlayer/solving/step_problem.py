@@ -24,7 +24,7 @@ from thinlayer.parts.forms import FormPart
 from thinlayer.parts.part import DISPLACEMENTS, Array, Interval, Part
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.solving.balance import require_equilibrium
+from thinlayer.solving.balance import free_norm, require_equilibrium
 from thinlayer.solving.force_scale import ForceScale
 from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.tangent_matrix import TangentMatrix
@@ -180,6 +180,8 @@ class StepProblem(PartSum):
         assert self._interval is not None
         self.scale.begin(0.0, self.comm.allreduce(float(np.abs(self._prescribed()).max(initial=0.0)), max), moved)
         self.scale.see(*self._sizes)
+        if free_norm(self, self._forces) > self.scale.allowed:
+            self.scale.see(*self._sizes, self._self_balanced())
         require_equilibrium(self, x, self._forces)
         if self.excess > TIE:
             raise SolveError(
@@ -190,6 +192,13 @@ class StepProblem(PartSum):
             one = found[key]
             self.energies[key] = np.array([one.after, before[1] + one.dissipated, before[2] + one.remainder])
         self._interval = None
+
+    def _self_balanced(self) -> float:
+        """Forces of the form's stresses where they balance each other, as those of heat: its tangent times u."""
+        of_form = TangentMatrix(self.comm, self._matrix.sizes)
+        of_form.fill(self.parts[0].tangents(0.0)).mult(self._u.x.petsc_vec, self._each)
+        of_form.destroy()
+        return float(self._each.norm())
 
     def switch(self) -> bool:
         """Change columns of laws with phases to the phase of lowest energy. True if any changes: solve the step again."""
