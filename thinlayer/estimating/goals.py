@@ -150,7 +150,7 @@ class MeanTraction(Goal):
         """Displacements in which the reactions of the bodies on the seam do the mean traction's work."""
         e, d = unit(self.direction, model.joint.dim, self.name), model.joint.dim
         names = [self.seam] if self.seam in model.layers else [*model.layers]
-        area = sum(Areas(model.layers[name].sheet, model).total for name in names)
+        area = sum(Areas(model.layers[name].sheet, model.kinematics).total for name in names)
         v, count = fem.Function(model.V), fem.Function(model.V)
         for name in names:
             base = name in model.joint.base_seams
