@@ -524,6 +524,9 @@ def test_refused_steps():
     blocks.move.value[:] = (0.1, 0.0)
     with pytest.raises(SolveError, match="of the forces of loads and stresses is out of balance"):
         problem.accept()
+    u = fem.Function(fem.functionspace(blocks.grid, ("Lagrange", 1, (2,))))
+    with pytest.raises(ModelError, match="do not jump across S"):
+        StepProblem(ufl.inner(u, ufl.TestFunction(u.function_space)) * ufl.dx, u, (), terms)
     with pytest.raises(ModelError, match=r"dx\(1\) has no tags"):
         StepProblem(blocks.rest, blocks.u, (), [body(law, ufl.Measure("dx", domain=blocks.grid)(1))])
 

@@ -24,7 +24,7 @@ from tests.supports_run import (
     on_base,
     out_of_balance,
 )
-from thinlayer import ModelError, Springs, Structure, ThinLayer, march, solve
+from thinlayer import ModelError, RangeWarning, Springs, Structure, ThinLayer, march, solve
 
 BALANCED = 1e-10  # residual at which solvers stop
 
@@ -162,6 +162,21 @@ def test_kept_in_files(tmp_path):
 
 
 # ---------------------------------------------------------------- refused
+def test_a_support_of_the_side_of_a_layer_that_is_not_meshed_holds_nothing():
+    joint, supports = block(1.0, 1.0, 0.5), {"TOP": 0.0, "LEFT/LAYER": {"x": 0.0}}
+    state = solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS)))
+    assert state.reaction("LEFT/LAYER").force == pytest.approx([0.0, 0.0])
+
+
+def test_loads_that_move_nothing_are_told():
+    both = Structure(
+        block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}, tractions={"TOP": (0.3, -1.0), "LEFT": (0.1, 0.0)}
+    )
+    with pytest.warns(RangeWarning) as told:
+        both.interface(ThinLayer(GLUE, EPS))
+    assert [str(one.message)[:17] for one in told] == ["traction on 'TOP'"]
+
+
 def test_a_free_side_has_no_reaction():
     state = solve(Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}).interface(ThinLayer(GLUE, EPS)))
     with pytest.raises(ModelError, match=r"nothing holds 'LEFT': it is free .* held are: 'TOP', 'S'"):

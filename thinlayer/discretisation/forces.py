@@ -59,6 +59,7 @@ class Forces:
 
     Attributes:
         given: description of kind and place -> the load as given.
+        loaded: names of the facet sets with tractions.
 
     Raises:
         GeometryError, ModelError: unknown names, a traction on S or inside, loads that are no vectors.
@@ -76,6 +77,7 @@ class Forces:
     ) -> None:
         self.domain, self.at, self._kinematics = domain, at, kinematics
         self.given: dict[str, Any] = {}
+        self.loaded: list[str] = []
         self._loads: list[tuple[str, Expr, ufl.Measure]] = []
         self._in_layers: list[tuple[str, Expr, Weighted]] = []
         self._seams: list[str] = []
@@ -89,6 +91,7 @@ class Forces:
             load = tractions[name]
             values = self._outer(name)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
+            self.loaded += [name] if values else []
             self._warn_of_gaps(name)
             side = f"{name.split('/')[0]}/{LAYER}"
             if side not in tractions:

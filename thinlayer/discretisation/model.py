@@ -44,7 +44,7 @@ from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.spaces import cut_at_faces, vector_space
 from thinlayer.discretisation.supports import Given, Place, Supports
-from thinlayer.errors import ModelError
+from thinlayer.errors import ModelError, warn
 from thinlayer.identity.described import described
 from thinlayer.identity.values import digest
 from thinlayer.parallel.agreement import on_all, require_same
@@ -126,6 +126,9 @@ class Model(ABC):
         with on_all(self.comm):
             check_additions(self.parts, self)
         self.prescribed = Prescribed(self.supports, self.V)
+        for name in self.forces.loaded:
+            if self.supports.clamps(self.V, name):
+                warn(f"traction on {name!r}: supports hold all of it, so the load changes reactions alone", self.comm)
         resistances = [partial(part.resistance, self) for part in self.parts]
         on_layers = self.broken and any(name in self.layers for name in self.joint.base_seams)
         if self.joint.periods and not on_layers:

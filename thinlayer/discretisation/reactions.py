@@ -274,8 +274,9 @@ def _middle(model: Held, place: Place, chosen: Sequence[Place]) -> Array:
     names = [name for name in chosen if isinstance(name, str) and domain.facet_values.get(name)]
     if names:
         return np.asarray(np.mean([centroid(domain, name) for name in names], axis=0))
+    if isinstance(place, str):  # the side of a layer that is not meshed
+        return centroid(domain, place.split("/")[0])
     joint = domain.joint
-    assert not isinstance(place, str)
     vertex = joint.nearest_point(place)
     copies = np.all(joint.reference == joint.reference[vertex], axis=1)
     return np.asarray(joint.points[copies].mean(axis=0))

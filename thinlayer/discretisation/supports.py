@@ -142,6 +142,13 @@ class Supports:
         vertices = self.domain.vertices(self.domain.joint.nearest_point(place))
         return vertex_dofs(V, vertices, self.axes.index(axis))
 
+    def clamps(self, V: fem.FunctionSpace, name: str) -> bool:
+        """Whether every displacement of a facet set is prescribed, so that no load on it moves anything. Collective."""
+        along_axes = [(place, {a: g for a, g in given.items() if a != NORMAL}) for place, given in self.entries]
+        held = self.held(V, along_axes)
+        free = sum(len(np.setdiff1d(self.dofs(V, name, axis), held)) for axis in self.axes)
+        return self.domain.comm.allreduce(free) == 0
+
     def held(
         self, V: fem.FunctionSpace, entries: Sequence[tuple[Place, Mapping[str, Value]]] | None = None
     ) -> npt.NDArray[np.int32]:

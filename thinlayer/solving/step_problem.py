@@ -61,7 +61,8 @@ class StepProblem(PartSum):
 
     Raises:
         LawError: a law that needs its own pressure field.
-        ModelError: a measure without tags; a part that is none, has unknowns of its own, or the key of another one.
+        ModelError: a measure without tags; a space without jumps across S; a part that is none, has unknowns of its
+            own, or the key of another one.
     """
 
     held: npt.NDArray[np.int32] = np.empty(0, np.int32)  # prescribed displacements are equations among the others here
@@ -78,6 +79,7 @@ class StepProblem(PartSum):
         for term in terms:
             if term.law.traits.constrained:
                 raise LawError(f"{type(term.law).__name__} needs a pressure of its own; use it in a Model")
+            _require_jumps(V, term)
         terms = [replace(term, law=term.law.for_points()) if term.law.fields else term for term in terms]
         compiled = compiled_terms(terms)
         _check(parts, {"forms", *compiled})
@@ -226,6 +228,17 @@ class StepProblem(PartSum):
         for bc in self._bcs:
             bc.set(prescribed)
         return np.asarray(prescribed[self._held])
+
+
+def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
+    """Raise ModelError if displacements cannot jump across the facets of a term inside the mesh. Collective."""
+    if term.measure.integral_type() != "interior_facet":
+        return
+    sides = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in term.measure.subdomain_data())]).reshape(-1, 4)
+    common = [len(np.intersect1d(V.dofmap.cell_dofs(lower), V.dofmap.cell_dofs(upper))) for lower, _, upper, _ in sides]
+    of_facet = len(V.dofmap.dof_layout.entity_closure_dofs(V.mesh.topology.dim - 1, 0))
+    if communicator(V.mesh).allreduce(max(common, default=0), max) >= of_facet:
+        raise ModelError("displacements do not jump across S in the space of u; make it by `BrokenMesh.space`")
 
 
 def _check(parts: Sequence[Part], keys: set[str]) -> None:
