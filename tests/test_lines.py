@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from geometry import faults, grains, ring, sandwich, wall
 from tests.fields_run import BODY, EPS, K, axes, uniform
 from tests.ranks import mpirun
 from thinlayer import ModelError, Structure, Surface, ThinLayer, plotting, solve
+from thinlayer.files.table import Table
+from thinlayer.output.lines import Line
 
 LAYER = ThinLayer(K, EPS)
 PULLED = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.05, -0.1)}}
@@ -42,6 +46,24 @@ def test_a_straight_seam():
     (normal,) = surface.along(surface.frame(t)[1])
     assert normal.values == pytest.approx(values @ axes(2)[1], rel=1e-9, abs=1e-12)
     assert line.length == pytest.approx(2.0)
+
+
+def test_a_line_as_a_csv_file(tmp_path):
+    line = Line(
+        "S", np.array([0.0, 0.5]), np.array([[1.0, 2.0], [1.5, 2.0]]), np.array([[3.0, -1.0], [4.0, 7.0]]), False
+    )
+    line.table("t").write(tmp_path / "along.csv")
+    rows = ["s,x,y,t x,t y", "0.0,1.0,2.0,3.0,-1.0", "0.5,1.5,2.0,4.0,7.0"]
+    assert (tmp_path / "along.csv").read_text().splitlines() == rows
+    assert replace(line, values=line.values[:, 0]).table("t_N").columns == ["s", "x", "y", "t_N"]
+
+
+def test_a_table_needs_pandas_for_a_frame(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns)))
+    assert Table([{"a": 1.0, "b": None}]).to_pandas() == ([{"a": 1.0, "b": None}], ["a", "b"])
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ModelError, match="pandas is not installed"):
+        Table().to_pandas()
 
 
 def test_a_closed_seam():

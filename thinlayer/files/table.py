@@ -117,6 +117,21 @@ class Table:
         with replaced(path) as file:
             file.write(self.content())
 
+    def to_pandas(self) -> Any:
+        """The rows as a pandas.DataFrame.
+
+        Raises:
+            ModelError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise ModelError(
+                "pandas is not installed: `./fenicsx python3 -m pip install --no-deps --target packages pandas`, then run "
+                "with PYTHONPATH=packages"
+            ) from error
+        return pandas.DataFrame(self.rows, columns=self.columns)
+
     def content(self) -> bytes:
         """All rows as csv."""
         text = io.StringIO()

@@ -13,6 +13,7 @@ from geometry.joint import Joint
 from geometry.order import by_place
 from geometry.topology import IntArray, is_tensor, lagrange
 from thinlayer.errors import ModelError
+from thinlayer.files.table import Table
 
 Array = npt.NDArray[np.float64]
 Plane = tuple[Sequence[float], Sequence[float]]
@@ -45,6 +46,15 @@ class Line:
     def length(self) -> float:
         """Length of the line."""
         return float(self.s[-1])
+
+    def table(self, name: str = "value") -> Table:
+        """Columns s, x, y (z) and `name`, or "name x", "name y", ... of a vector; `write` makes a csv file of it."""
+        values = self.values.reshape(len(self.s), -1)
+        names = [name] if values.shape[1] == 1 else [f"{name} {axis}" for axis in "xyz"[: values.shape[1]]]
+        columns = ["s", *"xyz"[: self.x.shape[1]], *names]
+        return Table(
+            dict(zip(columns, map(float, row), strict=True)) for row in np.column_stack([self.s, self.x, values])
+        )
 
 
 @dataclass(frozen=True)
