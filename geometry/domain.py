@@ -22,6 +22,7 @@ from geometry.facets import facets_of_cells, vertices_of_facets
 from geometry.joint import Joint
 from geometry.parallel import world
 from geometry.seam import BASE, LAYER, S
+from geometry.sheet import continued
 from geometry.topology import IntArray
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -175,7 +176,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
         for number, region in enumerate(joint.regions):
             if region.split("/")[0] != LAYER:
                 yield f"{name}/{region}", rows[joint.region[cells] == number]
-        if joint.band is None and np.isin(facets, on_s).any():
+        if joint.band is None and np.isin(facets, on_s).any() and len(continued(joint, facets)):
             yield f"{name}/{LAYER}", rows[:0]
 
 

@@ -47,6 +47,36 @@ class Rim:
         return np.asarray(np.isin(ridge_keys(self.vertices), np.concatenate(found)))
 
 
+def component_at(joint: Joint, cells: IntArray, vertices: IntArray) -> IntArray:
+    """(n, k) component, around vertices (n, k), of the cells (n,) that have them; -1 for cells < 0."""
+    corner = (joint.corners[cells][:, None, :] == vertices[:, :, None]).argmax(axis=2)
+    found = np.take_along_axis(joint.splitting.of_nodes[cells], corner, axis=1)
+    return np.where(cells[:, None] < 0, -1, found)
+
+
+def continued(joint: Joint, facets: IntArray) -> IntArray:
+    """Keys of the ridges of S where outer facets go on over the layer's side: they are on the bodies at both its faces.
+
+    On a rigid base there is one body. The facets of one body of two end where S begins.
+    """
+
+    def around(rows: IntArray, cells: IntArray) -> tuple[IntArray, IntArray]:
+        pairs = list(combinations(range(rows.shape[1]), joint.dim - 1))
+        ridges, cells = np.concatenate([rows[:, list(pair)] for pair in pairs]), np.tile(cells, len(pairs))
+        return ridge_keys(ridges), component_at(joint, cells, ridges[:, :1])[:, 0]
+
+    rows = joint.table.index(facets)
+    outer = joint.table.cells[rows, 1] < 0
+    own, count = around(facets[outer], joint.table.cells[rows[outer], 0]), len(joint.cells)
+    (keys, below), (_, above) = (
+        around(joint.table.vertices[joint.surface_rows], cells) for cells in joint.surface_cells.T
+    )
+    number = np.unique(np.concatenate([own[0], keys]), return_inverse=True)[1].ravel()
+    known, asked = number[: len(own[0])] * count + own[1], number[len(own[0]) :] * count
+    on = [(side < 0) | np.isin(asked + side, known) for side in (below, above)]
+    return np.unique(keys[on[0] & on[1]])
+
+
 @dataclass(frozen=True)
 class Sheet:
     """A seam as n straight simplices between its vertices; a quadrilateral is two triangles.

@@ -9,6 +9,7 @@ import numpy as np
 from geometry.inflating.bands import Copies
 from geometry.joint import Joint
 from geometry.seam import BASE, CUT, LAYER, LOWER_FACE, UPPER_FACE
+from geometry.sheet import continued
 from geometry.topology import BITS, BoolArray, FacetTable, IntArray, ridge_keys, ridges
 
 
@@ -51,11 +52,11 @@ def moved_facets(
         rows = joint.table.index(facets)
         out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
         outer = facets[joint.table.cells[rows, 1] < 0]
-        continued = np.isin(ridges, _ridges(outer, joint.dim)).any(axis=1)
-        around = stands[continued & of_band]  # the end of a junction in 3D continues what the layers around it do
-        continued |= upright & np.isin(stands[:, 0], around)
-        if continued.any():
-            out[f"{name}/{LAYER}"] = sides[continued]
+        on = np.isin(ridges, continued(joint, outer)).any(axis=1)
+        around = stands[on & of_band]  # the end of a junction in 3D continues what the layers around it do
+        on |= upright & np.isin(stands[:, 0], around)
+        if on.any():
+            out[f"{name}/{LAYER}"] = sides[on]
     return out, faces
 
 

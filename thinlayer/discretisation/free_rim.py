@@ -1,4 +1,4 @@
-"""Free ends of a layer: where its side is held by no support."""
+"""Ends of a layer: what holds its side there."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from geometry.seam import LAYER, S
-from geometry.sheet import Rim, Sheet
-from geometry.topology import FloatArray
+from geometry.sheet import Rim, Sheet, continued
+from geometry.topology import FloatArray, ridge_keys
+from thinlayer.discretisation.addition import Addition
 from thinlayer.discretisation.axis import on_axis
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.loads import Pressure
@@ -17,24 +19,59 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.seams import SeamLayer
 from thinlayer.errors import ModelError
 
+SLIGHT = 1e-6  # share of a direction, cos^2, that counts as none
+BENT = 0.03  # the same where S is curved: straight facets are 10 degrees off it
+
+
+def side_kinds(model: Model, sheet: Sheet) -> npt.NDArray[np.str_]:
+    """(n,) what the layer's side is at each ridge of the rim of a seam.
+
+    Its displacements have a component m, outward along S, and one n, across S. Supports, plates and an axis of revolution
+    hold both ("held"), m alone ("symmetric": as in a plane of symmetry), n alone ("antisymmetric"), neither ("free"), or
+    a direction between them ("oblique"). What is held along the end does not matter.
+    """
+    rim, joint, supports = sheet.rim, model.joint, model.supports
+    d, keys = joint.dim, ridge_keys(rim.vertices)
+    held = np.zeros((len(keys), d, d))
+    held[on_axis(model.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
+    entries = [(place, tuple(components)) for place, components in supports.entries]
+    for part in model.structure.parts:
+        if isinstance(part, Addition) and part.ties_nodes:
+            entries.append((part.place, tuple(supports.axes)))
+    for place, components in entries:
+        name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
+        if name in (S, *joint.seams) or name not in joint.facets:  # a vertex, or the side of one body
+            continue
+        on = np.isin(keys, continued(joint, joint.facets[name]))
+        for axis in components:
+            way = np.eye(d)[supports.axes.index(axis)] if axis in supports.axes else rim.outward
+            held += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
+    held = held @ np.linalg.pinv(held, rcond=SLIGHT, hermitian=True)  # onto all directions that are held
+    normals = joint.interface_normals[sheet.parts[0][rim.simplex]]
+    shares = np.stack([np.einsum("ni,nij,nj->n", way, held, way) for way in (rim.outward, normals)], axis=1)
+    slight = SLIGHT if sheet.planar else BENT
+    along, across = (shares > slight).T
+    found = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
+    clear = ((shares <= slight) | (shares >= 1 - slight)).all(axis=1)
+    return np.where(clear, found, "oblique")
+
+
+def rim_of_kinds(model: Model, sheet: Sheet, *kinds: str) -> Rim:
+    """The part of the rim of a seam where the layer's side is of some kinds (`side_kinds`)."""
+    return sheet.rim[np.isin(side_kinds(model, sheet), kinds)]
+
 
 def free_rim(model: Model, sheet: Sheet) -> Rim:
-    """The part of the rim of a seam where the layer's side is free: no support of the whole side holds it along S.
+    """Where an end of the layer has a field of its own: nothing holds its side along m or n, or something oblique does.
 
     Where S meets an axis of revolution it does not end.
     """
-    rim, supports = sheet.rim, model.supports
-    held = np.zeros(rim.outward.shape)
-    held[on_axis(model.kinematics, sheet.joint)[rim.vertices].all(axis=1)] = 1.0
-    for place, components in supports.entries:
-        name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
-        if name in (S, *model.joint.seams) or name not in model.joint.facets:  # a vertex, or the side of one body
-            continue
-        axes = [supports.axes.index(axis) for axis in components if axis in supports.axes] or [
-            *range(len(supports.axes))
-        ]
-        held[:, axes] = np.maximum(held[:, axes], rim.on(model.joint.facets[name])[:, None])
-    return rim[(held * rim.outward**2).sum(axis=1) < 0.5]
+    return rim_of_kinds(model, sheet, "free", "oblique")
+
+
+def loose_rim(model: Model, sheet: Sheet) -> Rim:
+    """Where the layer's side is not held along m: loads on it reach the layer, and a pressure falls to zero."""
+    return rim_of_kinds(model, sheet, "free", "antisymmetric", "oblique")
 
 
 def neglected_rim(model: Model, one: SeamLayer) -> Rim:
@@ -63,7 +100,7 @@ def free_of_pressure(model: Model, one: SeamLayer) -> tuple[Rim, Rim, FloatArray
     Where cells are larger than its fall (`fall_of_pressure`) there is no flow across the end, as if it were held: a
     pressure of zero at the end would be too small over a whole cell.
     """
-    rim = free_rim(model, one.sheet)
+    rim = loose_rim(model, one.sheet)
     fall = fall_of_pressure(one, rim)
     fine = rim.depth <= fall
     return rim[fine], rim[~fine], fall[~fine]

@@ -37,7 +37,7 @@ from geometry.sheet import Rim, Sheet
 from geometry.topology import FloatArray, IntArray, ridge_keys
 from thinlayer.discretisation.forces import Forces, Weighted
 from thinlayer.discretisation.free_ends import SeamEnds
-from thinlayer.discretisation.free_rim import free_rim
+from thinlayer.discretisation.free_rim import loose_rim
 from thinlayer.discretisation.joint_fields import cellwise
 from thinlayer.discretisation.layer import real_law
 from thinlayer.discretisation.loads import Coordinates, Load, Pressure, vector
@@ -129,7 +129,7 @@ def add_side_loads(
         ends: free ends of its seam; if their constants are known, they say what loads there do.
         to_base: (d,) how far a rigid base is from the facets of the body; None: the body meets it.
     """
-    free = ridge_keys(free_rim(model, one.sheet).vertices)
+    free = ridge_keys(loose_rim(model, one.sheet).vertices)
     for load in SideLoad.of(model, one):
         known = np.isin(ridge_keys(load.rim.vertices), free) & (ends.weights is not None)
         found = [*_at_ends(load.on(known), forces.at, model, one, sides)]
