@@ -19,13 +19,14 @@ from forms.ends.weights import EndWeights, Strips
 from forms.law import Step
 from forms.planes import Kinematics
 from forms.stations import Faces
-from geometry import block, disc, sandwich
+from geometry import GeometryError, block, disc, sandwich
 from geometry.ends import _connected, share_within, straight_ends
 from geometry.sheet import Sheet
 from tests.edges_run import numbers, structure
 from tests.ranks import mpirun
-from thinlayer import ModelError, Structure, ThinLayer, compare, observed_orders, solve
+from thinlayer import ModelError, RigidPlate, Springs, Structure, ThinLayer, compare, estimate, observed_orders, solve
 from thinlayer.discretisation.end_weights import FacetWeights
+from thinlayer.discretisation.free_rim import side_kinds
 from thinlayer.errors import RangeWarning
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
@@ -339,3 +340,101 @@ def test_ends_are_corrected_where_they_may_be(caplog):
     assert plates.full(layer).free_ends("S") is None
     with pytest.raises(ModelError, match="unknown layer 'T'"):
         models[None].free_ends("T")
+
+
+# ---------------------------------------------------------------- what holds the side of a layer
+PULL = {"TOP": (0.3, -1.0)}
+
+
+def kinds(joint, supports, parts=(), **data):
+    """What the layer's side is at the ridges of the rim, the one with the least x first."""
+    held = {"BOTTOM": 0.0} | supports
+    model = Structure(joint, body=BODY, supports=held, parts=parts, **data).interface(
+        ThinLayer(LinearElastic.young(1.0, 0.35).per_thickness(0.1), 0.1)
+    )
+    sheet = Sheet(model.joint)
+    order = joint.points[sheet.rim.vertices].mean(axis=1)[:, 0].argsort()
+    return side_kinds(model, sheet)[order].tolist()
+
+
+@pytest.mark.parametrize(
+    ("tilt", "supports", "expected"),
+    [
+        (0.0, {"LEFT": {"x": 0.0}}, "symmetric"),
+        (0.0, {"LEFT": {"y": 0.0}}, "antisymmetric"),
+        (0.0, {"LEFT": {"y": 0.0}, "LEFT/LAYER": {"x": 0.0}}, "held"),
+        (0.0, {"LEFT": {"n": 0.0}}, "symmetric"),
+        (0.5, {"LEFT": {"n": 0.0}}, "symmetric"),
+        (0.0, {"LEFT/LOWER": 0.0}, "free"),
+        (0.5, {"LEFT": {"x": 0.0}}, "oblique"),
+        (0.5, {"LEFT": 0.0}, "held"),
+        (0.0, {(0.0, 0.0): 0.0}, "free"),
+    ],
+)
+def test_supports_of_the_side_of_a_layer(tilt, supports, expected):
+    joint = sandwich(1.0, 0.5, 0.4, 0.25).rotated(tilt)
+    assert kinds(joint, supports) == [expected, "free"]
+
+
+def test_what_else_holds_the_side_of_a_layer():
+    """Plates do, springs do not, of a box in 3D what lies along the end does not matter."""
+    joint = sandwich(1.0, 0.5, 0.4, 0.25)
+    parts = [RigidPlate("LEFT", motion={"x": 0.0, "y": 0.0, "rotation": 0.0}), Springs("RIGHT", normal=1e9)]
+    assert kinds(joint, {}, parts) == ["held", "free"]
+    box = sandwich(1.0, 0.5, 0.4, 0.5, depth=0.5)
+    assert set(kinds(box, {"LEFT": {"z": 0.0}})) == {"free"}
+    assert sorted(set(kinds(box, {"LEFT": {"z": 0.0, "y": 0.0}}))) == ["antisymmetric", "free"]
+    rods = sandwich(1.0, 0.5, 0.4, 0.25)
+    assert kinds(rods, {"RIGHT": {"y": 0.0}}, plane="axisymmetric") == ["held", "antisymmetric"]
+
+
+def test_sides_held_across_s_are_no_free_ends():
+    """Under simple shear the law is exact at any order; a law with constants of ends there is not."""
+    joint, eps = sandwich(1.0, 0.5, 0.4, 0.25, h_S=1 / 12, cell="quadrilateral"), 1 / 16
+    law = LinearElastic.young(1.0, 0.35).per_thickness(eps)
+    across = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+    sheared = Structure(joint, body=BODY, supports=across, tractions={"TOP": (0.3, 0.0)})
+    full = solve(sheared.full(ThinLayer(law, eps)))
+    for order in (0, 1):
+        model = sheared.interface(ThinLayer(law, eps, order=order))
+        error = compare(full, solve(model))
+        assert max(error["error_traction"], error["error_jump"]) < 1e-9  # rounding of the layer's stiffness
+    found = estimate(solve(sheared.interface(ThinLayer(law, eps))))
+    assert max(found.traction, found.jump) < 1e-9
+
+
+def test_an_oblique_side_has_no_constants():
+    joint = sandwich(1.0, 0.5, 0.4, 0.25, h_ends=0.02).rotated(0.5)
+    law = ThinLayer(LinearElastic.young(1.0, 0.35).per_thickness(0.1), 0.1, order=1)
+    model = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}, tractions=PULL).interface(law)
+    assert "neither along S nor across it" in model.free_ends("S")
+
+
+def test_rubber_between_plates_is_held():
+    """A mould: pressed rubber that cannot leave it, as by supports; flowing out it would give way 1.5 times as far."""
+    joint, eps = sandwich(1.0, 0.5, 0.5, 0.25, h_S=1 / 12, h_ends=0.02, cell="quadrilateral"), 1 / 16
+    stiff = LinearElastic.young(1e5, 0.3)
+    base = [Springs("BOTTOM", normal=1e7, tangential=1e7)]
+    fixed = {"x": 0.0, "rotation": 0.0}
+    mould = [*base, RigidPlate("LEFT", motion=fixed), RigidPlate("RIGHT", motion=fixed)]
+    structure = Structure(joint, body=stiff, tractions={"TOP": (0.0, -1.0)}, supports={}, parts=mould)
+    layer = ThinLayer(Rubber.shear(mu=0.4, nu=0.499), eps, order=1)
+    full, limit = solve(structure.full(layer)), solve(structure.interface(layer))
+    assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)  # 1.5 times as much with p = 0 there
+
+
+def test_a_set_of_one_body_ends_where_s_begins():
+    """A support on the side of the lower body alone holds neither the layer's side nor the upper body's corner."""
+    joint, eps = sandwich(1.0, 0.5, 0.4, 0.25), 0.05
+    left = joint.facets["LEFT"]
+    below = joint.points[left].mean(axis=1)[:, 1] < 0
+    joint = replace(joint, facets=joint.facets | {"LOW": left[below]})
+    layer = ThinLayer(LinearElastic.young(1.0, 0.35).per_thickness(eps), eps)
+    one, same = (
+        solve(Structure(joint, body=BODY, supports={"BOTTOM": 0.0, name: {"x": 0.0}}, tractions=PULL).full(layer))
+        for name in ("LOW", "LEFT/LOWER")
+    )
+    assert one.u.x.array == pytest.approx(same.u.x.array, abs=1e-12)
+    assert kinds(joint, {"LOW": {"x": 0.0}}) == ["free", "free"]
+    with pytest.raises(GeometryError, match="unknown facet tag 'LOW/LAYER'"):
+        kinds(joint, {"LOW/LAYER": {"x": 0.0}})
